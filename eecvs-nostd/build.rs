@@ -1,7 +1,9 @@
-//! Sets `eecvs_dsp` where the core has Arm's DSP instructions, and `eecvs_intake_asm` where it also
-//! runs without an operating system; stable Rust does not tell the first. With the feature `portable` neither.
-//! `eecvs_thumb2` on Cortex-M with Thumb-2, whose products of 64 bits are one instruction; `eecvs_small`
-//! where flash has no room for the largest table.
+//! Sets the crate's own `cfg`s by target, as stable Rust does not expose the DSP instructions:
+//!
+//! - `eecvs_dsp` if the core has Arm's DSP instructions, and `eecvs_intake_asm` if it also runs without an
+//!   operating system; neither with the feature `portable`.
+//! - `eecvs_thumb2` on Cortex-M with Thumb-2, where a product of 64 bits takes one instruction.
+//! - `eecvs_small` where flash has no room for the largest table.
 
 fn main() {
     println!("cargo:rerun-if-changed=build.rs");
@@ -10,17 +12,17 @@ fn main() {
     if target.starts_with("thumbv7") {
         println!("cargo:rustc-cfg=eecvs_thumb2");
     }
-    // Cortex-M0: up to 256 KiB.
+    // Cortex-M0, with up to 256 KiB of flash.
     if target.starts_with("thumbv6m-") {
         println!("cargo:rustc-cfg=eecvs_small");
     }
     if std::env::var_os("CARGO_FEATURE_PORTABLE").is_some() {
         return;
     }
-    // Cortex-M4 and M7. Thumb alone: the instructions' spelling is not that of other targets.
+    // Cortex-M4 and M7, in Thumb only: other targets spell the instructions differently.
     if target.starts_with("thumbv7em-") {
         println!("cargo:rustc-cfg=eecvs_dsp");
-        // Its slots are those of a microcontroller.
+        // The assembly expects the slots of a microcontroller.
         if std::env::var("CARGO_CFG_TARGET_OS").is_ok_and(|os| os == "none") {
             println!("cargo:rustc-cfg=eecvs_intake_asm");
         }

@@ -1,5 +1,5 @@
-//! Puts the machine's memory regions where the linker looks for them, and the golden vectors where
-//! `bin/golden.rs` does.
+//! Puts the machine's memory regions where the linker looks for them, and the golden vectors where `bin/golden.rs`
+//! looks.
 
 use std::error::Error;
 use std::fmt::Write as _;
@@ -43,7 +43,7 @@ fn memory(out: &Path) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// What `bin/golden.rs` needs of a vector; `tests/golden.rs` writes and describes them.
+/// The part of a vector that `bin/golden.rs` needs; `tests/golden.rs` writes and describes vectors.
 #[derive(Deserialize)]
 struct Golden {
     width: u16,
@@ -58,7 +58,7 @@ struct Golden {
     frames: Vec<String>,
 }
 
-/// The vectors as Rust constants.
+/// Returns the vectors as Rust constants.
 fn golden() -> Result<String, Box<dyn Error>> {
     println!("cargo:rerun-if-changed={GOLDEN}");
     let mut paths = fs::read_dir(GOLDEN)?

@@ -1,4 +1,4 @@
-//! What every reader's fuzz target does with its reader.
+//! Shared code of the readers' fuzz targets.
 
 use std::io::Cursor;
 
@@ -6,7 +6,8 @@ use eecvs_nostd::{Event, Sensor};
 use event_files::input::ReadSeek;
 use event_files::{BATCH_EVENTS, EventReader};
 
-/// Size for files that name none; the first bit of the input's length decides whether it is known.
+/// Returns the sensor size for files that do not state one, or `None`; the lowest bit of the input's length
+/// decides.
 pub fn size(data: &[u8]) -> Option<Sensor> {
     (data.len() % 2 == 1).then_some(Sensor {
         width: 640,
@@ -14,13 +15,13 @@ pub fn size(data: &[u8]) -> Option<Sensor> {
     })
 }
 
-/// The input as a file.
+/// Wraps the input as a file.
 pub fn source(data: &[u8]) -> Box<dyn ReadSeek> {
     Box::new(Cursor::new(data.to_vec()))
 }
 
-/// Reads to the end or to an error, and checks what a reader promises; from a place on where the format can seek
-/// it, if a time is told. The time of the last event, if there is one.
+/// Reads to the end or to an error, and checks a reader's promises; seeks to `from_us` first, if given. Returns the
+/// time of the last event read, if there is one; `None` if opening or seeking fails.
 pub fn drain(
     opened: event_files::Result<Box<dyn EventReader>>,
     from_us: Option<u64>,

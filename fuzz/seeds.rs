@@ -1,5 +1,5 @@
-//! Writes the small recordings in fuzz/seeds/ from which fuzzing starts: `cargo run --bin seeds`. Those of
-//! HDF5 are h5py's, by fuzz/seeds/read_hdf5.py.
+//! Writes the small recordings in fuzz/seeds/ from which fuzzing starts: `cargo run --bin seeds`. The Python
+//! scripts in that folder write the seeds of HDF5, MAT, Arrow, Parquet and bags in SQLite.
 
 use std::path::Path;
 
@@ -132,7 +132,7 @@ const SEEDS: [(&str, &str, Sensor); 15] = [
     ),
 ];
 
-/// Events of one short window.
+/// Returns the events of one short window.
 fn events() -> Vec<Event> {
     (0..24)
         .map(|i| Event {
@@ -151,7 +151,7 @@ fn main() -> anyhow::Result<()> {
         std::fs::create_dir_all(&folder)?;
         let mut events = events();
         if target == "read_es" || target == "read_nmnist" {
-            // A byte for each 127 us that pass; 23 bits of time.
+            // ES takes a byte per 127 us elapsed, and N-MNIST has 23 bits of time.
             events.iter_mut().for_each(|event| event.t_us -= 16_776_000);
         }
         let mut writer = event_files::create(&folder.join(name), sensor)?;
@@ -162,7 +162,7 @@ fn main() -> anyhow::Result<()> {
     uncompressed(&root.join("read_aedat4"))
 }
 
-/// A file of frames for each transform, three windows each.
+/// Writes one file of frames per transform, with three windows each.
 fn frames(folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)?;
     let sensor = Sensor {
@@ -210,7 +210,7 @@ fn take(encoder: &mut Encoder<'_>, out: &mut [u8], bytes: &mut Vec<u8>) {
     }
 }
 
-/// Checksums of compressed packets would stop the fuzzer: the same events in a plain packet.
+/// Writes the same events in an uncompressed packet: checksums of compressed packets would stop the fuzzer.
 fn uncompressed(folder: &Path) -> anyhow::Result<()> {
     let lz4 = std::fs::read(folder.join("events.aedat4"))?;
     let number = |at: usize| -> anyhow::Result<usize> {

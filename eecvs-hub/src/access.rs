@@ -1,4 +1,4 @@
-//! Who may what: a list beside the keys, and the rules that a hub makes of it.
+//! Access control: a list next to the keys, and the rules that a hub derives from it.
 //!
 //! ```toml
 //! hubs = ["north", "south"]
@@ -8,9 +8,9 @@
 //! desk = ["hall-1/**"]
 //! ```
 //!
-//! A certificate's common name is `hub:NAME`, `sensor:NAME` or `receiver:NAME`. A sensor speaks under its own name
-//! alone, a receiver hears the names that are listed, and asks them for frames again; hubs may everything. Who has a
-//! good certificate and is not listed may nothing.
+//! A certificate's common name is `hub:NAME`, `sensor:NAME` or `receiver:NAME`. A sensor may publish only under its
+//! own name. A receiver may receive from the listed names, and request their frames again. Hubs are permitted
+//! everything. A valid certificate whose name is not listed is permitted nothing.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -20,37 +20,37 @@ use serde::{Deserialize, Serialize};
 
 use crate::key::{self, Kind, Name};
 
-/// The file's name in the folder of keys.
+/// Name of the list's file.
 pub const FILE: &str = "access.toml";
 
-/// What tokens of receivers begin with.
+/// First part of the keys of receivers' tokens.
 pub const RECEIVERS: &str = "eecvs-receivers";
 
-/// The list.
+/// The list of who may connect.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Access {
-    /// Hubs' names.
+    /// Names of the hubs.
     pub hubs: Vec<String>,
-    /// Sensors' names.
+    /// Names of the sensors.
     pub sensors: Vec<Name>,
-    /// What receivers may hear.
+    /// For each receiver, the patterns of sensors' names that it may receive.
     pub receivers: BTreeMap<String, Vec<String>>,
 }
 
-/// Who somebody is.
+/// A member of a fleet.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Role {
     /// A router.
     Hub(String),
-    /// Somebody who sends.
+    /// A sensor, which sends frames.
     Sensor(Name),
-    /// Somebody who receives.
+    /// A receiver of frames.
     Receiver(String),
 }
 
 impl Role {
-    /// The common name of its certificate.
+    /// Returns the common name of the member's certificate.
     #[must_use]
     pub fn common_name(&self) -> String {
         match self {
@@ -61,7 +61,7 @@ impl Role {
     }
 }
 
-/// What Zenoh takes as `access_control`.
+/// The value of Zenoh's setting `access_control`.
 #[derive(Debug, Serialize)]
 pub struct Rules {
     enabled: bool,
@@ -92,7 +92,7 @@ struct Policy {
     subjects: Vec<String>,
 }
 
-/// From a client to the hub, and back.
+/// Directions of messages: from a client to the hub, and back.
 const IN: &[&str] = &["ingress"];
 const OUT: &[&str] = &["egress"];
 
@@ -109,10 +109,10 @@ const ALL_MESSAGES: &[&str] = &[
 ];
 
 impl Access {
-    /// Reads the list of a folder; an empty one where there is none.
+    /// Reads the list in a folder; returns an empty one if there is no file.
     ///
     /// # Errors
-    /// The file cannot be read, or is no list.
+    /// The file cannot be read, or is not a valid list.
     pub fn read(folder: &Path) -> Result<Self> {
         let path = file(folder);
         let text = match std::fs::read_to_string(&path) {
@@ -142,7 +142,7 @@ impl Access {
         std::fs::write(&path, text).with_context(|| path.display().to_string())
     }
 
-    /// Adds somebody; a receiver with the names that it may hear.
+    /// Adds a member to the list; a receiver with the names that it may receive.
     pub fn add(&mut self, role: &Role, hears: &[String]) {
         match role {
             Role::Hub(name) => insert(&mut self.hubs, name),
@@ -153,7 +153,7 @@ impl Access {
         }
     }
 
-    /// The rules.
+    /// Returns Zenoh's access rules for the list.
     #[must_use]
     pub fn rules(&self) -> Rules {
         let mut rules = Rules {
@@ -185,7 +185,7 @@ impl Access {
                     (&["declare_subscriber"], IN, key(Kind::Budget)),
                     (&["put"], OUT, key(Kind::Budget)),
                     (&["query"], OUT, key(Kind::Again)),
-                    // Whoever publishes is told that somebody hears it, by keys that may stand for many sensors.
+                    // Publishers are notified of subscribers, by key expressions that may match many sensors.
                     (&["declare_subscriber"], OUT, vec!["**".to_owned()]),
                 ],
             );
@@ -216,7 +216,7 @@ impl Access {
                 ],
             );
         }
-        // Zenoh wants no empty lists: nobody has this name, as no certificate has it.
+        // Zenoh rejects empty lists: allow a name that no certificate has.
         if rules.rules.is_empty() {
             let nobody = Role::Hub(String::new());
             rules.allow(&nobody, [(ALL_MESSAGES, IN, vec!["**".to_owned()])]);
@@ -325,7 +325,7 @@ mod tests {
             ["eecvs/a/**/frames", "eecvs/a/**/status"]
         );
         assert_eq!(rules.default_permission, "deny");
-        // Nobody listed: everything is denied all the same.
+        // With an empty list, everything is still denied.
         assert!(Access::default().rules().enabled);
     }
 }

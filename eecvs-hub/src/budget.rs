@@ -1,22 +1,22 @@
-//! What a sensor's link takes: tokens for what is sent once more, and a rate for the encoder.
+//! Limits for a sensor's link: a token bucket for frames that are sent again, and a rate for the encoder.
 
 use std::time::{Duration, Instant};
 
-/// A bucket of bytes that fills at a rate: whoever has to wait, waits until there are some again.
+/// A bucket of bytes that fills at a rate; a sender that can wait waits while it is overdrawn.
 #[derive(Debug, Clone)]
 pub struct Bucket {
-    /// Bytes a second; none: no limit.
+    /// Rate in bytes per second; `None` for no limit.
     rate: Option<u32>,
-    /// Bytes that may be sent now; below 0, what was sent in advance.
+    /// Bytes that may be sent now; if negative, bytes sent in advance.
     level: f64,
     filled: Instant,
 }
 
-/// What a bucket holds, of a second's bytes.
+/// Capacity of a bucket, in seconds at its rate.
 const HOLDS: f64 = 0.125;
 
 impl Bucket {
-    /// A full bucket.
+    /// Creates a bucket that is full at `now`.
     #[must_use]
     pub fn new(rate: Option<u32>, now: Instant) -> Self {
         Self {
@@ -26,7 +26,7 @@ impl Bucket {
         }
     }
 
-    /// Goes on with another rate.
+    /// Changes the rate from `now` on; the level is cut to the new capacity.
     pub fn set_rate(&mut self, rate: Option<u32>, now: Instant) {
         if rate != self.rate {
             self.fill(now);
@@ -44,7 +44,7 @@ impl Bucket {
         self.filled = now;
     }
 
-    /// Takes bytes that are sent in any case.
+    /// Takes bytes that are sent in any case, even if the bucket is overdrawn.
     pub fn take(&mut self, bytes: usize, now: Instant) {
         self.fill(now);
         if self.rate.is_some() {
@@ -52,7 +52,7 @@ impl Bucket {
         }
     }
 
-    /// How long to wait until something that can wait may be sent: nothing, where the bucket is not empty.
+    /// Returns how long to wait before something that can wait may be sent: zero if the bucket is not overdrawn.
     #[must_use]
     pub fn wait(&mut self, now: Instant) -> Duration {
         self.fill(now);
@@ -65,26 +65,29 @@ impl Bucket {
     }
 }
 
-/// Finds the rate that a link takes: lowers it while frames wait for the link, and raises it again.
+/// Finds the rate that a link takes: lowers the limit while frames wait for the link, and raises it again
+/// afterwards.
 ///
-/// A fifth less than what the link took, while more waits than [`Governor::WAITING`] or a quarter of a second's bytes; a
-/// tenth more, where hardly anything waits; no limit of its own, once that is twice what is made.
+/// While more bytes wait than [`Governor::WAITING`] and a quarter of a second's bytes, the limit is a fifth less
+/// than what the link took. While hardly anything waits, the limit grows by a tenth per step; once it would reach
+/// twice what is made, it is dropped.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Governor {
     limit: Option<u32>,
 }
 
 impl Governor {
-    /// Steps of it in a second.
+    /// Steps per second.
     pub const STEPS_HZ: u32 = 4;
 
-    /// Bytes that may wait without a meaning: some frames.
+    /// Bytes that may wait without indicating congestion: some frames.
     pub const WAITING: u64 = 256 << 10;
 
-    /// The least that a sensor is held to, bytes a second.
+    /// Lowest limit in bytes per second.
     pub const LEAST: u32 = 32 << 10;
 
-    /// Takes what waits, and what was sent and made in a second; returns the limit.
+    /// Advances by a step, given the bytes that wait and the bytes sent and made per second; returns the new limit
+    /// in bytes per second.
     pub fn step(&mut self, waiting: u64, sent_per_s: u64, made_per_s: u64) -> Option<u32> {
         let sent = u32::try_from(sent_per_s).unwrap_or(u32::MAX);
         if waiting > Self::WAITING.max(sent_per_s / 4) {
@@ -101,14 +104,14 @@ impl Governor {
         self.limit
     }
 
-    /// The limit.
+    /// Returns the limit in bytes per second, if there is one.
     #[must_use]
     pub const fn limit(&self) -> Option<u32> {
         self.limit
     }
 }
 
-/// The lesser of two limits, of which each may be none.
+/// Returns the lower of two limits, each of which may be absent.
 #[must_use]
 pub fn least(a: Option<u32>, b: Option<u32>) -> Option<u32> {
     match (a, b) {
@@ -134,7 +137,7 @@ mod tests {
             }
         }
         assert!((10_000..=10_200).contains(&sent), "{sent}");
-        // What is sent in any case is taken from what can wait.
+        // Bytes that are sent in any case leave less for those that can wait.
         let now = start + Duration::from_secs(10);
         bucket.take(1000, now);
         let wait = bucket.wait(now);

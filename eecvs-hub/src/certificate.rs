@@ -1,7 +1,7 @@
-//! Keys and certificates of a fleet: one authority, and whom it has signed.
+//! Keys and certificates of a fleet: one authority, and the members that it has signed.
 //!
-//! Elliptic keys on P-256. A hub's certificate names the hosts under which it is reached; those of clients name
-//! nothing but who they are.
+//! Keys are elliptic, on P-256. A hub's certificate contains the hosts under which it is reached; a client's
+//! certificate contains only its identity.
 
 use std::fs::{self, OpenOptions};
 use std::io::Write as _;
@@ -17,25 +17,25 @@ use rcgen::{
 
 use crate::access::{Access, Role};
 
-/// The authority's own key, which no other machine needs.
+/// The authority's private key, which no other machine needs.
 const AUTHORITY_KEY: &str = "authority-key.pem";
-/// Its certificate, which all have.
+/// The authority's certificate, which every member has.
 const AUTHORITY: &str = "ca.pem";
 
-/// Clocks of two machines may differ by so much.
+/// How far clocks of two machines may differ: certificates are valid from this long before their creation.
 const CLOCKS: Duration = Duration::from_secs(24 * 3600);
 
-/// A folder with an authority's key and the list of those it has signed.
+/// A folder with an authority's key and the list of the members that it has signed.
 #[derive(Debug, Clone)]
 pub struct Authority {
     folder: PathBuf,
 }
 
 impl Authority {
-    /// The authority of a folder, which is made where there is none.
+    /// Opens the authority in a folder, or creates one whose certificate is valid for `days`.
     ///
     /// # Errors
-    /// The folder cannot be written, or has half of an authority.
+    /// The folder cannot be written, or it has the authority's key or certificate without the other.
     pub fn open(folder: &Path, days: u32) -> Result<Self> {
         let authority = Self {
             folder: folder.to_owned(),
@@ -59,11 +59,11 @@ impl Authority {
         Ok(authority)
     }
 
-    /// Makes keys for somebody, and lists it; returns the folder with them. A hub is reached under `hosts`, a receiver
-    /// hears the sensors `hears`.
+    /// Makes keys and a certificate for a member, adds it to the list, and returns the folder with its keys. A hub
+    /// is reached under `hosts`; a receiver may receive from the sensors `hears`.
     ///
     /// # Errors
-    /// The folder cannot be written, or there are keys already.
+    /// The folder cannot be written, or the member has keys already.
     pub fn sign(
         &self,
         role: &Role,
@@ -113,7 +113,8 @@ impl Authority {
     }
 }
 
-/// `sensor-hall-1.left` of the sensor `hall-1/left`; a name has no dots.
+/// Returns a member's folder: `sensor-hall-1.left` for the sensor `hall-1/left`. Names contain no dots, so folders
+/// are distinct.
 fn folder_of(role: &Role) -> String {
     role.common_name().replace(':', "-").replace('/', ".")
 }
@@ -133,7 +134,7 @@ fn write(path: &Path, text: &str) -> Result<()> {
     fs::write(path, text).with_context(|| path.display().to_string())
 }
 
-/// Nobody else may read it.
+/// Writes a new file that only its owner may read.
 fn write_secret(path: &Path, text: &str) -> Result<()> {
     let mut options = OpenOptions::new();
     options.write(true).create_new(true);

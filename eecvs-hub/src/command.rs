@@ -1,4 +1,4 @@
-//! The `eecvs-hub` command: what it is told, and what does it.
+//! The `eecvs-hub` command: its command line, and the choice of subcommand.
 
 use std::process::ExitCode;
 
@@ -9,7 +9,8 @@ use usb_bridge::stop::Stop;
 
 use crate::cmd::{hub, keys, receive, sensor, simulate};
 
-/// Many sensors to many machines, over Zenoh: sensors send frames to hubs, receivers take them from these
+/// Send frames from many sensors to many machines, over Zenoh: sensors send to hubs, and receivers take frames from
+/// them
 #[derive(Debug, Parser)]
 #[command(name = "eecvs-hub", version, arg_required_else_help = true)]
 struct EecvsHub {
@@ -26,7 +27,8 @@ enum Command {
     Simulate(simulate::Simulate),
 }
 
-/// The command. It is called before a program does anything else.
+/// Runs the command. A program must call this before it does anything else, since the process may replace itself in
+/// order to set an environment variable.
 #[must_use]
 pub fn run() -> ExitCode {
     have_zenoh_threads();

@@ -1,4 +1,4 @@
-//! What an encoder writes, a frame at a time, to a sensor's link.
+//! Passes the frames that an encoder writes to a sensor's link.
 
 use std::io::{self, Write};
 
@@ -7,16 +7,17 @@ use eecvs_nostd::Frame;
 
 use crate::uplink::Uplink;
 
-/// Takes frames of docs/wire-format.md, one in each write, and gives them to an [`Uplink`].
+/// A writer that takes one frame of docs/wire-format.md per write and passes it to an [`Uplink`].
 pub struct FrameSink<'u> {
     uplink: &'u Uplink,
-    /// When a time of the sensor's was due.
+    /// Converts the sensor's time to the time at which it was due.
     end_us: &'u dyn Fn(u64) -> u64,
     failed: Option<anyhow::Error>,
 }
 
 impl<'u> FrameSink<'u> {
-    /// `end_us` tells when a time of the sensor's was due, in microseconds since 1970.
+    /// Creates a sink; `end_us` converts the sensor's time to the time at which it was due, in microseconds since
+    /// 1970.
     pub fn new(uplink: &'u Uplink, end_us: &'u dyn Fn(u64) -> u64) -> Self {
         Self {
             uplink,
@@ -25,10 +26,10 @@ impl<'u> FrameSink<'u> {
         }
     }
 
-    /// How the writing went: what the link has said is the cause.
+    /// Returns `written`, or the link's error if there was one, since that is the cause of a failed write.
     ///
     /// # Errors
-    /// What the link has said, or `written`'s error.
+    /// The link's error, else the error in `written`.
     pub fn finish<T>(self, written: Result<T>) -> Result<T> {
         self.failed.map_or(written, Err)
     }

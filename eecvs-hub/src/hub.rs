@@ -1,4 +1,4 @@
-//! A hub: a router, what it knows of its sensors, and what it allows them.
+//! A hub: a router that observes its sensors and limits their rates.
 
 use std::collections::HashMap;
 use std::net::TcpListener;
@@ -19,34 +19,35 @@ use crate::key::{Kind, Name, name_of};
 use crate::link::{Links, Router, said};
 use crate::message::{Budget, Message, Stamp, Status};
 
-/// What a hub is told.
+/// Options of a hub.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
-    /// What it is called.
+    /// Name of the hub.
     pub name: String,
-    /// Sensors that it watches, a pattern of names; none: it routes alone.
+    /// Pattern of the names of sensors to watch; `None` if the hub only routes.
     pub watch: Option<String>,
-    /// What sensors may send, bytes a second, by patterns of names: the first that matches counts.
+    /// Limits on sensors' rates in bytes per second, by patterns of names: the first match applies.
     pub budgets: Vec<(String, u32)>,
-    /// What all sensors together may send, bytes a second: each gets as much as the others, but what others leave.
+    /// Limit on the rate of all sensors together, in bytes per second: shared evenly, and what some do not use goes
+    /// to the others.
     pub total: Option<u32>,
-    /// Who may what; of a hub without keys nobody is asked.
+    /// Access control; `None` for a hub without keys, which admits anyone.
     pub access: Option<Access>,
 }
 
-/// How often sensors are told what they may.
+/// Interval at which sensors are sent their budgets.
 const TELL: Duration = Duration::from_secs(1);
 
-/// Longest sleep between two looks at whether to stop.
+/// Longest sleep before the stop request is checked again.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// A hub, until it is dropped.
+/// A hub, which runs until it is dropped.
 pub struct Hub {
     shared: Arc<Shared>,
     stop: Stop,
     threads: Vec<JoinHandle<Result<()>>>,
     watching: Vec<Subscriber<()>>,
-    /// Last: others use its session.
+    /// Declared last, and so dropped last, since the fields above use its session.
     router: Arc<Router>,
 }
 
@@ -57,21 +58,21 @@ struct Shared {
     receivers: Mutex<std::collections::HashSet<String>>,
 }
 
-/// What a sensor made lately.
+/// The recent rate of a sensor.
 #[derive(Debug, Clone, Copy)]
 struct Demand {
     bytes: u64,
     at: Instant,
     bytes_per_s: f64,
-    /// What it was told to keep to.
+    /// The budget that it was last sent.
     told: Option<u32>,
 }
 
 impl Hub {
-    /// Listens, connects, watches; with `page`, serves it there.
+    /// Starts a hub: listens, connects, and watches sensors. With `page`, serves its page there.
     ///
     /// # Errors
-    /// Settings, keys, or an endpoint that cannot be listened at.
+    /// Settings or keys are invalid, or an endpoint cannot be listened on.
     pub fn start(options: Options, links: &Links, page: Option<TcpListener>) -> Result<Self> {
         let router = Arc::new(Router::start(links, options.access.as_ref())?);
         let shared = Arc::new(Shared {
@@ -101,28 +102,28 @@ impl Hub {
         })
     }
 
-    /// What it knows.
+    /// Returns the board, which holds what the hub knows.
     #[must_use]
     pub fn board(&self) -> &Arc<Board> {
         &self.shared.board
     }
 
-    /// Other hubs that are connected.
+    /// Returns the number of other hubs that are connected.
     #[must_use]
     pub fn routers(&self) -> usize {
         self.router.routers()
     }
 
-    /// Whether something of it has ended: its page failed.
+    /// Returns whether one of the hub's threads has ended, such as that of a failed page.
     #[must_use]
     pub fn has_ended(&self) -> bool {
         self.threads.iter().any(JoinHandle::is_finished)
     }
 
-    /// Ends.
+    /// Stops the hub: its threads, its subscriptions and its router.
     ///
     /// # Errors
-    /// Why its page has ended before.
+    /// A thread of the hub, such as that of its page, failed earlier.
     pub fn finish(mut self) -> Result<()> {
         self.end()
     }
@@ -144,7 +145,7 @@ impl Hub {
 
 impl Drop for Hub {
     fn drop(&mut self) {
-        // Whoever wants to know calls finish.
+        // Callers that want the error call [`Hub::finish`].
         let _ = self.end();
     }
 }
@@ -157,7 +158,7 @@ fn spawn(
     builder.spawn(run).context("a thread of the hub")
 }
 
-/// Gives the board what comes.
+/// Subscribes to what the sensors publish, and passes it to the board.
 fn watch(shared: &Arc<Shared>, session: &Session) -> Result<Vec<Subscriber<()>>> {
     let Some(names) = &shared.options.watch else {
         return Ok(Vec::new());
@@ -227,10 +228,10 @@ fn watch(shared: &Arc<Shared>, session: &Session) -> Result<Vec<Subscriber<()>>>
     Ok(watching)
 }
 
-/// Receivers that are counted.
+/// Maximum number of receivers that are counted.
 const RECEIVERS_MAX: usize = 10_000;
 
-/// Sensors that are told what they may.
+/// Maximum number of sensors that are sent budgets.
 const SENSORS_MAX: usize = 10_000;
 
 impl Shared {
@@ -255,7 +256,7 @@ impl Shared {
         self.board.status(name, status);
     }
 
-    /// Tells sensors what they may, and the board who is connected.
+    /// Sends sensors their budgets and updates the board's counts of connections, at an interval of [`TELL`].
     fn allow(&self, router: &Router, stop: &Stop) {
         let mut told: Option<Instant> = None;
         while !stop.is_asked() {
@@ -296,13 +297,13 @@ impl Shared {
             drop(sensors);
             for (key, bytes_per_second) in budgets {
                 let budget = Budget { bytes_per_second };
-                // One that gets lost is followed by another.
+                // A message that gets lost is followed by another.
                 let _ = router.session().put(key, budget.to_bytes()).wait();
             }
         }
     }
 
-    /// What a sensor may by its name.
+    /// Returns the limit set for a sensor's name.
     fn own(&self, name: &Name) -> Option<u32> {
         let name = KeyExpr::new(name.as_str()).ok()?;
         let of_names = |(names, _): &&(String, u32)| {
@@ -316,7 +317,7 @@ impl Shared {
     }
 }
 
-/// What a sensor could use.
+/// The rate that a sensor could use, and its limit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Wanted {
     bytes_per_s: f64,
@@ -324,7 +325,7 @@ struct Wanted {
 }
 
 impl Wanted {
-    /// One that is held to less than it would make wants more than it makes.
+    /// A sensor near its budget is assumed to want any amount more, since it is held back.
     fn of(demand: &Demand, most: Option<u32>) -> Self {
         let is_held = demand
             .told
@@ -341,8 +342,8 @@ impl Wanted {
     }
 }
 
-/// Shares of a total: nobody gets less than the others as long as it wants more; what nobody wants now is shared as
-/// well, for whoever wants more the next moment.
+/// Shares out a total: no sensor gets less than another while it wants more. What no sensor wants now is shared out
+/// too, for those that want more the next moment.
 fn shares(total: u32, wanted: &[Wanted]) -> Vec<Option<u32>> {
     let total = f64::from(total);
     let now: Vec<f64> = wanted.iter().map(|wanted| wanted.bytes_per_s).collect();
@@ -359,7 +360,8 @@ fn shares(total: u32, wanted: &[Wanted]) -> Vec<Option<u32>> {
         .collect()
 }
 
-/// A total poured into vessels of some sizes, as high in each as in the others.
+/// Distributes a total over vessels of the given sizes, all filled to the same height, or to their size if that is
+/// less.
 fn filled(total: f64, sizes: &[f64]) -> Vec<f64> {
     let mut order: Vec<usize> = (0..sizes.len()).collect();
     order.sort_by(|&a, &b| sizes[a].total_cmp(&sizes[b]));
@@ -419,7 +421,7 @@ mod tests {
                 .collect();
             let shares = shares(total, &wants);
             let sum: u64 = shares.iter().map(|share| u64::from(share.unwrap())).sum();
-            // But for a byte each.
+            // Each share may be rounded up by a byte.
             prop_assert!(sum <= u64::from(total) + wants.len() as u64, "{} {}", sum, total);
             for (share, wanted) in shares.iter().zip(&wants) {
                 prop_assert!(wanted.most.is_none_or(|most| share.unwrap() <= most));

@@ -1,11 +1,11 @@
-//! Sensors' names, and the keys under which they speak.
+//! Sensors' names, and the Zenoh keys under which they publish.
 //!
 //! ```text
-//! eecvs/NAME/frames   what a sensor sends: frames of docs/wire-format.md, each with a [`crate::message::Stamp`]
-//! eecvs/NAME/status   what it says of itself, twice a second: [`crate::message::Status`]
-//! eecvs/NAME/again    whom to ask for frames once more: [`crate::message::Wish`]
-//! eecvs/NAME/budget   what it is allowed: [`crate::message::Budget`]
-//! eecvs/NAME/alive    a token that is there while the sensor is connected
+//! eecvs/NAME/frames     the sensor's frames of docs/wire-format.md, each with a [`crate::message::Stamp`]
+//! eecvs/NAME/status     its report on itself, twice a second: [`crate::message::Status`]
+//! eecvs/NAME/again      queried to have frames sent again: [`crate::message::Wish`]
+//! eecvs/NAME/budget     a hub's limit on its rate: [`crate::message::Budget`]
+//! eecvs/NAME/alive      a token that exists while the sensor is connected
 //! ```
 //!
 //! A name may have several parts: `hall-2/door/left`.
@@ -15,18 +15,18 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// What all keys begin with.
+/// First part of all keys.
 pub const ROOT: &str = "eecvs";
 
-/// Bytes of a name, at the most.
+/// Maximum length of a name in bytes.
 pub const NAME_BYTES_MAX: usize = 128;
 
-/// What a sensor is called.
+/// A valid name of a sensor.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Name(String);
 
-/// A text that is no sensor's name.
+/// Error: a text is not a valid name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{0:?} is no name: letters, digits, - and _, in parts between single slashes, 128 bytes at the most"
@@ -34,13 +34,13 @@ pub struct Name(String);
 pub struct BadName(String);
 
 impl Name {
-    /// The name itself.
+    /// Returns the name as text.
     #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
     }
 
-    /// The key of what it says of a kind.
+    /// Returns the sensor's key for a kind of message.
     #[must_use]
     pub fn key(&self, kind: Kind) -> String {
         format!("{ROOT}/{}/{}", self.0, kind.word())
@@ -58,7 +58,7 @@ impl FromStr for Name {
         if text.len() <= NAME_BYTES_MAX && text.split('/').all(is_part) {
             return Ok(Self(text.to_owned()));
         }
-        // What is told is no longer than what might have been one.
+        // The error quotes no more text than a name may have.
         Err(BadName(text.chars().take(NAME_BYTES_MAX).collect()))
     }
 }
@@ -83,23 +83,23 @@ impl fmt::Display for Name {
     }
 }
 
-/// Kinds of what is said under a sensor's name.
+/// Kinds of messages under a sensor's name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Kind {
     /// Frames, as they are made.
     Frames,
-    /// What the sensor says of itself.
+    /// The sensor's reports on itself.
     Status,
-    /// Frames that are asked for once more.
+    /// Frames that are sent again on request.
     Again,
-    /// What it is allowed.
+    /// A hub's limits on the sensor's rate.
     Budget,
-    /// Whether it is connected.
+    /// Token that exists while the sensor is connected.
     Alive,
 }
 
 impl Kind {
-    /// The last part of its keys.
+    /// Returns the last part of this kind's keys.
     #[must_use]
     pub const fn word(self) -> &'static str {
         match self {
@@ -111,14 +111,15 @@ impl Kind {
         }
     }
 
-    /// The keys of all sensors whose names match: `**` is every name, `hall-2/**` those of a hall.
+    /// Returns the key expression for all sensors whose names match: `**` for every name, `hall-2/**` for those in
+    /// a hall.
     #[must_use]
     pub fn of_all(self, names: &str) -> String {
         format!("{ROOT}/{names}/{}", self.word())
     }
 }
 
-/// The sensor that a key of a kind belongs to.
+/// Returns the sensor's name in a key of this kind, or `None` if the key is not one of this kind.
 #[must_use]
 pub fn name_of(key: &str, kind: Kind) -> Option<Name> {
     let name = key.strip_prefix(ROOT)?.strip_prefix('/')?;
@@ -128,10 +129,11 @@ pub fn name_of(key: &str, kind: Kind) -> Option<Name> {
         .ok()
 }
 
-/// Names that are meant: a name, or one with `*` for a part and `**` for any number of them.
+/// Checks a pattern of names and returns it: a name in which `*` may stand for a part, and `**` for any number of
+/// parts.
 ///
 /// # Errors
-/// [`BadName`].
+/// [`BadName`] if the text is not such a pattern.
 pub fn names(text: &str) -> Result<String, BadName> {
     let parts = text
         .split('/')

@@ -1,6 +1,7 @@
 //! Delays in bounded memory, and their quantiles.
 
-/// Delays from -1 ms on in steps of an eighth of a power of two: exact to a sixteenth.
+/// A histogram of delays in steps of an eighth of a power of two. Quantiles are accurate to a sixteenth of their
+/// value (test `quantiles_are_near`).
 #[derive(Debug, Clone)]
 pub struct Latencies {
     counts: Vec<u64>,
@@ -8,18 +9,18 @@ pub struct Latencies {
     max_us: i64,
 }
 
-/// Of delays.
+/// Quantiles of delays, in milliseconds.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Quantiles {
-    /// Median.
+    /// The median.
     pub p50_ms: f64,
-    /// 99th percentile.
+    /// The 99th percentile.
     pub p99_ms: f64,
-    /// The longest.
+    /// The longest delay.
     pub max_ms: f64,
 }
 
-/// Steps of a power of two.
+/// Steps per power of two.
 const STEPS: u32 = 8;
 
 impl Default for Latencies {
@@ -33,7 +34,7 @@ impl Default for Latencies {
 }
 
 impl Latencies {
-    /// Takes a delay; one below 0, of clocks that differ, counts as 0.
+    /// Adds a delay in microseconds. A negative delay, from clocks that differ, counts as 0, except in the maximum.
     pub fn add(&mut self, delay_us: i64) {
         let place = place(delay_us.max(0) as u64);
         if place >= self.counts.len() {
@@ -44,7 +45,7 @@ impl Latencies {
         self.max_us = self.max_us.max(delay_us);
     }
 
-    /// The delays of another one, too.
+    /// Adds the delays of another histogram.
     pub fn merge(&mut self, other: &Self) {
         if other.counts.len() > self.counts.len() {
             self.counts.resize(other.counts.len(), 0);
@@ -56,13 +57,14 @@ impl Latencies {
         self.max_us = self.max_us.max(other.max_us);
     }
 
-    /// How many.
+    /// Returns the number of delays.
     #[must_use]
     pub const fn count(&self) -> u64 {
         self.count
     }
 
-    /// The delay that a part of them does not exceed, to a sixteenth; 0 of none.
+    /// Returns the delay in microseconds that the given part (0 to 1) of the delays does not exceed, accurate to a
+    /// sixteenth; 0 if there are no delays.
     #[must_use]
     pub fn quantile_us(&self, part: f64) -> f64 {
         let rank = ((self.count as f64 * part).ceil() as u64).max(1);
@@ -76,7 +78,7 @@ impl Latencies {
         0.0
     }
 
-    /// Median, 99th percentile, maximum.
+    /// Returns the median, 99th percentile and maximum.
     #[must_use]
     pub fn quantiles(&self) -> Quantiles {
         if self.count == 0 {
@@ -90,7 +92,8 @@ impl Latencies {
     }
 }
 
-/// Below 8 every microsecond has a place, from there on every eighth of a power of two.
+/// Returns the index of a delay's count: below 8 every microsecond has its own, above that every eighth of a power
+/// of two.
 const fn place(delay_us: u64) -> usize {
     let bits = u64::BITS - delay_us.leading_zeros();
     if bits <= STEPS.trailing_zeros() {

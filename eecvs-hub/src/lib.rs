@@ -1,7 +1,8 @@
-//! Many sensors to many machines.
+//! Transmits frames from many sensors to many machines over Zenoh.
 //!
-//! A sensor's [`uplink`] numbers its frames, publishes them, and keeps them for a while; a receiver's [`downlink`] asks
-//! for those that have not come. Between them are hubs: routers of Zenoh with a [`board`] of what is known of the sensors.
+//! A sensor's [`uplink`] numbers its frames, publishes them, and keeps them for a while; a receiver's [`downlink`]
+//! requests those that have not arrived. Hubs connect the two: they are Zenoh routers with a [`board`], which shows
+//! what is known of the sensors.
 
 pub mod access;
 pub mod board;

@@ -1,12 +1,13 @@
-//! Zenoh's sessions: sensors and receivers are clients of hubs, hubs are routers.
+//! Zenoh sessions: sensors and receivers are clients of hubs, and hubs are routers.
 //!
-//! What differs from Zenoh's defaults, and why:
+//! Settings that differ from Zenoh's defaults, and why:
 //!
-//! * nobody is looked for by multicast: who connects where is said;
-//! * sixteen batches of 64 KiB may wait for each link, as a window's frames come in a burst;
-//! * a sensor waits where its link takes no more, so that it knows and lowers its rate; a hub lets go of what a
-//!   receiver does not take at once, so that one that hangs holds up no other. Receivers ask for it again;
-//! * a link that says nothing for 4 s has failed, one that has failed is tried again within a second.
+//! * There is no discovery by multicast: endpoints are given explicitly.
+//! * Sixteen batches of 64 KiB may wait for each link, since the frames of a window are sent in a burst.
+//! * A sensor waits when its link takes no more, so that it notices and lowers its rate. A hub drops what a
+//!   receiver does not take at once, so that one hanging receiver does not hold up the others. Receivers request
+//!   dropped frames again.
+//! * A link that is silent for 4 s has failed, and a failed link is tried again within a second.
 
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
@@ -21,26 +22,26 @@ use zenoh::{Config, Session, Wait};
 
 use crate::access::Access;
 
-/// Where a hub is, unless it is said.
+/// Default endpoint of a hub.
 pub const HUB: &str = "tcp/127.0.0.1:7447";
 
-/// What a client or a hub connects to and listens at, and who it is.
+/// The endpoints and keys of a client or a hub.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Links {
-    /// Endpoints, as Zenoh spells them: `tls/HOST:PORT`, `tcp/HOST:PORT`.
+    /// Endpoints to connect to, as Zenoh spells them: `tls/HOST:PORT`, `tcp/HOST:PORT`.
     pub connect: Vec<String>,
-    /// Endpoints.
+    /// Endpoints to listen on.
     pub listen: Vec<String>,
-    /// The folder with `ca.pem`, `cert.pem` and `key.pem`, for `tls/` endpoints.
+    /// Folder with `ca.pem`, `cert.pem` and `key.pem`, for `tls/` endpoints.
     pub keys: Option<PathBuf>,
 }
 
-/// Errors of Zenoh are boxed ones that anyhow does not take.
+/// Converts Zenoh's boxed errors, which `anyhow` does not accept, and puts `what` in front.
 pub(crate) fn said(what: impl Display) -> impl FnOnce(zenoh::Error) -> anyhow::Error {
     move |error| anyhow!("{what}: {error}")
 }
 
-/// The same for all.
+/// Settings of clients and hubs.
 const SETTINGS: &[(&str, &str)] = &[
     ("scouting/multicast/enabled", "false"),
     ("transport/link/tx/lease", "4000"),
@@ -58,16 +59,16 @@ const SETTINGS: &[(&str, &str)] = &[
     ("connect/exit_on_failure", "false"),
 ];
 
-/// Of a client: what can wait, waits a little, and is let go of only then.
+/// Settings of clients: a message that may be dropped waits a little (20 ms) for room before it is.
 const CLIENT_SETTINGS: &[(&str, &str)] = &[(
     "transport/link/tx/queue/congestion_control/drop/wait_before_drop",
     "20000",
 )];
 
-/// Of a hub.
+/// Settings of hubs.
 const HUB_SETTINGS: &[(&str, &str)] = &[
     ("transport/unicast/max_sessions", "10000"),
-    // Handshakes under way at once, of those who have not shown who they are.
+    // Maximum number of concurrent handshakes, whose peers have not been authenticated yet.
     ("transport/unicast/accept_pending", "1000"),
     (
         "qos/network",
@@ -146,16 +147,16 @@ fn authenticate(config: &mut Config, folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// A hub's router, until it is dropped.
+/// A hub's router, which runs until it is dropped.
 pub struct Router {
     session: Session,
 }
 
 impl Router {
-    /// Listens and connects. With `access`, nobody may more than it says.
+    /// Starts a router: listens and connects. With `access`, nobody is permitted more than it states.
     ///
     /// # Errors
-    /// Settings, keys, or an endpoint that cannot be listened at.
+    /// Settings or keys are invalid, or an endpoint cannot be listened on.
     pub fn start(links: &Links, access: Option<&Access>) -> Result<Self> {
         let mut config = links.config("router")?;
         for (name, value) in HUB_SETTINGS {
@@ -170,35 +171,35 @@ impl Router {
         Ok(Self { session })
     }
 
-    /// Its own session, which may everything.
+    /// Returns the router's own session, which is permitted everything.
     #[must_use]
     pub const fn session(&self) -> &Session {
         &self.session
     }
 
-    /// Other hubs that are connected.
+    /// Returns the number of other hubs that are connected.
     #[must_use]
     pub fn routers(&self) -> usize {
         self.session.info().routers_zid().wait().count()
     }
 }
 
-/// A client's session, which is opened in the background: until a hub answers there is none.
+/// A client's session, which is opened in the background: there is none until a hub answers.
 #[derive(Clone)]
 pub struct Client(Arc<Opening>);
 
 struct Opening {
     session: OnceLock<Session>,
     failure: Mutex<Option<String>>,
-    /// Nobody wants it any more.
+    /// Whether the client was closed before the session was opened.
     is_given_up: AtomicBool,
 }
 
 impl Client {
-    /// Begins to connect; `opened` is called with the session as soon as there is one.
+    /// Starts to connect; `opened` is called with the session as soon as it exists.
     ///
     /// # Errors
-    /// Settings or keys.
+    /// Settings or keys are invalid.
     pub fn start(
         links: &Links,
         opened: impl FnOnce(&Session) -> Result<()> + Send + 'static,
@@ -232,23 +233,23 @@ impl Client {
         Ok(Self(opening))
     }
 
-    /// The session, once a hub has answered.
+    /// Returns the session, once a hub has answered.
     #[must_use]
     pub fn session(&self) -> Option<&Session> {
         self.0.session.get()
     }
 
-    /// Whether a hub is connected at present.
+    /// Returns whether a hub is connected at present.
     #[must_use]
     pub fn is_connected(&self) -> bool {
         self.session()
             .is_some_and(|session| session.info().routers_zid().wait().next().is_some())
     }
 
-    /// Why there will be no session, if so.
+    /// Checks that connecting has not failed for good.
     ///
     /// # Errors
-    /// That.
+    /// There will be no session; the error says why.
     pub fn check(&self) -> Result<()> {
         let failure = self.0.failure.lock();
         match &*failure.unwrap_or_else(PoisonError::into_inner) {
@@ -257,18 +258,18 @@ impl Client {
         }
     }
 
-    /// Ends the session, after what was put last has had time to leave.
+    /// Closes the session, after giving the latest messages time to be sent.
     pub fn close(&self) {
         self.0.is_given_up.store(true, Ordering::Relaxed);
         if let Some(session) = self.session() {
             thread::sleep(LEAVES);
-            // One whose hub is gone has nothing to say good-bye to.
+            // Closing a session whose hub is gone may fail, which does not matter.
             let _ = session.close().wait();
         }
     }
 }
 
-/// Time in which what was put has certainly left.
+/// Time within which the latest messages have certainly been sent.
 const LEAVES: Duration = Duration::from_millis(200);
 
 impl Opening {

@@ -1,7 +1,7 @@
-//! What travels beside frames: small messages, in postcard's encoding behind a byte that tells their version.
+//! The small messages that accompany frames: a byte with the version, then postcard's encoding.
 //!
-//! No bytes may make a reader panic or allocate more than they are long: what cannot be read is refused, and whoever
-//! reads counts it.
+//! No bytes can make a reader panic, or allocate more than their own length: unreadable messages are rejected, and
+//! the reader counts them.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -11,21 +11,21 @@ use serde::{Deserialize, Serialize};
 /// Version of these messages.
 const VERSION: u8 = 1;
 
-/// Frames asked for in one wish, in so many runs of numbers at the most.
+/// Maximum number of ranges of frame numbers in one [`Wish`].
 pub const RANGES_MAX: usize = 64;
 
-/// What is told of what is held, in so many runs at the most.
+/// Maximum number of ranges in [`Status::held`].
 pub const HELD_MAX: usize = 16;
 
-/// A message.
+/// A message with a versioned encoding.
 pub trait Message: Serialize + DeserializeOwned {
-    /// Its bytes.
+    /// Returns the encoded message.
     fn to_bytes(&self) -> Vec<u8> {
-        // Memory takes all bytes, and no field here is one that the encoding lacks.
+        // Writing to memory does not fail, and postcard can encode every field here.
         postcard::to_extend(self, vec![VERSION]).unwrap_or_default()
     }
 
-    /// The message of some bytes; none where they are no such message.
+    /// Decodes a message, or returns `None` if the bytes are not this message in this version.
     fn from_bytes(bytes: &[u8]) -> Option<Self> {
         let (&VERSION, rest) = bytes.split_first()? else {
             return None;
@@ -34,134 +34,134 @@ pub trait Message: Serialize + DeserializeOwned {
     }
 }
 
-/// Microseconds since 1970, by this computer's clock.
+/// Returns the time by this computer's clock, in microseconds since 1970.
 #[must_use]
 pub fn now_us() -> u64 {
     let now = SystemTime::now().duration_since(UNIX_EPOCH);
     now.map_or(0, |now| u64::try_from(now.as_micros()).unwrap_or(u64::MAX))
 }
 
-/// Beside every frame.
+/// Identification of a frame, attached to every frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Stamp {
-    /// When the sensor was started, which tells its runs apart: microseconds since 1970.
+    /// Start time of the sensor's process, which identifies the run: microseconds since 1970.
     pub run: u64,
-    /// Number of the frame in the run, from 0 on.
+    /// Number of the frame in the run, from 0.
     pub number: u64,
-    /// When its window ended, by the sensor's computer: microseconds since 1970.
+    /// End of the frame's window, by the clock of the sensor's computer: microseconds since 1970.
     pub end_us: u64,
 }
 
 impl Message for Stamp {}
 
-/// Frames of a run, by their numbers.
+/// A range of frame numbers in a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Range {
-    /// The first.
+    /// The first number.
     pub from: u64,
-    /// The one behind the last.
+    /// One past the last number.
     pub to: u64,
 }
 
-/// What a receiver asks a sensor for.
+/// A receiver's request to a sensor to send frames again.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Wish {
-    /// Who asks: a later wish takes the place of an earlier one.
+    /// The receiver. A later request replaces its earlier one.
     pub receiver: u64,
-    /// The run.
+    /// The run, as in [`Stamp`].
     pub run: u64,
-    /// Numbers, [`RANGES_MAX`] runs of them at the most.
+    /// Numbers of the frames, in at most [`RANGES_MAX`] ranges.
     pub ranges: Vec<Range>,
 }
 
 impl Message for Wish {}
 
-/// What is said in answer to a wish, beside the frames themselves.
+/// Reply to a [`Wish`], sent after the requested frames.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Answer {
-    /// The run.
+    /// The run, as in [`Stamp`].
     pub run: u64,
-    /// Numbers that were asked for and are not held any more.
+    /// Requested numbers that the sensor no longer holds.
     pub gone: Vec<Range>,
 }
 
 impl Message for Answer {}
 
-/// What a sensor is allowed.
+/// A hub's limit on a sensor's rate.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Budget {
-    /// Bytes of frames a second; none: as its own command line says.
+    /// Bytes of frames per second; `None` means that only the sensor's own command line sets a limit.
     pub bytes_per_second: Option<u32>,
 }
 
 impl Message for Budget {}
 
-/// What became of a sensor's events, since its start.
+/// What became of a sensor's events since its start.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Events {
-    /// In frames.
+    /// Events in frames.
     pub encoded: u64,
-    /// Of those, events whose times are not exact.
+    /// Of those in frames, events whose times are not exact.
     pub approximate: u64,
-    /// Too old for their window.
+    /// Events too old for their window.
     pub late: u64,
-    /// Kept out by a filter.
+    /// Events removed by a filter.
     pub filtered: u64,
-    /// Lost before or in the encoder.
+    /// Events lost before or in the encoder.
     pub dropped: u64,
-    /// Left out so that the frames fit the budget.
+    /// Events left out so that the frames fit the budget.
     pub thinned: u64,
 }
 
-/// How a sensor's store fares.
+/// State of a sensor's store of frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stored {
-    /// Frames and their bytes in memory.
+    /// Number of frames in memory.
     pub memory_frames: u64,
-    /// Bytes.
+    /// Bytes of the frames in memory.
     pub memory_bytes: u64,
-    /// Frames and their bytes on disk.
+    /// Number of frames on disk.
     pub disk_frames: u64,
-    /// Bytes.
+    /// Bytes of the frames on disk.
     pub disk_bytes: u64,
-    /// Frames made while there was no link, or just before it failed, that are held no longer.
+    /// Frames made while there was no link, or just before it failed, that are no longer held.
     pub let_go_frames: u64,
     /// Frames that could not be written to disk.
     pub disk_failures: u64,
 }
 
-/// What a sensor says of itself.
+/// A sensor's report on itself.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Status {
-    /// When it was started, as in [`Stamp`].
+    /// Start of the run, as in [`Stamp`].
     pub run: u64,
-    /// Number of the frame that comes next: those below it exist.
+    /// Number of the next frame: all frames below it exist.
     pub next: u64,
     /// Columns of the sensor.
     pub width: u16,
-    /// Rows.
+    /// Rows of the sensor.
     pub height: u16,
-    /// When this was said, by the sensor's computer: microseconds since 1970.
+    /// Time of this report, by the clock of the sensor's computer: microseconds since 1970.
     pub now_us: u64,
-    /// Its events.
+    /// Counts of the sensor's events.
     pub events: Events,
-    /// Bytes of frames made.
+    /// Bytes of all frames made.
     pub bytes: u64,
-    /// Windows of its regimes: sparse, moderate, dense.
+    /// Windows per regime: sparse, moderate, dense.
     pub windows: [u64; 3],
-    /// Bytes a second that it is held to.
+    /// Limit on the sensor's rate in bytes per second, if there is one.
     pub budget: Option<u32>,
-    /// Whether it lowers its rate as its link does not take more.
+    /// Whether the sensor lowers its rate because its link cannot take more.
     pub is_congested: bool,
-    /// Times that it had no link.
+    /// Number of times that the link failed.
     pub outages: u64,
-    /// Microseconds of these, all together.
+    /// Total time without a link after the first connection, in microseconds.
     pub outages_us: u64,
-    /// Frames sent once more.
+    /// Frames sent again.
     pub again: u64,
-    /// Its store.
+    /// State of the sensor's store.
     pub stored: Stored,
-    /// What is held of earlier runs: run and numbers, [`HELD_MAX`] at the most.
+    /// What the store holds of earlier runs: run and numbers, in at most [`HELD_MAX`] ranges.
     pub held: Vec<(u64, Range)>,
 }
 

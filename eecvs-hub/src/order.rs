@@ -1,22 +1,22 @@
-//! Which of a sensor's frames have come, which are missing, and which never will.
+//! Tracks which of a sensor's frames have arrived, which are missing, and which are lost.
 
 use std::collections::BTreeMap;
 
 use crate::message::Range;
 
-/// Runs of numbers that may be missing at once; beyond, the oldest is given up.
+/// Maximum number of gaps of missing numbers; beyond it, the oldest gap is given up.
 pub const GAPS_MAX: usize = 4096;
 
-/// The numbers of one run of a sensor.
+/// The frame numbers of one run of a sensor.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Numbers {
-    /// What is below it does not count.
+    /// Numbers below this one are ignored.
     first: u64,
-    /// All below it have come, are missing, or were given up.
+    /// All numbers below this one have arrived, are missing, or were given up.
     next: u64,
-    /// Missing: first to the one behind the last, none empty, none touching another.
+    /// The gaps: first missing number to one past the last; none is empty or touches another.
     missing: BTreeMap<u64, u64>,
-    /// How many that is.
+    /// Number of missing frames.
     missing_count: u64,
     received: u64,
     needless: u64,
@@ -24,7 +24,7 @@ pub struct Numbers {
 }
 
 impl Numbers {
-    /// Counts from a number on.
+    /// Starts to count at a number.
     #[must_use]
     pub const fn from(first: u64) -> Self {
         Self {
@@ -38,7 +38,8 @@ impl Numbers {
         }
     }
 
-    /// Takes a frame that has come; whether it is of use: it has not come before, and was not given up.
+    /// Records a frame that has arrived; returns whether it is useful: it had not arrived before and was not given
+    /// up.
     pub fn take(&mut self, number: u64) -> bool {
         let is_new = if number >= self.next && number < u64::MAX {
             self.until(number);
@@ -55,7 +56,7 @@ impl Numbers {
         is_new
     }
 
-    /// Takes out one that was missing.
+    /// Removes a number from the missing ones; returns whether it was among them.
     fn found(&mut self, number: u64) -> bool {
         let Some((&from, &to)) = self.missing.range(..=number).next_back() else {
             return false;
@@ -75,7 +76,7 @@ impl Numbers {
         true
     }
 
-    /// All numbers below one exist: those that have not come are missing.
+    /// Records that all numbers below `next` exist: those that have not arrived are missing.
     pub fn until(&mut self, next: u64) {
         if next <= self.next {
             return;
@@ -103,7 +104,7 @@ impl Numbers {
         }
     }
 
-    /// What of a range is missing is lost; how many that are.
+    /// Gives up the missing numbers in a range; returns how many there were.
     pub fn give_up(&mut self, range: Range) -> u64 {
         let mut lost = 0;
         let start = self.missing.range(..=range.from).next_back();
@@ -129,50 +130,50 @@ impl Numbers {
         lost
     }
 
-    /// Below it, all have come or are lost.
+    /// Returns the number below which all frames have arrived or are lost.
     #[must_use]
     pub fn settled(&self) -> u64 {
         self.missing.keys().next().map_or(self.next, |&from| from)
     }
 
-    /// The number behind the highest that is known.
+    /// Returns the number after the highest known one.
     #[must_use]
     pub const fn next(&self) -> u64 {
         self.next
     }
 
-    /// Where counting began.
+    /// Returns the number at which counting began.
     #[must_use]
     pub const fn first(&self) -> u64 {
         self.first
     }
 
-    /// What is missing, the oldest first, in so many runs of numbers at the most.
+    /// Returns the gaps of missing numbers, the oldest first, at most `most` of them.
     #[must_use]
     pub fn gaps(&self, most: usize) -> Vec<Range> {
         let gaps = self.missing.iter().take(most);
         gaps.map(|(&from, &to)| Range { from, to }).collect()
     }
 
-    /// Frames that have not come and were not given up.
+    /// Returns how many frames have not arrived and were not given up.
     #[must_use]
     pub const fn missing(&self) -> u64 {
         self.missing_count
     }
 
-    /// Frames that have come, each once.
+    /// Returns how many frames have arrived, each counted once.
     #[must_use]
     pub const fn received(&self) -> u64 {
         self.received
     }
 
-    /// Frames that came again, or after they were given up, or from before the first.
+    /// Returns how many frames arrived again, after they were given up, or from before the first number.
     #[must_use]
     pub const fn needless(&self) -> u64 {
         self.needless
     }
 
-    /// Frames that were given up.
+    /// Returns how many frames were given up.
     #[must_use]
     pub const fn lost(&self) -> u64 {
         self.lost
@@ -252,7 +253,7 @@ mod tests {
     }
 
     proptest! {
-        /// As a set of numbers, one by one.
+        /// Compares the gaps with plain sets of numbers.
         #[test]
         fn numbers_are_accounted_for(first in 0_u64..20, steps in prop::collection::vec(step(), 0..80)) {
             let mut numbers = Numbers::from(first);

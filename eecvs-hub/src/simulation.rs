@@ -1,9 +1,11 @@
-//! Many sensors and hubs in one process, by their own code: real sessions, encryption, stores, and receivers.
+//! Simulates many sensors and hubs in one process with their real code: sessions, encryption, stores, and
+//! receivers.
 //!
-//! The load: each sensor plays the frames of one of nine emulated scenes, in turn, from a place of its own in it on, one
-//! frame per window, all out of step. Each sensor is a client of one hub. The first hub is connected to all others. A
-//! receiver at each hub hears the sensors of that hub, and one more at the first hub hears all: every frame is received
-//! twice, and all frames but those of the first hub's sensors pass two hubs. The last hub is stopped for a while.
+//! Each sensor plays the frames of one of nine emulated scenes, assigned in turn, from a random position in it. It
+//! sends one frame per window; the sensors' windows are evenly staggered. Each sensor is a client of one hub. The
+//! first hub is connected to all others. A receiver at each hub receives from the sensors of that hub, and one more
+//! at the first hub receives from all: every frame is received twice, and all frames but those of the first hub's
+//! sensors pass two hubs. The last hub is stopped for a while.
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
@@ -36,78 +38,78 @@ use crate::link::Links;
 use crate::message::now_us;
 use crate::uplink::{self, Uplink};
 
-/// What is simulated.
+/// Parameters of a simulation.
 #[derive(Debug, Clone, Copy)]
 pub struct Options {
-    /// Sensors, evenly at all hubs.
+    /// Number of sensors, spread evenly over the hubs.
     pub sensors: usize,
-    /// Hubs.
+    /// Number of hubs.
     pub hubs: usize,
-    /// How long sensors send.
+    /// How long the sensors send.
     pub duration: Duration,
-    /// How long the last hub is stopped, a third of the duration after the start.
+    /// How long the last hub is stopped, starting after a third of the duration.
     pub outage: Duration,
-    /// Size of the sensors.
+    /// Size of each sensor in pixels.
     pub sensor: Sensor,
-    /// Windows, and so frames.
+    /// Duration of a window, which makes one frame, in microseconds.
     pub window_us: u32,
-    /// Another seed gives other places in the scenes.
+    /// Seed of the scenes and of the positions in them.
     pub seed: u64,
 }
 
-/// What came of it; the fields are the JSON keys.
+/// Results of a simulation; the fields are the JSON keys.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Outcome {
-    /// As asked for.
+    /// Number of sensors.
     pub sensors: usize,
-    /// As asked for.
+    /// Number of hubs.
     pub hubs: usize,
-    /// Receivers.
+    /// Number of receivers.
     pub receivers: usize,
-    /// How long sensors sent.
+    /// How long the sensors sent.
     pub seconds: f64,
     /// How long it took to connect all of them.
     pub connecting_s: f64,
-    /// Frames that sensors made.
+    /// Frames that the sensors made.
     pub frames: u64,
-    /// Events in them.
+    /// Events in these frames.
     pub events: u64,
-    /// Their bytes.
+    /// Bytes of these frames.
     pub bytes: u64,
-    /// Frames a second that sensors made.
+    /// Frames per second that the sensors made.
     pub frames_per_s: f64,
-    /// Bytes a second.
+    /// Bytes per second that the sensors made.
     pub bytes_per_s: f64,
-    /// Frames that receivers should have got, together.
+    /// Frames that the receivers should have received, in total.
     pub expected: u64,
-    /// Frames that they got, each once, in order, as they were sent.
+    /// Frames that the receivers received once, in order, and as they were sent.
     pub delivered: u64,
-    /// Frames that came, but were others than those sent, or not in order.
+    /// Frames received that differed from those sent, or were not in order.
     pub wrong: u64,
-    /// Of those delivered, frames that were asked for again.
+    /// Of those delivered, frames that were sent again on request.
     pub again: u64,
-    /// Frames that receivers have given up.
+    /// Frames that the receivers gave up.
     pub lost: u64,
-    /// Times that clients had no link, together: those at the hub that was stopped.
+    /// Number of link failures of all clients together: those at the hub that was stopped.
     pub outages: u64,
-    /// How long after the end the last frame came.
+    /// How long after the end the last frame arrived.
     pub late_s: f64,
-    /// From when a frame was due to its arrival, of those that were not asked for again, milliseconds.
+    /// Median time from when a frame was due to its arrival, in milliseconds, for frames that were not sent again.
     pub delay_p50_ms: f64,
-    /// 99th percentile.
+    /// 99th percentile of the same.
     pub delay_p99_ms: f64,
-    /// The longest.
+    /// Maximum of the same.
     pub delay_max_ms: f64,
-    /// Processor seconds per second, of all parts together, while sensors sent.
+    /// Processor seconds per second, of all parts together, while the sensors sent.
     pub cores: f64,
-    /// Most memory that was resident.
+    /// Peak of the resident memory.
     pub memory_peak_bytes: u64,
 }
 
-/// Frames of a scene, each with its events.
+/// The frames of a scene, each with its number of events.
 type Played = Vec<(Vec<u8>, u32)>;
 
-/// Sensors that connect at once.
+/// Number of sensors that connect at once.
 const CONNECTING: usize = 32;
 
 /// Longest wait for links, and for frames after the end.
@@ -120,14 +122,14 @@ struct Fleet {
     names: Vec<Name>,
 }
 
-/// What a sensor plays, from where on.
+/// The frames that a sensor plays, and the index of the first.
 #[derive(Clone)]
 struct Part {
     frames: Arc<Played>,
     start: usize,
 }
 
-/// What a receiver checks.
+/// A receiver's check of the frames that it receives.
 struct Checked {
     parts: Arc<HashMap<Name, Part>>,
     next: HashMap<Name, u64>,
@@ -136,10 +138,10 @@ struct Checked {
     latest: Instant,
 }
 
-/// Simulates; `say` gets what happens. Keys are made in `folder`.
+/// Runs a simulation; `say` receives lines about its progress. Keys are made in `folder`.
 ///
 /// # Errors
-/// Something that cannot be started, such as more sockets than a process may have.
+/// Something cannot be started, for instance because it needs more sockets than a process may have.
 pub fn simulate(
     options: Options,
     folder: &Path,
@@ -201,7 +203,7 @@ pub fn simulate(
     };
     say(&format!("{} sensors are connected", options.sensors));
     let last = hubs.pop();
-    // Beside the sensors, so that it holds up none.
+    // Run it beside the sensors, so that it does not delay them.
     let _last = thread::scope(|scope| -> Result<Option<Hub>> {
         let interrupted = scope.spawn(|| fleet.interrupt(last, stop, say));
         play(&fleet, &parts, &uplinks, &mut outcome, stop)?;
@@ -247,7 +249,7 @@ pub fn simulate(
         outcome.delay_max_ms,
     ) = (delays.p50_ms, delays.p99_ms, delays.max_ms);
     outcome.memory_peak_bytes = Usage::now().memory_peak_bytes.unwrap_or(0);
-    // All at once: each waits a moment for those who may still ask.
+    // All at once, since closing a session takes a moment.
     thread::scope(|scope| {
         for uplink in uplinks {
             scope.spawn(move || uplink.finish(Duration::ZERO));
@@ -269,7 +271,7 @@ fn play(
     let usage = Usage::now();
     let started = Instant::now();
     let origin_us = now_us();
-    // When each sensor's next frame is due, evenly over a window.
+    // When each sensor's next frame is due, staggered evenly over a window.
     let mut due: BinaryHeap<Reverse<(Duration, usize, u64)>> = (0..uplinks.len())
         .map(|number| Reverse((window * number as u32 / uplinks.len() as u32, number, 0)))
         .collect();
@@ -312,7 +314,7 @@ fn wait(who: &str, is_so: impl Fn() -> bool) -> Result<()> {
     Ok(())
 }
 
-/// The frames of the nine scenes: lossless, by the fast coder, one for each window.
+/// Returns the frames of the nine scenes: lossless, with the fast coder, one per window.
 fn scenes(options: Options) -> Result<Vec<Arc<Played>>> {
     let mode = Mode::Hybrid(Hybrid {
         coder: Coder::Fast,
@@ -345,7 +347,7 @@ fn scenes(options: Options) -> Result<Vec<Arc<Played>>> {
     Ok(scenes)
 }
 
-/// Frames and their events, a frame in each write.
+/// Writer that collects frames and their numbers of events, one frame per write.
 #[derive(Default)]
 struct Pieces(Played);
 
@@ -361,7 +363,7 @@ impl Write for Pieces {
     }
 }
 
-/// Length of a scene.
+/// Length of a scene, in microseconds.
 const SCENE_US: u64 = 2_000_000;
 
 impl Fleet {
@@ -405,7 +407,7 @@ impl Fleet {
 
     fn hub(&self, number: usize) -> Result<Hub> {
         let mut access = Access::read(&self.folder)?;
-        // A hub knows its own sensors alone.
+        // A hub knows only its own sensors.
         access
             .sensors
             .retain(|name| name.as_str().starts_with(&format!("{number}/")));
@@ -426,7 +428,7 @@ impl Fleet {
         Hub::start(options, &links, None)
     }
 
-    /// Stops the last hub for the time that is asked for; what is there after that.
+    /// Stops the last hub for the set time; returns the hub that runs afterwards.
     fn interrupt(
         &self,
         hub: Option<Hub>,

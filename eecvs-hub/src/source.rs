@@ -1,4 +1,4 @@
-//! A scene or a recording as a live source: events come when they are due.
+//! Plays a scene or a recording as a live source, which returns events when they are due.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -13,23 +13,25 @@ use usb_bridge::stop::Stop;
 
 use crate::message::now_us;
 
-/// Longest wait for the next event, before it is said that there was none.
+/// Longest wait for the next event before a read returns none.
 const WAIT: Duration = Duration::from_millis(2);
 
-/// Events of a recording that is repeated: it is held in memory.
+/// Maximum number of events in a repeated recording, which is held in memory.
 pub const REPEATED_MAX: usize = 1 << 26;
 
-/// When events of the sensor's time were due, by this computer's clock.
+/// Converts the sensor's time to the time at which its events were due, by this computer's clock.
 #[derive(Debug, Default)]
 pub struct Clock {
-    /// Microseconds since 1970 at the sensor's time 0, plus 1; 0 where they do not run together.
+    /// The computer's time (microseconds since 1970) at the sensor's time 0, plus 1; 0 if the two do not run at the
+    /// same pace.
     origin_us: AtomicU64,
-    /// When events were asked for last.
+    /// The computer's time of the latest read.
     read_us: AtomicU64,
 }
 
 impl Clock {
-    /// When a window's end was due; where times do not run with the computer's, when it was found.
+    /// Returns when a time of the sensor was due, in microseconds since 1970; if the sensor's time does not run at
+    /// the computer's pace, the time of the latest read.
     #[must_use]
     pub fn at(&self, t_us: u64) -> u64 {
         match self.origin_us.load(Ordering::Relaxed) {
@@ -39,7 +41,7 @@ impl Clock {
     }
 }
 
-/// Gives a reader's events when they are due.
+/// A reader that returns the events of another reader when they are due.
 pub struct Live {
     events: From,
     pace: Pace,
@@ -51,31 +53,31 @@ pub struct Live {
     /// Events that were read and are not due yet.
     waiting: Vec<Event>,
     used: usize,
-    /// When the first one was given, and its time.
+    /// When the first event was returned, and its time.
     start: Option<(Instant, u64)>,
     given: u64,
     is_over: bool,
-    /// The sensor's time up to which all events were given.
+    /// The sensor's time up to which all events were returned.
     passed_us: u64,
 }
 
-/// Where events come from.
+/// Source of the events.
 enum From {
     Once(Box<dyn EventReader>),
     Again {
         events: Vec<Event>,
         next: usize,
-        /// Added to times, and how much more with each round.
+        /// Offset added to the times; it grows by `round_us` with each repetition.
         shift_us: u64,
         round_us: u64,
     },
 }
 
 impl Live {
-    /// Events of a reader at a pace; with `repeat`, from its end on from its beginning, with times that go on.
+    /// Plays the events of a reader at a pace. With `repeat`, starts again at the end, with times that continue.
     ///
     /// # Errors
-    /// A recording that cannot be read, or one that is repeated and has too many events.
+    /// The recording cannot be read, or it is to be repeated and has no events or too many.
     pub fn new(
         mut reader: Box<dyn EventReader>,
         pace: Pace,
@@ -124,13 +126,13 @@ impl Live {
         })
     }
 
-    /// When its events are due.
+    /// Returns the clock by which the events are due.
     #[must_use]
     pub fn clock(&self) -> Arc<Clock> {
         Arc::clone(&self.clock)
     }
 
-    /// Reads on where nothing waits.
+    /// Reads the next events if none are waiting.
     fn fill(&mut self) -> Result<()> {
         if self.used < self.waiting.len() {
             return Ok(());
@@ -139,7 +141,7 @@ impl Live {
         self.used = 0;
         match &mut self.events {
             From::Once(reader) => {
-                // One that is live itself has no events for a moment.
+                // A reader that is live itself may have no events for the moment.
                 while reader.read(&mut self.waiting)? == 0 {
                     if reader.pause() == Pause::Ended || self.stop.is_asked() {
                         self.is_over = true;
@@ -168,7 +170,7 @@ impl Live {
         Ok(())
     }
 
-    /// How many of those that wait are due, and how long the next one is not.
+    /// Returns how many of the waiting events are due, and how long it is until the next one is.
     fn due(&mut self, now: Instant) -> (usize, Duration) {
         let waiting = self.waiting.get(self.used..).unwrap_or_default();
         let Some(first) = waiting.first() else {
@@ -177,7 +179,7 @@ impl Live {
         let (at, first_us) = match self.start {
             Some(start) => start,
             None => {
-                // The computer's time first: no event is given before the time that is told of it.
+                // Take the computer's time first, so that no event is returned before its due time by the clock.
                 let origin_us = now_us().wrapping_sub(first.t_us).wrapping_add(1);
                 if self.pace == Pace::Recorded(1.0) {
                     self.clock.origin_us.store(origin_us, Ordering::Relaxed);
@@ -297,7 +299,7 @@ mod tests {
                 assert!(clock.at(event.t_us) <= now_us());
             }
             if let Pause::Until(until_us) = live.pause() {
-                // What comes later is later.
+                // Later events have later times.
                 assert!(events.last().is_none_or(|last| last.t_us <= until_us));
             }
         }

@@ -1,17 +1,24 @@
-//! Fixed-point, no-heap encoder for event cameras: windows of events to transform coefficients.
+//! Fixed-point, no-heap encoder for event cameras: turns windows of events into transform coefficients.
 //!
 //! ```text
 //! events -> window -> density -> regime -> group -> accumulate -> prune -> quantise -> pack -> frame
 //! ```
 //!
-//! In mode `hybrid` the events themselves are coded ([`coder`]), in place of what follows the group.
-//! A stage is a folder: `mod.rs` chooses by target among the files beside it, `portable.rs`,
-//! `sse2.rs`, `avx2.rs`, `armv7em.rs`. Every buffer is lent by the caller or sits in [`Storage`]; nothing
-//! allocates, nothing uses floating point on the way from an event to a frame, and the same code
-//! gives the same bits on a microcontroller and on a host. Feature `defmt` derives `defmt::Format`
-//! on the public types; `coefficients` and `order`, defaults, let the encoder take the adaptive coders of
-//! coefficients ([`coder::coefficients`]) and [`Config::keep_order`]; `float` adds two kernels in f32 to
-//! compare with ([`kernel`]); `portable` leaves assembly out, to compare with.
+//! In mode `hybrid` the events themselves are coded ([`coder`]); this replaces the stages after `group`.
+//!
+//! Every buffer is lent by the caller or lies in [`Storage`]: nothing allocates. No step from an event to a frame
+//! uses floating point, and a microcontroller and a host produce the same bits.
+//!
+//! A stage is a folder. Its `mod.rs` selects the implementation for the target from the files beside it:
+//! `portable.rs`, `sse2.rs`, `avx2.rs` or `armv7em.rs`.
+//!
+//! Cargo features:
+//!
+//! - `coefficients` (default): the encoder can use the adaptive coefficient coders ([`coder::coefficients`]).
+//! - `order` (default): the encoder supports [`Config::keep_order`].
+//! - `defmt`: derives `defmt::Format` on the public types.
+//! - `float`: adds two f32 kernels for comparison ([`kernel`]).
+//! - `portable`: replaces assembly with plain Rust, for comparison.
 #![no_std]
 
 #[cfg(test)]
@@ -33,7 +40,7 @@ pub mod regime;
 pub mod transform;
 pub mod window;
 
-// What the stages share.
+// Shared by the stages.
 mod checksum;
 pub mod event_link;
 pub mod fixed_point;

@@ -1,4 +1,4 @@
-//! Coefficients to integer levels and back.
+//! Quantises coefficients to integer levels and dequantises them.
 
 use core::num::NonZeroU32;
 
@@ -6,32 +6,32 @@ use crate::fixed_point::{Coefficient, FRACTION_BITS, mul_add};
 use crate::transform::haar_scale::scale_of;
 use crate::transform::name::Transform;
 
-/// A quantised coefficient. `im` is 0 for real transforms; c_0 = on - off stands as it is.
+/// A quantised coefficient. `im` is 0 for real transforms. c_0 = on - off is an integer and is not quantised.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Level {
-    /// Index on the grid.
+    /// Index k of the coefficient, below K.
     pub k: u16,
-    /// Real part in steps.
+    /// Real part, in steps.
     pub re: i32,
-    /// Imaginary part in steps.
+    /// Imaginary part, in steps.
     pub im: i32,
 }
 
 impl Level {
-    /// c_0 = 0.
+    /// A placeholder: the level of c_0 = 0.
     pub const NONE: Self = Self { k: 0, re: 0, im: 0 };
 }
 
 /// A uniform quantiser whose step is a power of two, D = 2^`step_log2`.
 ///
-/// DCT and DTFT: level = floor(c / D) stands for the middle of its step, (level + 1/2) D, so
-/// |c - (level + 1/2) D| <= D / 2, and |c| < n takes the levels from -n / D to n / D - 1: with
-/// D <= 1, exactly log2(1 / D) + 1 bits for a single event.
+/// DCT and DTFT: level = floor(c / D), which stands for the middle of its step, (level + 1/2) D, so that
+/// |c - (level + 1/2) D| <= D / 2. As |c| < n, levels lie between -n / D and n / D - 1; with D <= 1 a level of a
+/// single event takes exactly log2(1 / D) + 1 bits.
 ///
-/// A Haar coefficient is D_k 2^(j/2) with D_k an integer, so its lattice is quantised instead:
-/// level = round(D_k / q_j), half away from zero, with q_j = max(1, floor(D / 2^(j/2))), hence the
-/// same bound, and no error at all where D <= 2^(j/2), which for steps up to 1 is everywhere.
+/// Haar: a coefficient is D_k 2^(j/2) with an integer D_k, so D_k is quantised instead: level = round(D_k / q_j),
+/// half away from zero, with q_j = max(1, floor(D / 2^(j/2))). The same error bound holds. There is no error at
+/// all where D <= 2^(j/2), which holds at every scale for D <= 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Quantiser {
@@ -39,14 +39,14 @@ pub struct Quantiser {
 }
 
 impl Quantiser {
-    /// Finest step: 2^-15.
+    /// log2 of the finest step, 2^-15.
     pub const STEP_LOG2_MIN: i8 = -15;
-    /// Coarsest step: 2^8.
+    /// log2 of the coarsest step, 2^8.
     pub const STEP_LOG2_MAX: i8 = 8;
-    /// 2^-6: a single event's time comes back within some 10 us of a 33 ms window.
+    /// The default step, 2^-6: a single event's time is decoded to within some 10 us in a window of 33 ms.
     pub const DEFAULT: Self = Self { step_log2: -6 };
 
-    /// A quantiser of step 2^`step_log2`, or `None` outside of -15..=8.
+    /// Returns a quantiser of step 2^`step_log2`, or `None` outside of -15..=8.
     #[must_use]
     pub const fn new(step_log2: i8) -> Option<Self> {
         if step_log2 < Self::STEP_LOG2_MIN || step_log2 > Self::STEP_LOG2_MAX {
@@ -56,34 +56,34 @@ impl Quantiser {
         }
     }
 
-    /// log2 of the step.
+    /// Returns log2 of the step D, -15 to 8.
     #[must_use]
     pub const fn step_log2(self) -> i8 {
         self.step_log2
     }
 
-    /// log2 of the step in units of 2^-25, 10 to 33: what [`Coefficient::level`] takes.
+    /// Returns log2 of the step in units of 2^-25, 10 to 33: the shift that [`Coefficient::level`] takes.
     #[inline(always)]
     #[must_use]
     pub const fn shift(self) -> u32 {
         (FRACTION_BITS as i32 + self.step_log2 as i32) as u32
     }
 
-    /// floor(`coefficient` / D), cut to 32 bits.
+    /// Returns floor(`coefficient` / D), saturated to 32 bits.
     #[inline(always)]
     #[must_use]
     pub fn uniform(self, coefficient: impl Coefficient) -> i32 {
         coefficient.level(self.shift())
     }
 
-    /// round(`difference` / q_j) for the Haar difference D_k at scale j, |D_k| < 2^24.
+    /// Returns the level round(`difference` / q_j) of the Haar difference D_k at scale j, |D_k| < 2^24.
     #[inline]
     #[must_use]
     pub const fn haar(self, difference: i32, scale: u32) -> i32 {
         if self.step_log2 <= 0 {
             return difference;
         }
-        // Never 0; the type spares the division its check.
+        // Never 0; the type saves the division's check.
         let Some(divisor) = NonZeroU32::new(self.haar_divisor(scale)) else {
             return difference;
         };
@@ -96,7 +96,7 @@ impl Quantiser {
         }
     }
 
-    /// q_j = max(1, floor(2^(step_log2 - j/2))).
+    /// Returns q_j = max(1, floor(2^(step_log2 - j/2))).
     const fn haar_divisor(self, scale: u32) -> u32 {
         // floor(2^(h/2)) for h = 2 step_log2 - j half-octaves, from floor(sqrt(2^h)).
         let half_octaves = 2 * self.step_log2 as i32 - scale as i32;
@@ -107,8 +107,8 @@ impl Quantiser {
         }
     }
 
-    /// The coefficient (re, im) that `level` stands for; exact in f64 but for the Haar scale's
-    /// square root.
+    /// Returns the coefficient (re, im) that `level` stands for. Exact in f64, except for the square root in the
+    /// Haar scale.
     #[must_use]
     pub fn dequantise(self, transform: Transform, level: Level) -> (f64, f64) {
         if level.k == 0 {
@@ -133,8 +133,9 @@ impl Quantiser {
     }
 }
 
-/// The levels of a pixel in the order of the link, but for that of k = 0: in lent memory of as many
-/// numbers as are kept, twice as many of complex ones.
+/// The levels of one pixel in the order in which they are sent, without that of k = 0.
+///
+/// The lent memory needs one number per kept coefficient, two for a complex transform.
 #[derive(Debug)]
 pub struct Levels<'l> {
     levels: &'l mut [u32],
@@ -144,7 +145,7 @@ pub struct Levels<'l> {
 }
 
 impl<'l> Levels<'l> {
-    /// None yet.
+    /// Starts an empty list in `levels`.
     #[inline(always)]
     #[must_use]
     pub const fn new(levels: &'l mut [u32]) -> Self {
@@ -156,7 +157,7 @@ impl<'l> Levels<'l> {
         }
     }
 
-    /// Adds some; there is room.
+    /// Appends levels. If there is no room, they only count towards [`Self::spread`].
     #[inline(always)]
     pub fn push<const N: usize>(&mut self, levels: [i32; N]) {
         let places = self.levels.get_mut(self.len..);
@@ -169,7 +170,7 @@ impl<'l> Levels<'l> {
         }
     }
 
-    /// Adds floor(sum / D) of each, cut to 32 bits; `shift` is [`Quantiser::shift`].
+    /// Appends floor(sum / D) of each sum, saturated to 32 bits. `shift` is [`Quantiser::shift`].
     #[inline(always)]
     pub fn push_uniform<const N: usize>(&mut self, sums: [impl Coefficient; N], shift: u32) {
         for sum in sums {
@@ -178,21 +179,21 @@ impl<'l> Levels<'l> {
         self.push(sums.map(|sum| sum.level(shift)));
     }
 
-    /// All of them, in two's complement.
+    /// Returns all levels in two's complement.
     #[inline(always)]
     #[must_use]
     pub fn as_slice(&self) -> &[u32] {
         self.levels.get(..self.len).unwrap_or_default()
     }
 
-    /// The bits that are not copies of the sign, of any of them.
+    /// Returns a mask of the bits that differ from the sign bit in at least one level.
     #[inline(always)]
     #[must_use]
     pub const fn spread(&self) -> u32 {
         self.spread
     }
 
-    /// How many were cut to 32 bits.
+    /// Returns how many levels were saturated to 32 bits.
     #[inline(always)]
     #[must_use]
     pub const fn saturated(&self) -> u32 {
@@ -200,8 +201,10 @@ impl<'l> Levels<'l> {
     }
 }
 
-/// `levels` side by side, `bits` of each, which they are in the range of and a word has room for;
-/// `highest` has the highest bit of each.
+/// Packs N levels of `bits` bits each into a word, the first level lowest.
+///
+/// Each level must fit `bits` bits, and N * `bits` must fit a word. `highest` is [`highest_bits`] of the same N
+/// and `bits`.
 #[inline(always)]
 #[must_use]
 pub fn side_by_side<const N: usize>(levels: [u32; N], bits: u32, highest: u32) -> u32 {
@@ -209,11 +212,12 @@ pub fn side_by_side<const N: usize>(levels: [u32; N], bits: u32, highest: u32) -
     let all = all
         .reduce(|all, level| mul_add(all, 1 << (bits & 31), level))
         .unwrap_or(0);
-    // A negative level has borrowed from its neighbour, which half of a range more gives back.
+    // A negative level has borrowed from the field above it. Adding half of the range to each field and flipping
+    // each field's highest bit undoes the borrow.
     (all as u32).wrapping_add(highest) ^ highest
 }
 
-/// The highest bit of each of N numbers side by side, of `bits` each, which a word has room for.
+/// Returns a word in which the highest bit of each of N fields of `bits` bits is set; N * `bits` must fit a word.
 #[inline(always)]
 #[must_use]
 pub fn highest_bits<const N: usize>(bits: u32) -> u32 {

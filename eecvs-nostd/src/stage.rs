@@ -1,28 +1,28 @@
-//! Where the encoder is: told to a measurement, or to nobody.
+//! Reports which stage the encoder is in, for measurements.
 
-/// A stage of the path from a word to a frame.
+/// A stage of the path from a received word to a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
 pub enum Stage {
-    /// Words to events, events into the window. The encoder itself never enters it.
+    /// Decodes words to events and stores events in the window. The encoder itself never enters this stage.
     Ingest = 0,
-    /// The closed window, its segments and their pixels.
+    /// Walks the closed window: its segments and their pixels.
     Group = 1,
-    /// Events of a pixel to coefficients.
+    /// Accumulates a pixel's events into coefficients.
     Accumulate = 2,
-    /// The choice of the kept coefficients.
+    /// Selects the coefficients to keep.
     Prune = 3,
-    /// Kept coefficients to levels.
+    /// Quantises the kept coefficients to levels.
     Quantise = 4,
-    /// A pixel's descriptor, or its events, to bits.
+    /// Writes a pixel's descriptor, or its events, as bits.
     Pack = 5,
-    /// Header and checksums.
+    /// Writes the header and the checksums.
     Frame = 6,
 }
 
 impl Stage {
-    /// Every stage, in the order of its number.
+    /// Every stage, in numerical order.
     pub const ALL: [Self; 7] = [
         Self::Ingest,
         Self::Group,
@@ -33,7 +33,7 @@ impl Stage {
         Self::Frame,
     ];
 
-    /// Lower-case name.
+    /// Returns the stage's lower-case name.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -48,15 +48,15 @@ impl Stage {
     }
 }
 
-/// Listens to the encoder's changes of stage; `()` does not, and costs nothing.
+/// Receives the encoder's changes of stage. The implementation for `()` ignores them and costs nothing.
 pub trait Trace {
-    /// Whether there is anything to tell it.
+    /// Whether [`Self::enter`] does anything; if not, the encoder may take paths that mix stages.
     const LISTENS: bool = true;
-    /// Whether code for some targets alone is left out even where it would not miss a change of stage: for
-    /// tests that compare it with the portable one.
+    /// Whether target-specific code is left out even where it would report every change of stage. Tests use this
+    /// to compare it with the portable code.
     const IS_PORTABLE: bool = false;
 
-    /// What follows, up to the next call, belongs to `stage`.
+    /// Announces that the work from here to the next call belongs to `stage`.
     fn enter(&mut self, stage: Stage);
 }
 

@@ -1,7 +1,7 @@
-//! The command `eecvs-ros` with an operator of one's own beside ours.
+//! The command `eecvs-ros` with a custom operator beside the project's own.
 //!
-//! `cargo run -p eecvs-ros --example operator -- encode --operator steps` encodes by it; `decode` of the same program
-//! finds it by its name in the frames.
+//! `cargo run -p eecvs-ros --example operator -- encode --operator steps` encodes with it; `decode` of the same
+//! program selects it by the name in the frames.
 
 use std::process::ExitCode;
 
@@ -9,7 +9,8 @@ use anyhow::{Context, Result, ensure};
 use eecvs_nostd::{Event, Polarity};
 use eecvs_ros::operator::{Span, WindowCoder, Windowed};
 
-/// Events as they came: the step in time to each in groups of seven bits, then row, column and polarity.
+/// Lossless coder that keeps the order of arrival: per event, the time step as a variable-length integer in groups
+/// of seven bits, then row, column and polarity.
 struct Steps;
 
 impl WindowCoder for Steps {
@@ -20,7 +21,7 @@ impl WindowCoder for Steps {
     fn encode(&self, span: Span, events: &[Event], data: &mut Vec<u8>) {
         let mut last_us = span.t0_us;
         for event in events {
-            // Back or forth: the sign goes into the lowest bit.
+            // The step may be negative: zigzag coding puts its sign into the lowest bit.
             let step = event.t_us.wrapping_sub(last_us) as i64;
             let mut left = ((step << 1) ^ (step >> 63)) as u64;
             while left >= 0x80 {

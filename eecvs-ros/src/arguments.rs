@@ -1,15 +1,15 @@
-//! What a command line says in the language of ROS 2, between `--ros-args` and `--`.
+//! The ROS 2 arguments on a command line, between `--ros-args` and `--`.
 //!
-//! | argument | what it does |
+//! | argument | effect |
 //! |---|---|
-//! | `-r`, `--remap` `[NODE:]FROM:=TO` | another name of a topic; `__node`, `__name`, `__ns` of the node |
-//! | `-p`, `--param` `[NODE:]NAME:=VALUE` | a parameter |
-//! | `--params-file FILE` | parameters by nodes' names, in YAML |
-//! | `--log-level`, `--enable-rosout-logs`, ... | taken, without effect |
+//! | `-r`, `--remap` `[NODE:]FROM:=TO` | renames a topic; `__node`, `__name`: the node; `__ns`: sets its namespace |
+//! | `-p`, `--param` `[NODE:]NAME:=VALUE` | sets a parameter |
+//! | `--params-file FILE` | sets parameters by node name, from YAML |
+//! | `--log-level`, `--enable-rosout-logs`, ... | accepted, without effect |
 //!
-//! A node's parameters are its command's flags: `-p window_us:=5000` is `--window-us 5000`. Parameters become
-//! flags in front of those that are given, which count for more; of parameters the later ones do. One that is given
-//! for all nodes is for those that have it.
+//! A node's parameters are its command's flags: `-p window_us:=5000` is `--window-us 5000`. Parameters become flags
+//! in front of those on the command line, which take precedence; among parameters, a later one does. A parameter
+//! given for all nodes applies to the nodes that have it.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -19,60 +19,60 @@ use serde::Deserialize;
 
 use crate::names::NodeName;
 
-/// A rule for a node's name.
+/// A remapping rule.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Remap {
-    /// The node that it is for, by its own name; all without it.
+    /// Own name of the node that the rule is for; `None` for all nodes.
     node: Option<String>,
     from: String,
     to: String,
 }
 
-/// A value of a parameter.
+/// Value of a parameter.
 #[derive(Debug, Clone, PartialEq)]
 enum Given {
     Bool(bool),
-    /// As it is written.
+    /// Any other single value, as written.
     Text(String),
     List(Vec<String>),
 }
 
-/// A parameter and whom it is for.
+/// A parameter with its value and the nodes that it is for.
 #[derive(Debug, Clone, PartialEq)]
 struct Assignment {
-    /// `/**`, a node's own name, or its full one with `*` and `**` for tokens.
+    /// `/**`, a node's own name, or its full name with `*` and `**` for tokens.
     node: String,
     name: String,
     value: Given,
-    /// It stands on the command line, not in a file.
+    /// Whether it was given on the command line and not in a file.
     on_line: bool,
 }
 
-/// What ROS 2's part of a command line says.
+/// The parsed ROS 2 arguments of a command line.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct RosArguments {
     remaps: Vec<Remap>,
     assignments: Vec<Assignment>,
 }
 
-/// Tells whether a node has a parameter.
+/// Predicate: whether a node has the parameter of this name.
 pub type Has<'a> = &'a dyn Fn(&str) -> bool;
 
-/// What it says of one node.
+/// The arguments that apply to one node.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NodeArguments {
-    /// Its name.
+    /// The node's name after remapping.
     pub name: NodeName,
     remaps: Vec<(String, String)>,
-    /// Its parameters as flags.
+    /// The node's parameters as flags.
     pub flags: Vec<String>,
 }
 
 impl RosArguments {
-    /// Takes ROS 2's part out of a command line, and returns it and the rest.
+    /// Separates the ROS 2 arguments from a command line; returns them, parsed, and the other arguments.
     ///
     /// # Errors
-    /// An argument that is none, or a file of parameters that cannot be read.
+    /// An argument is not a ROS 2 argument, or a parameter file cannot be read.
     pub fn split(arguments: impl IntoIterator<Item = String>) -> Result<(Self, Vec<String>)> {
         let mut ros = Self::default();
         let mut rest = Vec::new();
@@ -87,7 +87,7 @@ impl RosArguments {
         Ok((ros, rest))
     }
 
-    /// Takes arguments up to `--`.
+    /// Parses arguments up to `--`.
     fn take(&mut self, arguments: &mut impl Iterator<Item = String>) -> Result<()> {
         while let Some(argument) = arguments.next() {
             let mut value = || {
@@ -111,11 +111,11 @@ impl RosArguments {
         Ok(())
     }
 
-    /// What it says of the node that is called `base` in `namespace` unless it says something else, and `has` some
-    /// parameters.
+    /// Returns the arguments of the node that is called `base` in `namespace` unless remapped, and whose parameters
+    /// `has` knows.
     ///
     /// # Errors
-    /// A name that ROS 2 does not allow.
+    /// ROS 2 does not allow a name.
     pub fn node(&self, namespace: &str, base: &str, has: Has<'_>) -> Result<NodeArguments> {
         let rules = || {
             let of_node = |rule: &&Remap| rule.node.as_deref().is_none_or(|node| node == base);
@@ -156,11 +156,11 @@ impl RosArguments {
         })
     }
 
-    /// Whether parameters are for some of these nodes, each with what tells its parameters.
+    /// Checks that each parameter is for some of these nodes, each given with a test for its parameters.
     ///
     /// # Errors
-    /// One of the command line that none of them has. Of those in files, `warn` gets the nodes and the names: the
-    /// file may be one for other programs too.
+    /// A parameter from the command line is one that none of the nodes has. For parameters from files, `warn`
+    /// receives the node and the name instead, since a file may serve other programs too.
     pub fn check(
         &self,
         nodes: &[(NodeName, Has<'_>)],
@@ -185,10 +185,10 @@ impl RosArguments {
 }
 
 impl NodeArguments {
-    /// The absolute name of a topic, remapped where a rule says so.
+    /// Returns the absolute name of a topic, remapped if a rule applies.
     ///
     /// # Errors
-    /// A name that ROS 2 does not allow.
+    /// ROS 2 does not allow the name.
     pub fn topic(&self, topic: &str) -> Result<String> {
         let resolved = self.name.resolve(topic)?;
         let rule = self.remaps.iter().find(|(from, _)| *from == resolved);
@@ -197,7 +197,7 @@ impl NodeArguments {
 }
 
 impl Given {
-    /// Appends the flag of a parameter.
+    /// Appends the flag for this parameter value.
     fn put(&self, name: &str, flags: &mut Vec<String>) -> Result<()> {
         if name == "use_sim_time" {
             ensure!(
@@ -206,7 +206,7 @@ impl Given {
             );
             return Ok(());
         }
-        // A parameter of one letter is a short flag.
+        // A parameter with a one-letter name is a short flag.
         let dashes = if name.len() == 1 { "-" } else { "--" };
         let flag = format!("{dashes}{}", name.replace('_', "-"));
         match self {
@@ -237,7 +237,7 @@ fn is_of_logs(argument: &str) -> bool {
     )
 }
 
-/// Both sides of `:=`, and the node in front of it.
+/// Splits `[NODE:]LEFT:=RIGHT` into the node, if given, and both sides.
 fn rule(text: &str) -> Result<(Option<String>, String, String)> {
     let (left, right) = text
         .split_once(":=")
@@ -268,8 +268,8 @@ fn assignment(text: &str) -> Result<Assignment> {
     })
 }
 
-/// Whether a node's name in a file of parameters is that of a node: its own, or its full one, in which `*` is any
-/// token and `**` any number of them.
+/// Returns whether a node's name in a parameter file matches a node: by its own name, or by its full name, in which
+/// `*` stands for any token and `**` for any number of tokens.
 fn is_for(pattern: &str, name: &NodeName) -> bool {
     if pattern == name.base {
         return true;
@@ -280,7 +280,7 @@ fn is_for(pattern: &str, name: &NodeName) -> bool {
     matches(&pattern, &tokens)
 }
 
-/// Whether a pattern may be for nodes that whoever wrote it did not think of.
+/// Returns whether a pattern may match nodes that its author did not have in mind.
 fn is_for_many(pattern: &str) -> bool {
     pattern.contains('*')
 }
@@ -289,7 +289,7 @@ fn matches(pattern: &[&str], tokens: &[&str]) -> bool {
     match (pattern.split_first(), tokens.split_first()) {
         (None, None) => true,
         (Some((&"**", rest)), _) => {
-            // The longest of names has some dozen tokens.
+            // The recursion is bounded: the longest names have about a dozen tokens.
             (0..=tokens.len()).any(|n| matches(rest, tokens.get(n..).unwrap_or_default()))
         }
         (Some((first, pattern)), Some((token, tokens))) => {
@@ -299,7 +299,7 @@ fn matches(pattern: &[&str], tokens: &[&str]) -> bool {
     }
 }
 
-/// A value in YAML.
+/// A YAML value.
 #[derive(Debug, Deserialize)]
 #[serde(untagged)]
 enum Yaml {
@@ -311,10 +311,11 @@ enum Yaml {
     Map(BTreeMap<String, Yaml>),
 }
 
-/// Largest file of parameters.
+/// Largest parameter file, in bytes.
 const FILE_BYTES_MAX: u64 = 1 << 20;
 
-/// The parameters of a file: `NODE: { ros__parameters: { NAME: VALUE } }`, nodes in namespaces nested or named.
+/// Reads the parameters of a file: `NODE: { ros__parameters: { NAME: VALUE } }`; namespaces may be nested or part
+/// of the node's name.
 fn file(path: &Path) -> Result<Vec<Assignment>> {
     let name = path.display();
     let length = std::fs::metadata(path).map(|data| data.len());
@@ -436,7 +437,8 @@ mod tests {
         let has = |name: &str| ["keep_order", "isolated"].contains(&name);
         let both = [(encode.name, &has as Has<'_>), (decode.name, &has)];
         ros.check(&both, |_, _| panic!()).unwrap();
-        // What is for a node by its name it has to know, or says so itself.
+        // `encode:m:=8` passes the check above although `has` does not know `m`: a node addressed by name reports
+        // unknown parameters itself. Here that node is missing.
         assert!(ros.check(&both[1..], |_, _| panic!()).is_err());
         let none = |_: &str| false;
         let error = ros.check(&[(both[0].0.clone(), &none)], |_, _| panic!());
@@ -473,7 +475,7 @@ mod tests {
         );
         assert!(flags("/left", "log").contains(&"--a.b=1".to_owned()));
         assert!(!flags("/", "log").contains(&"--a.b=1".to_owned()));
-        // Patterns of a file stand in the order of their names: the one for all comes first.
+        // A file's patterns are sorted by name, so the one for all nodes comes first.
         let encode = flags("/", "encode");
         for flag in ["--window-us=4000", "--step-log2=-3", "-x=1", "-x=two"] {
             assert!(encode.contains(&flag.to_owned()), "{encode:?}");

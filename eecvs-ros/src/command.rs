@@ -1,4 +1,4 @@
-//! The `eecvs-ros` command: a node in a process, or several.
+//! The `eecvs-ros` command: runs one node in a process, or several.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -24,8 +24,8 @@ use crate::transport::dds::Dds;
 use crate::transport::local::Local;
 use crate::transport::zenoh::{Links, ROUTER, Router, Zenoh};
 
-/// ROS 2 nodes around the encoder; flags may also be given as parameters, behind --ros-args: -p NAME:=VALUE,
-/// -r FROM:=TO, --params-file FILE
+/// ROS 2 nodes around the encoder; flags may also be given as parameters, after --ros-args: -p NAME:=VALUE, -r
+/// FROM:=TO, --params-file FILE
 #[derive(Debug, Parser)]
 #[command(
     name = "eecvs-ros",
@@ -41,10 +41,10 @@ struct EecvsRos {
     command: Command,
 }
 
-/// What carries messages.
+/// The transport and its settings.
 #[derive(Debug, Clone, Args)]
 struct NetworkOptions {
-    /// What carries messages
+    /// Transport that carries the messages
     #[arg(long, value_enum, default_value = "dds", global = true)]
     transport: Name,
 
@@ -52,7 +52,7 @@ struct NetworkOptions {
     #[arg(long, value_name = "N", global = true, value_parser = clap::value_parser!(u16).range(0..=232))]
     domain_id: Option<u16>,
 
-    /// Stay on this computer [default: where ROS_AUTOMATIC_DISCOVERY_RANGE is LOCALHOST, or ROS_LOCALHOST_ONLY 1]
+    /// Stay on this computer [default: if ROS_AUTOMATIC_DISCOVERY_RANGE is LOCALHOST, or ROS_LOCALHOST_ONLY is 1]
     #[arg(long, global = true)]
     loopback: bool,
 
@@ -60,7 +60,7 @@ struct NetworkOptions {
     links: LinkOptions,
 }
 
-/// What Zenoh connects.
+/// Zenoh's endpoints and settings.
 #[derive(Debug, Clone, Args)]
 struct LinkOptions {
     /// With Zenoh: an endpoint to connect to, such as tcp/HOST:7447 or tls/HOST:7447 [default: a router on this
@@ -68,11 +68,11 @@ struct LinkOptions {
     #[arg(long, value_name = "ENDPOINT", global = true)]
     connect: Vec<String>,
 
-    /// With Zenoh: an endpoint to listen at
+    /// With Zenoh: an endpoint to listen on
     #[arg(long, value_name = "ENDPOINT", global = true)]
     listen: Vec<String>,
 
-    /// With Zenoh: its settings, in JSON5 [default: the variable ZENOH_SESSION_CONFIG_URI, of a router
+    /// With Zenoh: its settings, in JSON5 [default: the variable ZENOH_SESSION_CONFIG_URI, for a router
     /// ZENOH_ROUTER_CONFIG_URI]
     #[arg(long, value_name = "FILE", global = true)]
     zenoh_config: Option<PathBuf>,
@@ -91,9 +91,9 @@ impl LinkOptions {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Name {
-    /// As ROS 2 does without further settings
+    /// DDS, which ROS 2 uses by default
     Dds,
-    /// As ROS 2 does with RMW_IMPLEMENTATION=rmw_zenoh_cpp; it wants a router: eecvs-ros router, or another
+    /// Zenoh, which ROS 2 uses with RMW_IMPLEMENTATION=rmw_zenoh_cpp; needs a router: eecvs-ros router, or another
     Zenoh,
 }
 
@@ -113,19 +113,19 @@ enum Command {
     Router(Route),
 }
 
-/// Route the messages of Zenoh's nodes, until it is stopped; routers connect to others
+/// Route the messages of Zenoh nodes until stopped; routers can connect to other routers
 #[derive(Debug, Clone, Args)]
 struct Route {}
 
 /// Run several nodes in one process, where messages between them pass through memory
 #[derive(Debug, Clone, Args)]
 struct Compose {
-    /// Nodes, by their commands; flags are given as parameters: --ros-args -p encode:window_us:=5000
+    /// Nodes, by their commands; give their flags as parameters: --ros-args -p encode:window_us:=5000
     #[arg(value_name = "NODE", required = true, value_parser = ValueParser::string())]
     nodes: Vec<String>,
 }
 
-/// What the command line may be. A node's windows are shorter than those of files: frames are not to come late.
+/// Returns the command line. A node's default window is shorter than that of files, so that frames are not delayed.
 fn command_line() -> clap::Command {
     EecvsRos::command().mut_subcommand("encode", |encode| {
         encode.mut_arg("window_us", |window| {
@@ -134,7 +134,8 @@ fn command_line() -> clap::Command {
     })
 }
 
-/// The command, with operators beside ours. It is called before a program does anything else.
+/// Runs the command, with operators beside the project's own. A program must call this before it does anything
+/// else, since the process may replace itself in order to set an environment variable.
 pub fn run(operators: Vec<Box<dyn Operator>>) -> ExitCode {
     have_zenoh_threads();
     let operators = Arc::new(Operators::new(operators));
@@ -145,7 +146,7 @@ fn start(operators: &Arc<Operators>) -> Result<()> {
     let arguments: Result<Vec<String>> = std::env::args_os().map(text).collect();
     let (ros, rest) = RosArguments::split(arguments?)?;
     let matches = command_line().try_get_matches_from(&rest);
-    // The node is known before what its parameters say is.
+    // A first pass, to find the node: only then are its parameters known, which become flags too.
     let line = match matches.and_then(|matches| EecvsRos::from_arg_matches(&matches)) {
         Ok(line) => line,
         Err(error) => error.exit(),
@@ -165,14 +166,15 @@ fn start(operators: &Arc<Operators>) -> Result<()> {
     line.command.run(context, operators)
 }
 
-/// An argument as text, as ROS 2 has names and values.
+/// Converts an argument to text, since names and values in ROS 2 are text.
 fn text(argument: OsString) -> Result<String> {
     argument.into_string().map_err(|other| {
         anyhow!("the argument {other:?} is not UTF-8: rename the file, or give a link to it")
     })
 }
 
-/// The command line with a node's parameters as flags in front of its own, and all of its flags as parameters.
+/// Parses the command line with a node's parameters inserted as flags in front of its own; also returns all of its
+/// flags as parameters.
 fn parse(mut line: Vec<String>, node: &NodeArguments) -> Result<(EecvsRos, Vec<(String, String)>)> {
     let names: Vec<String> = command_line()
         .get_subcommands()
@@ -199,10 +201,10 @@ fn parse(mut line: Vec<String>, node: &NodeArguments) -> Result<(EecvsRos, Vec<(
     Ok((EecvsRos::from_arg_matches_mut(&mut matches)?, parameters))
 }
 
-/// What is said of the nodes of some commands, all of which run in this process.
+/// Returns the arguments of the nodes of these commands, all of which run in this process.
 fn named(ros: &RosArguments, commands: &[String]) -> Result<Vec<NodeArguments>> {
     let mut line = command_line();
-    // Gives commands the flags that all of them have.
+    // Gives each command the global flags.
     line.build();
     let parameters: Vec<Vec<String>> = commands
         .iter()
@@ -271,7 +273,7 @@ fn composed(
             Err(_) => bail!("{name}: panicked: please report this"),
         };
         if ended.is_err() {
-            // The others do not go on without it.
+            // The other nodes do not go on without it.
             stop.ask();
         }
         result = result.and(ended);
@@ -300,7 +302,7 @@ fn route(options: &LinkOptions, stop: &Stop) -> Result<()> {
     Ok(())
 }
 
-/// How often a router looks at who is connected.
+/// Interval at which a router checks its connections.
 const LOOK: Duration = Duration::from_millis(200);
 
 impl NetworkOptions {
@@ -344,7 +346,7 @@ impl Command {
         }
     }
 
-    /// Topics that it publishes.
+    /// Returns the topics that the node publishes.
     const fn publishes(&self) -> &'static [&'static str] {
         match self {
             Self::Emulate(_) => emulate::PUBLISHES,

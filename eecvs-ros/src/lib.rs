@@ -1,7 +1,8 @@
-//! ROS 2 nodes around the encoder, without an installation of ROS.
+//! ROS 2 nodes around the encoder. They need no installation of ROS.
 //!
-//! [`node`] has the nodes, [`transport`] what carries their messages, [`message`] these themselves, [`operator`] what
-//! turns events into frames and back. [`run`] is the command `eecvs-ros`, with operators of another crate if need be.
+//! [`node`] contains the nodes, [`transport`] the layers that carry their messages, [`message`] the messages
+//! themselves, and [`operator`] the interface for coders, which turn events into frames and back. [`run`] is the
+//! command `eecvs-ros`, optionally with operators from another crate.
 
 pub mod arguments;
 pub mod bag;

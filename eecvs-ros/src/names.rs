@@ -1,24 +1,24 @@
 //! Names of nodes and topics, as ROS 2 resolves them.
 //!
-//! `events` is relative to the node's namespace, `~/events` to the node, `/events` absolute; the rules of
-//! `--remap` come after that.
+//! `events` is relative to the node's namespace, `~/events` is relative to the node, and `/events` is absolute;
+//! `--remap` rules apply to the resolved name.
 
 use anyhow::{Result, ensure};
 
-/// A node's name and namespace.
+/// Name and namespace of a node.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NodeName {
-    /// `/`, or `/` and tokens.
+    /// `/`, or tokens that are each preceded by `/`.
     pub namespace: String,
-    /// One token.
+    /// A single token.
     pub base: String,
 }
 
 impl NodeName {
-    /// Checks both; a namespace without its `/` gets it.
+    /// Checks both names; adds a missing `/` in front of the namespace.
     ///
     /// # Errors
-    /// A name that ROS 2 does not allow.
+    /// ROS 2 does not allow a name.
     pub fn new(namespace: &str, base: &str) -> Result<Self> {
         check_token(base)?;
         let tokens = namespace.trim_matches('/');
@@ -32,16 +32,16 @@ impl NodeName {
         })
     }
 
-    /// Namespace and name: `/event_camera/encode`.
+    /// Returns namespace and name joined: `/event_camera/encode`.
     #[must_use]
     pub fn full(&self) -> String {
         join(&self.namespace, &self.base)
     }
 
-    /// The absolute name of a topic.
+    /// Returns the absolute name of a topic.
     ///
     /// # Errors
-    /// A name that ROS 2 does not allow.
+    /// ROS 2 does not allow the name.
     pub fn resolve(&self, topic: &str) -> Result<String> {
         let absolute = if let Some(rest) = topic.strip_prefix("~/") {
             join(&self.full(), rest)
@@ -64,7 +64,7 @@ fn check_tokens(absolute: &str) -> Result<()> {
     tokens.split('/').try_for_each(check_token)
 }
 
-/// Letters, digits and `_`, no digit first.
+/// Checks one token: letters, digits and `_`, not beginning with a digit.
 fn check_token(token: &str) -> Result<()> {
     let is_good = |c: char| c.is_ascii_alphanumeric() || c == '_';
     let is_digit_first = token.starts_with(|c: char| c.is_ascii_digit());

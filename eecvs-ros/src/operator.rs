@@ -1,7 +1,8 @@
-//! What turns events into frames, and frames into events: ours, or somebody else's.
+//! Operators: they turn events into frames, and frames into events. One belongs to the project; others can be
+//! added.
 //!
-//! An operator is found by its name, which every frame carries. [`Eecvs`] is the project's own; a crate of its own
-//! adds others by giving them to [`crate::run`]:
+//! An operator is found by its name, which every frame carries. [`Eecvs`] is the project's own; another crate adds
+//! its operators by passing them to [`crate::run`]:
 //!
 //! ```no_run
 //! # use eecvs_ros::operator::{Operator, Eecvs};
@@ -11,7 +12,8 @@
 //! }
 //! ```
 //!
-//! One that needs no more than a window's events at a time is a [`WindowCoder`]; [`Windowed`] makes an operator of it.
+//! An operator that needs only the events of one window at a time can implement [`WindowCoder`]; [`Windowed`] turns
+//! it into an operator.
 
 use std::io::{self, Write};
 use std::num::NonZeroUsize;
@@ -24,79 +26,80 @@ use eecvs_cli::codec::CodecOptions;
 use eecvs_nostd::{Event, Sensor};
 use event_files::{EventReader, Pause};
 
-/// A window, in the sensor's time.
+/// A window's sensor size and time span, in the sensor's time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Span {
-    /// Size of the sensor.
+    /// Sensor size in pixels.
     pub sensor: Sensor,
-    /// Start of the window.
+    /// Start of the window, in microseconds.
     pub t0_us: u64,
-    /// Its duration.
+    /// Duration of the window, in microseconds.
     pub duration_us: u32,
 }
 
 /// A frame: a window of events, or a part of one.
 #[derive(Debug, Clone, Copy)]
 pub struct Encoded<'f> {
-    /// The window.
+    /// The frame's window.
     pub span: Span,
-    /// Events told here.
+    /// Number of events encoded in this frame.
     pub events: u32,
-    /// Whether the clock has fallen back before it.
+    /// Whether the sensor's clock fell back before this window.
     pub begins_run: bool,
-    /// Events that came too late since the frame before, and are in none.
+    /// Events since the previous frame that arrived too late and are in no frame.
     pub late: u32,
-    /// What only the operator understands.
+    /// The encoded bytes, which only the operator understands.
     pub data: &'f [u8],
 }
 
-/// What an encoder is asked for.
+/// The settings of one encoder.
 pub struct Job<'j> {
-    /// How ours encodes; what of it others heed, they say themselves.
+    /// Options of the project's own coders. Another operator documents which of them it honours.
     pub codec: &'j CodecOptions,
-    /// Sizes of windows and frames.
+    /// Limits on the sizes of windows and frames.
     pub limits: Limits,
 }
 
-/// A window that came out of frames.
+/// A window decoded from frames.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Decoded {
-    /// Of our own frames: its events or coefficients.
+    /// A window from the project's own frames: its events or coefficients.
     Window(DecodedWindow),
-    /// The events of another operator's.
+    /// The events of a window from another operator's frames.
     Events(Span, Vec<Event>),
 }
 
-/// Takes windows that a frame completes.
+/// Callback that receives each window completed by a frame.
 pub type Ready<'r> = &'r mut dyn FnMut(Decoded);
 
-/// Turns frames into windows.
+/// Decodes frames into windows.
 pub trait Decoder: Send {
-    /// Takes the next frame; `ready` gets the windows that end before or with it.
+    /// Decodes the next frame; `ready` receives the windows that end before or with it.
     ///
     /// # Errors
-    /// Why the frame is left out.
+    /// The frame cannot be decoded; it is left out, and the error says why.
     fn take(&mut self, frame: &crate::message::Frame, ready: Ready<'_>) -> Result<()>;
 
-    /// No further frame comes: `ready` gets the window whose end has not come.
+    /// Ends the stream: `ready` receives the window that is still open, if any.
     fn end(&mut self, ready: Ready<'_>) {
         let _ = ready;
     }
 
-    /// What frames say of events that are not in them.
+    /// Returns what the frames so far report about their events: how many they hold, and how many are late,
+    /// filtered, dropped or thinned.
     fn counts(&self) -> FrameCounts;
 }
 
-/// Something that codes events.
+/// An encoder and decoder of events, selected by name.
 pub trait Operator: Send + Sync {
-    /// Its name in frames.
+    /// Returns the operator's name, which its frames carry.
     fn name(&self) -> &'static str;
 
-    /// Encodes all events of a live reader; `put` gets each frame as soon as its window has ended. Returns what
-    /// became of the events.
+    /// Encodes all events of a live reader and returns what became of them. `put` receives each frame as soon as
+    /// its window has ended.
     ///
     /// # Errors
-    /// The reader, what is asked for, or what `put` says.
+    /// The reader fails, the job's options are invalid, or `put` returns an error.
     fn encode(
         &self,
         reader: Box<dyn EventReader>,
@@ -104,15 +107,15 @@ pub trait Operator: Send + Sync {
         put: &mut dyn FnMut(Encoded<'_>) -> Result<()>,
     ) -> Result<EncodeSummary>;
 
-    /// A decoder of one encoder's frames.
+    /// Returns a new decoder, for the frames of one encoder.
     fn decoder(&self) -> Box<dyn Decoder>;
 }
 
-/// The operators that are known, ours first.
+/// The known operators, the project's own first.
 pub struct Operators(Vec<Box<dyn Operator>>);
 
 impl Operators {
-    /// Ours and others.
+    /// Collects the project's own operator and `others`.
     #[must_use]
     pub fn new(others: Vec<Box<dyn Operator>>) -> Self {
         let mut all: Vec<Box<dyn Operator>> = vec![Box::new(Eecvs)];
@@ -120,7 +123,7 @@ impl Operators {
         Self(all)
     }
 
-    /// The one with this name.
+    /// Returns the first operator with this name.
     #[must_use]
     pub fn find(&self, name: &str) -> Option<&dyn Operator> {
         self.0
@@ -129,7 +132,7 @@ impl Operators {
             .find(|operator| operator.name() == name)
     }
 
-    /// Their names, for messages.
+    /// Returns the operators' names, separated by commas, for messages.
     #[must_use]
     pub fn names(&self) -> String {
         let names: Vec<&str> = self.0.iter().map(|operator| operator.name()).collect();
@@ -137,7 +140,7 @@ impl Operators {
     }
 }
 
-/// The project's own coders, with the frames of docs/wire-format.md.
+/// The project's own coders; their frames are defined in docs/wire-format.md.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Eecvs;
 
@@ -176,22 +179,22 @@ impl Operator for Eecvs {
     }
 }
 
-/// What takes frames of docs/wire-format.md, one in each write, and gives them to `put`.
+/// Returns a writer that takes one frame of docs/wire-format.md per write and passes it to `put`.
 pub fn frames<'p>(put: &'p mut dyn FnMut(Encoded<'_>) -> Result<()>) -> Frames<'p> {
     Frames { put, failed: None }
 }
 
-/// See [`frames`].
+/// Writer returned by [`frames`].
 pub struct Frames<'p> {
     put: &'p mut dyn FnMut(Encoded<'_>) -> Result<()>,
     failed: Option<anyhow::Error>,
 }
 
 impl Frames<'_> {
-    /// How the writing went: what `put` has said is the cause.
+    /// Returns `written`, or the error of `put` if there was one, since that is the cause of a failed write.
     ///
     /// # Errors
-    /// What `put` has said, or `written`'s error.
+    /// The error of `put`, else the error in `written`.
     pub fn finish<T>(self, written: Result<T>) -> Result<T> {
         self.failed.map_or(written, Err)
     }
@@ -253,26 +256,28 @@ impl Decoder for EecvsDecoder {
     }
 }
 
-/// Codes one window at a time.
+/// A coder of one window at a time.
 pub trait WindowCoder: Send + Sync {
-    /// Its name in frames.
+    /// Returns the coder's name, which its frames carry.
     fn name(&self) -> &'static str;
 
-    /// Appends a window's bytes. Its events lie in it and on the sensor, in the order in which they came.
+    /// Appends the encoded bytes of a window to `data`. All `events` lie in the window and on the sensor, in the
+    /// order in which they arrived.
     fn encode(&self, span: Span, events: &[Event], data: &mut Vec<u8>);
 
-    /// The events of a window's bytes.
+    /// Returns the events encoded in `data`.
     ///
     /// # Errors
-    /// Why they are none.
+    /// `data` is not a valid encoding; the error says why.
     fn decode(&self, span: Span, data: &[u8]) -> Result<Vec<Event>>;
 }
 
-/// An operator of a [`WindowCoder`]: cuts windows of `window_us`, aligned to the first event, and keeps account.
+/// Operator made from a [`WindowCoder`]: cuts windows of `window_us`, aligned to the first event, and counts the
+/// events.
 pub struct Windowed<C>(pub std::sync::Arc<C>);
 
 impl<C: WindowCoder + 'static> Windowed<C> {
-    /// The operator of a coder.
+    /// Makes an operator of a coder.
     pub fn new(coder: C) -> Self {
         Self(std::sync::Arc::new(coder))
     }
@@ -332,9 +337,9 @@ struct WindowCut<'c, C> {
     sensor: Sensor,
     window_us: u32,
     events_max: usize,
-    /// Start of the open window.
+    /// Start of the open window; `None` before the first event.
     t0_us: Option<u64>,
-    /// Whether the clock has fallen back before it.
+    /// Whether the clock fell back before the open window.
     begins_run: bool,
     events: Vec<Event>,
     data: Vec<u8>,
@@ -361,7 +366,7 @@ impl<C: WindowCoder> WindowCut<'_, C> {
         Ok(())
     }
 
-    /// Closes the window where its time has run at `now_us`.
+    /// Closes the open window if it has ended by `now_us`.
     fn pass(&mut self, now_us: u64, put: &mut dyn FnMut(Encoded<'_>) -> Result<()>) -> Result<()> {
         let window_us = u64::from(self.window_us);
         let Some(t0_us) = self.t0_us else {

@@ -1,7 +1,8 @@
-//! Messages `event_camera_msgs/msg/EventPacket` to events, as they come.
+//! Reads events from a subscription to `event_camera_msgs/msg/EventPacket`, as messages arrive.
 //!
-//! Read like a recording whose end is that of the subscription. A message that is damaged, of another sensor's size
-//! or of an unknown encoding is counted and left out; so is what its number shows to be missing.
+//! The reader works like that of a recording that ends with the subscription. Messages that are damaged, come from
+//! a sensor of another size, or have an unknown encoding are counted and left out. Gaps in the sequence numbers are
+//! counted as losses.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -19,31 +20,31 @@ use crate::message::{EventPacket, Message, Time, sequence_of};
 use crate::sequence::Sequence;
 use crate::transport::Subscription;
 
-/// Longest wait between two looks at whether to stop.
+/// Longest wait before the stop request is checked again.
 const WAIT: Duration = Duration::from_millis(20);
-/// Time without a message after which windows are closed without one.
+/// Silence after which windows are closed by the clock alone.
 const QUIET: Duration = Duration::from_millis(100);
 
-/// What has come so far.
+/// Counts and stamps of what has been received so far.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Received {
-    /// Messages.
+    /// Messages received, including those left out.
     pub packets: u64,
-    /// Those that never came, by their numbers, and other oddities of these.
+    /// Losses, repetitions and restarts, according to the sequence numbers.
     pub sequence: Sequence,
-    /// Messages that were left out.
+    /// Messages left out.
     pub refused: u64,
-    /// Why the latest of them was.
+    /// Why the latest of them was left out.
     pub why_refused: Option<String>,
-    /// Events.
+    /// Events read.
     pub events: u64,
-    /// The latest two messages whose events were read: the computer's time in their headers, and the time of their
-    /// latest event.
+    /// For the latest two messages whose events were read: the computer's time in the header, and the sensor's time
+    /// of the latest event.
     pub stamps: [Option<(Time, u64)>; 2],
 }
 
 impl Received {
-    /// Counts a message that has come, whether it can be read or not: what is left out is not lost.
+    /// Counts a message that has arrived, readable or not: a message that is left out is not lost.
     fn count(&mut self, cdr: &[u8]) {
         self.packets += 1;
         if let Some(number) = sequence_of(EventPacket::TYPE, cdr) {
@@ -51,8 +52,10 @@ impl Received {
         }
     }
 
-    /// The computer's time at a time of the sensor: between the stamps of the latest two messages where it lies
-    /// between their events, or as far behind the latest one as the sensor's time goes on.
+    /// Converts a time of the sensor to the computer's time, zero before any events were read.
+    ///
+    /// A time between the latest events of the last two messages is interpolated between their stamps. An earlier
+    /// time gets the older stamp. A later time gets the latest stamp plus the difference in sensor time.
     #[must_use]
     pub fn stamp_at(&self, t_us: u64) -> Time {
         let Some((stamp, last_us)) = self.stamps[1] else {
@@ -73,37 +76,37 @@ impl Received {
     }
 }
 
-/// What has come so far, for those who watch while the reader is in use.
+/// The shared counts, for those who watch while the reader is in use.
 pub type Watch = Arc<Mutex<Received>>;
 
-/// A look at it.
+/// Returns a copy of the current counts.
 #[must_use]
 pub fn look(watch: &Watch) -> Received {
     lock(watch).clone()
 }
 
-/// Whoever panicked while it was locked has left it whole.
+/// Locks the counts. Poisoning is ignored: a panic while they are locked leaves them consistent.
 fn lock(watch: &Watch) -> MutexGuard<'_, Received> {
     watch.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Reader of a subscription's events.
+/// Reader of the events of a subscription.
 pub struct PacketReader {
     subscription: Box<dyn Subscription>,
     stop: Stop,
-    /// How long a silence may be before the stream is taken to have ended.
+    /// Length of a silence that ends the stream.
     idle: Option<Duration>,
     decoder: MessageEvents,
     told: (u32, u32),
     received: Watch,
     clock: Clock,
-    /// Stamp of the message that is read.
+    /// Stamp of the message being read.
     stamp: Time,
     is_reading: bool,
     ended: bool,
 }
 
-/// How the sensor's time relates to the computer's.
+/// Relation between the sensor's time and the computer's.
 #[derive(Debug, Clone, Copy, Default)]
 struct Clock {
     first: Option<(Instant, u64)>,
@@ -116,8 +119,9 @@ impl Clock {
         self.last = Some((at, t_us));
     }
 
-    /// The sensor's time, of which events may no longer come; `None` while they are to be expected. Time that is
-    /// played slower than it was recorded passes slower.
+    /// Returns the sensor time before which no more events are expected, or `None` while there has been no silence
+    /// of [`QUIET`]. During a silence the sensor's time is extrapolated, no faster than recorded; a recording
+    /// played more slowly passes more slowly.
     fn passed_us(&self, now: Instant) -> Option<u64> {
         let ((first_at, first_us), (last_at, last_us)) = self.first.zip(self.last)?;
         let silence = now.saturating_duration_since(last_at).checked_sub(QUIET)?;
@@ -143,7 +147,8 @@ fn sensor(head: &Head) -> Option<Sensor> {
 }
 
 impl PacketReader {
-    /// Waits for the first message that tells the sensor's size; `None` where it is stopped before.
+    /// Waits for the first message that states a valid sensor size; returns `None` if stopped before. The stream
+    /// ends after a silence of `idle`, once events have arrived.
     ///
     /// # Errors
     /// The subscription has ended.
@@ -183,7 +188,7 @@ impl PacketReader {
         Ok(None)
     }
 
-    /// What has come, for those who watch.
+    /// Returns a handle to the counts.
     #[must_use]
     pub fn watch(&self) -> Watch {
         Arc::clone(&self.received)
@@ -203,7 +208,7 @@ impl PacketReader {
         self.is_reading = false;
     }
 
-    /// Takes the next message, if one comes in time.
+    /// Takes the next message, if one arrives within [`WAIT`].
     fn next(&mut self) -> Result<()> {
         let Some(cdr) = self.subscription.take(WAIT)? else {
             return Ok(());
@@ -242,7 +247,7 @@ impl EventReader for PacketReader {
         }
         let before = events.len();
         while self.is_reading && events.len() - before < BATCH_EVENTS / 2 {
-            // A batch may end before its last dozen of events; a message goes on with the next one.
+            // A batch may end up to a vector of events before it is full: the message continues in the next batch.
             let mut batch = Batch::new(events);
             match self.decoder.read(&mut batch) {
                 Ok(true) => self.is_reading = false,
@@ -282,7 +287,7 @@ impl EventReader for PacketReader {
             return Pause::Ended;
         }
         let passed_us = self.clock.passed_us(Instant::now());
-        // Up to the latest event, before which none is expected either.
+        // While events arrive, none are expected before the latest one.
         let last_us = self.clock.last.map_or(0, |(_, last_us)| last_us);
         Pause::Until(passed_us.unwrap_or(last_us))
     }
@@ -303,7 +308,7 @@ mod tests {
     use super::*;
     use crate::message::to_cdr;
 
-    /// Messages that have come.
+    /// A subscription to messages that have already arrived.
     struct Come(VecDeque<Vec<u8>>);
 
     impl Subscription for Come {
@@ -323,7 +328,7 @@ mod tests {
             height: 720,
             width: 1280,
             encoding: "evt3".to_owned(),
-            // No decoder takes it.
+            // No decoder supports big-endian packets.
             is_bigendian: seq.is_multiple_of(2),
             ..EventPacket::default()
         };
@@ -350,7 +355,7 @@ mod tests {
         assert_eq!(received.stamp_at(6000), at(100));
         assert_eq!(received.stamp_at(7000), at(100));
         assert_eq!(received.stamp_at(9000), at(102));
-        // Played at half its speed.
+        // As if played at half speed.
         received.stamps = [Some((at(96), 5000)), Some((at(100), 7000))];
         assert_eq!(received.stamp_at(6000), at(98));
         assert_eq!(received.stamp_at(4000), at(96));

@@ -1,13 +1,13 @@
-//! Events to messages `event_camera_msgs/msg/EventPacket`.
+//! Packs events into messages of type `event_camera_msgs/msg/EventPacket`.
 //!
 //! | encoding | bytes per event | times |
 //! |---|---|---|
 //! | `libcaer` | 8 | exact from 0 to 2^64 ns |
-//! | `evt3` | 2 to 8 | modulo 2^24 us; whoever listens from the start knows how often they have wrapped |
+//! | `evt3` | 2 to 8 | modulo 2^24 us; a receiver that listens from the start can count how often they wrapped |
 //! | `mono` | 8 | exact from 0 to 2^64 ns |
 //!
-//! Every message can be read alone. It ends where it is full, where it spans the time that it may, and where
-//! times step back.
+//! Every message can be read on its own. A message ends when it is full, when it spans its maximum time, or when
+//! time steps back.
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
@@ -17,19 +17,19 @@ use usb_bridge::device::prophesee::write_evt3::Evt3Stream;
 
 use crate::message::{EventPacket, Header, Time};
 
-/// How events are packed, by the names of the package `event_camera_codecs`.
+/// Encodings of events, by their names in the package `event_camera_codecs`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Encoding {
-    /// 8 bytes an event, absolute times
+    /// 8 bytes per event, absolute times
     Libcaer,
-    /// Words of 16 bits as Prophesee's cameras send them, times of 24 bits
+    /// 16-bit words as sent by Prophesee's cameras, times of 24 bits
     Evt3,
-    /// 8 bytes an event, absolute times; the package's oldest
+    /// 8 bytes per event, absolute times; the package's oldest encoding
     Mono,
 }
 
 impl Encoding {
-    /// What messages call it.
+    /// Returns the encoding's name in messages.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -40,16 +40,16 @@ impl Encoding {
     }
 }
 
-/// What a message may hold.
+/// Size limits of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PacketLimits {
-    /// Bytes of events, about; some 30 more are the rest.
+    /// Approximate bytes of events; the other fields add some 30 bytes.
     pub bytes: usize,
-    /// Time from the first to the last event, below 2^31 us.
+    /// Upper bound of the time from the first to the last event, in microseconds, below 2^31.
     pub span_us: u64,
 }
 
-/// Bytes of an event's words, at the most: time of a silence, row, a vector, or an event alone.
+/// Upper bound on the bytes of one event: the time after a silence, the row, and a vector or a single event.
 const EVENT_BYTES_MAX: usize = 32;
 
 /// Packs events into messages.
@@ -59,15 +59,15 @@ pub struct Packer {
     limits: PacketLimits,
     evt3: Evt3Stream,
     packet: EventPacket,
-    /// Of the message's first and latest event.
+    /// Time of the message's first event; below, of its latest.
     first_us: u64,
     last_us: u64,
-    /// Events of the message.
+    /// Number of events in the open message.
     events: u64,
 }
 
 impl Packer {
-    /// Packs events of a sensor whose name is `frame_id`.
+    /// Creates a packer for a sensor whose name is `frame_id`.
     #[must_use]
     pub fn new(sensor: Sensor, encoding: Encoding, limits: PacketLimits, frame_id: &str) -> Self {
         Self {
@@ -91,16 +91,16 @@ impl Packer {
         }
     }
 
-    /// Events of the message that has begun.
+    /// Returns the number of events in the open message.
     #[must_use]
     pub const fn waiting(&self) -> u64 {
         self.events
     }
 
-    /// Takes events; `put` gets each message that they complete, and the number of its events.
+    /// Packs events; `put` receives each completed message and the number of its events.
     ///
     /// # Errors
-    /// An event outside of the sensor, a time that the encoding cannot hold, or what `put` says.
+    /// An event is outside the sensor, the encoding cannot represent a time, or `put` returns an error.
     pub fn push(
         &mut self,
         events: &[Event],
@@ -120,7 +120,7 @@ impl Packer {
                 0 => (first.t_us, self.limits.span_us),
                 _ => (self.first_us, self.limits.span_us),
             };
-            // As many as certainly fit.
+            // The number of events that fit even at the maximum size.
             let room = self.limits.bytes.saturating_sub(self.packet.events.len());
             let most = (room / EVENT_BYTES_MAX).max(1);
             let fitting = rest.iter().take(most).take_while(|event| {
@@ -135,7 +135,7 @@ impl Packer {
         Ok(())
     }
 
-    /// Whether the message that has begun goes on with an event.
+    /// Returns whether an event can be added to the open message.
     fn takes(&self, event: &Event) -> bool {
         let has_room = self.packet.events.len() + EVENT_BYTES_MAX <= self.limits.bytes;
         has_room
@@ -174,7 +174,7 @@ impl Packer {
                     self.sensor.width,
                     self.sensor.height
                 );
-                // Spans are below 2^31 us, those of mono below 2^32 ns.
+                // Spans are below 2^31 us, and those of mono below 2^32 ns.
                 let since_us = (event.t_us - self.first_us) as u32;
                 let on = u32::from(event.polarity == Polarity::On);
                 let (x, y) = (u32::from(event.x), u32::from(event.y));
@@ -191,10 +191,11 @@ impl Packer {
         Ok(())
     }
 
-    /// Gives `put` the message that has begun, stamped with the computer's time, and the number of its events.
+    /// Passes the open message, if it has events, to `put`: stamped with the computer's time, and with the number
+    /// of its events.
     ///
     /// # Errors
-    /// What `put` says.
+    /// `put` returns an error.
     pub fn flush(&mut self, put: &mut impl FnMut(&EventPacket, u64) -> Result<()>) -> Result<()> {
         if self.events == 0 {
             return Ok(());
@@ -209,7 +210,7 @@ impl Packer {
 }
 
 impl PacketLimits {
-    /// Limits that the encodings hold: a span below 2^31 us, of `mono` below 2^32 ns.
+    /// Limits the span to what an encoding can represent: below 2^31 us, for `mono` below 2^32 ns.
     #[must_use]
     pub fn of(encoding: Encoding, bytes: usize, span_us: u64) -> Self {
         let most_us = match encoding {

@@ -1,28 +1,28 @@
-//! Numbers of messages, and what is missing among them.
+//! Sequence numbers of messages, and the losses that they reveal.
 
-/// What a number says of the messages before it.
+/// What a sequence number reveals about the messages before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
-    /// It is the next one, or the first.
+    /// It is the next number, or the first.
     InOrder,
-    /// So many before it have not come.
+    /// This many messages before it are missing.
     Lost(u64),
-    /// It has come after a later one.
+    /// It arrived after a later one.
     Late,
-    /// It has come before.
+    /// It arrived before.
     Repeated,
-    /// The publisher has begun anew.
+    /// The publisher restarted its count.
     Restarted,
 }
 
-/// How far back a number may be that is late; beyond it, counting has begun anew.
+/// How far back a number may lie to count as late; a number further back is a restart.
 const LATE_MAX: u64 = 1000;
 
-/// Which of the latest numbers have come, one bit each.
+/// Which of the latest numbers have arrived, one bit each.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Come([u64; COME / 64]);
 
-/// So many are remembered.
+/// Number of latest sequence numbers that are remembered.
 const COME: usize = 1024;
 
 const _: () = assert!(COME as u64 > LATE_MAX);
@@ -43,7 +43,7 @@ impl Come {
         self.0[word] |= bit;
     }
 
-    /// Forgets what stood in the places of so many numbers before this one.
+    /// Clears the bits of the `count` numbers before this one.
     fn miss(&mut self, number: u64, count: u64) {
         for back in 1..=count.min(COME as u64) {
             let (word, bit) = Self::place(number.wrapping_sub(back));
@@ -52,24 +52,24 @@ impl Come {
     }
 }
 
-/// The numbers of one publisher's messages.
+/// Tracks the sequence numbers of one publisher's messages.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Sequence {
     next: Option<u64>,
     first: u64,
     come: Come,
-    /// Messages that have not come.
+    /// Messages that have not arrived.
     pub lost: u64,
-    /// Messages that came after a later one.
+    /// Messages that arrived after a later one.
     pub late: u64,
-    /// Messages that came again.
+    /// Messages that arrived more than once.
     pub repeated: u64,
-    /// Times that the publisher has begun anew.
+    /// Number of times that the publisher restarted its count.
     pub restarts: u64,
 }
 
 impl Sequence {
-    /// Takes the next number.
+    /// Records the number of a message that has arrived, and classifies it.
     pub fn follow(&mut self, number: u64) -> Order {
         let order = match self.next {
             None => Order::InOrder,
@@ -96,7 +96,7 @@ impl Sequence {
             }
             Order::Late => {
                 self.late += 1;
-                // It was counted as lost; what is from before the first was not.
+                // It was counted as lost, unless it precedes the first number.
                 if number >= self.first {
                     self.lost = self.lost.saturating_sub(1);
                 }
@@ -153,7 +153,7 @@ mod tests {
         for number in (0..2000).filter(|number| number % 3 != 0) {
             sequence.follow(number);
         }
-        // The first that comes is 1: what is before it is not known to be missing.
+        // The first number to arrive is 1: what precedes it is not known to be missing.
         assert_eq!(sequence.lost, 666);
         assert_eq!(Sequence::default().follow(0), Order::InOrder);
         for number in 1100..1999 {

@@ -1,4 +1,5 @@
-//! Time in processor clock ticks, from the SysTick timer; what interrupts took of it is told apart.
+//! Time in ticks of the processor clock, from the SysTick timer. The time that interrupts take is counted
+//! separately.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -10,12 +11,12 @@ use crate::board;
 /// Ticks between two of the timer's interrupts: 0.8 ms at 168 MHz. Divides 2^32.
 const WRAP_TICKS: u32 = 1 << 17;
 
-/// Wraps so far.
+/// Number of wraps so far.
 static WRAPS: AtomicU32 = AtomicU32::new(0);
 /// Ticks that interrupts took; wraps.
 static INTERRUPT_TICKS: AtomicU32 = AtomicU32::new(0);
 
-/// Starts the timer.
+/// Starts the SysTick timer and its interrupt, from which all other items here get the time.
 pub fn start(timer: &mut SYST) {
     timer.set_clock_source(SystClkSource::Core);
     timer.set_reload(WRAP_TICKS - 1);
@@ -24,27 +25,27 @@ pub fn start(timer: &mut SYST) {
     timer.enable_interrupt();
 }
 
-/// Counts a wrap: the timer's interrupt calls it.
+/// Counts a wrap; called by the timer's interrupt.
 pub fn on_wrap() {
-    // The only writer; a load and a store also do without compare-and-swap.
+    // No other code writes it; a load and a store also work on cores without compare-and-swap.
     WRAPS.store(
         WRAPS.load(Ordering::Relaxed).wrapping_add(1),
         Ordering::Relaxed,
     );
 }
 
-/// Ticks since the start, modulo 2^32: differences up to 25 s at 168 MHz.
+/// Returns the ticks since the start, modulo 2^32: differences are valid up to 25 s at 168 MHz.
 #[must_use]
 pub fn ticks() -> u32 {
     loop {
         let wraps = WRAPS.load(Ordering::Relaxed);
         let pending_before = SCB::is_pendst_pending();
-        // The timer counts down; its interrupt comes with the 0, which so begins a period.
+        // The timer counts down; its interrupt comes with the 0, which thus begins a period.
         let past = SYST::get_current().wrapping_neg() % WRAP_TICKS;
         let pending = SCB::is_pendst_pending();
-        // A wrap between the reads: read again; so too at 0, where the wrap is pending one tick
-        // before the timer starts over. A wrap that no interrupt has counted yet, because one of
-        // at least its priority runs, is counted here.
+        // Read again if the timer wrapped between the reads, and also at 0, where the wrap is pending one tick
+        // before the timer starts over. A wrap that no interrupt has counted yet, as one of at least its priority
+        // is running, is counted here.
         let is_steady = pending == pending_before && wraps == WRAPS.load(Ordering::Relaxed);
         if is_steady && past < WRAP_TICKS - 1 {
             let wraps = wraps.wrapping_add(u32::from(pending));
@@ -53,31 +54,31 @@ pub fn ticks() -> u32 {
     }
 }
 
-/// Ticks that interrupts took since the start; wraps.
+/// Returns the ticks that interrupts took since the start; wraps.
 #[must_use]
 pub fn interrupt_ticks() -> u32 {
     INTERRUPT_TICKS.load(Ordering::Relaxed)
 }
 
-/// Nanoseconds of `ticks`.
+/// Converts ticks of the processor clock to nanoseconds.
 #[must_use]
 pub fn nanoseconds(ticks: u64) -> u64 {
     const NS_PER_S: u64 = 1_000_000_000;
     const CLOCK_HZ: u64 = board::CLOCK_HZ as u64;
-    // In two parts, so that nothing overflows within centuries.
+    // In two parts, so that nothing overflows for centuries.
     (ticks / CLOCK_HZ)
         .wrapping_mul(NS_PER_S)
         .wrapping_add(ticks % CLOCK_HZ * NS_PER_S / CLOCK_HZ)
 }
 
-/// Measures a short interrupt that nothing interrupts: below one period of the timer.
+/// Measures a short interrupt that nothing interrupts: less than one period of the timer.
 #[derive(Debug)]
 pub struct ShortStopwatch {
     current: u32,
 }
 
 impl ShortStopwatch {
-    /// Starts.
+    /// Starts measuring.
     #[inline]
     #[must_use]
     pub fn start() -> Self {
@@ -86,7 +87,7 @@ impl ShortStopwatch {
         }
     }
 
-    /// Ends the interrupt: its ticks are no one else's.
+    /// Ends the interrupt and counts its ticks as taken by interrupts.
     #[inline]
     pub fn stop_interrupt(self) {
         let own = self.current.wrapping_sub(SYST::get_current()) % WRAP_TICKS;
@@ -94,7 +95,7 @@ impl ShortStopwatch {
     }
 }
 
-/// Measures a stretch of code without the interrupts that came in between.
+/// Measures a stretch of code, without the interrupts that come in between.
 #[derive(Debug)]
 pub struct Stopwatch {
     ticks: u32,
@@ -102,14 +103,14 @@ pub struct Stopwatch {
 }
 
 impl Stopwatch {
-    /// Starts.
+    /// Starts measuring.
     #[must_use]
     pub fn start() -> Self {
         loop {
             let interrupt_ticks = INTERRUPT_TICKS.load(Ordering::Relaxed);
             let ticks = ticks();
-            // An interrupt in between would be in one of them only, and a short stretch of code
-            // would seem to take less than nothing.
+            // An interrupt in between would be in only one of the two, and a short stretch of code would seem to
+            // take a negative time.
             if interrupt_ticks == INTERRUPT_TICKS.load(Ordering::Relaxed) {
                 return Self {
                     ticks,
@@ -119,7 +120,7 @@ impl Stopwatch {
         }
     }
 
-    /// Ticks since the start, interrupts excluded.
+    /// Returns the ticks since the start, without those of interrupts.
     #[must_use]
     pub fn stop(self) -> u32 {
         let now = Self::start();
@@ -127,7 +128,7 @@ impl Stopwatch {
         now.ticks.wrapping_sub(self.ticks).wrapping_sub(interrupts)
     }
 
-    /// Ends an interrupt: its own ticks are no one else's. Returns them.
+    /// Ends an interrupt and counts its own ticks as taken by interrupts. Returns them.
     pub fn stop_interrupt(self) -> u32 {
         let own = self.stop();
         INTERRUPT_TICKS.fetch_add(own, Ordering::Relaxed);

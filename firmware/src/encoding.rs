@@ -1,4 +1,4 @@
-//! Windows to frames, and frames to the link: `main`'s side.
+//! Encodes windows to frames, and sends frames on the link: `main`'s side.
 
 use eecvs_nostd::event_link::{FIELDS_BYTES_MAX, Kind, Packet, Refusal, Setup, Status};
 use eecvs_nostd::fixed_point::{Sum, WideSum};
@@ -16,14 +16,14 @@ use crate::memory::{self, Shares};
 use crate::receiving;
 use crate::stack;
 
-/// Windows in turn.
+/// Number of windows that take turns.
 const WINDOWS: usize = 2;
-/// Numbers of the largest grid: any M up to 64 at its default grid.
+/// Numbers for the largest grid: any M up to 64 at its default grid.
 const NUMBERS: usize = 256;
-/// Hot pixels.
+/// Most hot pixels.
 const HOT_PIXELS: usize = 512;
 
-/// What runs before the first setup: never used on events.
+/// Configuration before the first setup; never used on events.
 const IDLE: Config = Config {
     window: WindowConfig::new(
         Sensor {
@@ -45,7 +45,7 @@ const IDLE: Config = Config {
     keep_order: false,
 };
 
-/// Ticks, summed up beyond 32 bits.
+/// Sum of ticks beyond 32 bits.
 #[derive(Default)]
 struct Total {
     ticks: u64,
@@ -61,7 +61,7 @@ impl Total {
     }
 }
 
-/// The encoder and what it has done.
+/// The encoder, and counts of what it has done.
 pub struct Encoding {
     sender: Sender,
     encoder: WindowEncoder<'static>,
@@ -79,7 +79,7 @@ pub struct Encoding {
 }
 
 impl Encoding {
-    /// The encoder before its first setup. `None` when called again.
+    /// Returns the encoder before its first setup; `None` on a second call.
     #[inline(never)]
     pub fn new(sender: Sender) -> Option<Self> {
         static SUMS: ConstStaticCell<[Sum; NUMBERS]> = ConstStaticCell::new([Sum::ZERO; NUMBERS]);
@@ -113,12 +113,12 @@ impl Encoding {
         })
     }
 
-    /// Tells the host that the encoder has started.
+    /// Reports to the host that the encoder has started.
     pub fn greet(&mut self) {
         self.send_status(0, Counts::default());
     }
 
-    /// Does one piece of work, or sleeps where there is none.
+    /// Does one piece of work, or sleeps if there is none.
     pub fn work(&mut self) {
         let interrupts = interrupt_ticks();
         self.receive
@@ -152,7 +152,7 @@ impl Encoding {
             let stopwatch = Stopwatch::start();
             let frame = self.encoder.next_frame(&mut window, self.out);
             self.encode.add(stopwatch.stop());
-            // The output is longer than the least that a frame takes.
+            // Never an error: the output is longer than the shortest that an encoder takes.
             let Ok(Some(frame)) = frame else {
                 break;
             };
@@ -189,13 +189,13 @@ impl Encoding {
         }
     }
 
-    /// Divides the memory for a setup, and sets the encoder up in it; the windows are all there.
+    /// Divides the memory for a setup and sets up the encoder in it. All windows have come back before.
     fn divide(&mut self, setup: &Setup) -> Result<[Option<Window<'static>>; WINDOWS], Refusal> {
         self.encoder.lend_dense(None);
         self.out = &mut [];
         let config = setup.config()?;
-        // SAFETY: every window has come back and was dropped, as `Ingest` hands a setup over only then;
-        // the encoder and the output have just given up their parts.
+        // SAFETY: every window has come back and was dropped, as `Ingest` hands over a setup only then; the encoder
+        // and the output have just given up their parts.
         let shares = unsafe { memory::divide(&config) };
         let Shares {
             windows: memory,
@@ -219,7 +219,7 @@ impl Encoding {
         }
     }
 
-    /// Keeps a pixel out of the windows that follow; the first refusal is told.
+    /// Keeps a pixel out of later windows; the first refusal is kept for the status.
     fn keep_out(&mut self, number: u32) {
         let added = if self.running {
             let sensor = self.encoder.config().window.sensor;

@@ -1,5 +1,4 @@
-//! The end of a panic, of a fault, and of a stack that crossed its floor: a board starts anew, an
-//! emulator exits with an error.
+//! How a panic, a fault, or a stack that crossed its floor ends: a board restarts, an emulator exits with an error.
 
 use core::arch::global_asm;
 
@@ -8,8 +7,8 @@ use cortex_m_semihosting::debug::{self, EXIT_FAILURE};
 
 use crate::{board, stack};
 
-// After an overflow the stack pointer is outside of RAM, and nothing may be pushed before it is
-// set anew: hence no Rust function, which might begin with a push.
+// After an overflow the stack pointer is outside of RAM, and nothing may be pushed before it is reset. Hence this
+// is not a Rust function, which might begin with a push.
 global_asm!(
     ".syntax unified",
     ".section .HardFault.own, \"ax\"",
@@ -25,7 +24,7 @@ global_asm!(
     report = sym report,
 );
 
-/// `pointer` is where the stack stood.
+/// Reports a fault; `pointer` is the stack pointer at that time.
 extern "C" fn report(pointer: u32) -> ! {
     if stack::is_overflow(pointer) {
         defmt::error!("stack overflow: the stack pointer was {=u32:#x}", pointer);
@@ -35,7 +34,7 @@ extern "C" fn report(pointer: u32) -> ! {
     stop()
 }
 
-/// Starts the board anew; ends the emulator with an error.
+/// Restarts the board, or ends the emulator with an error.
 pub fn stop() -> ! {
     loop {
         if board::is_emulated() {

@@ -1,14 +1,14 @@
-//! The encoder on a microcontroller: what its images share.
+//! The encoder on a microcontroller: code that its images share.
 //!
-//! | file | what |
+//! | file | content |
 //! |---|---|
 //! | `board/` | set-up of a machine: clocks, pins, the UART or the USB controller of the link |
 //! | `receiving.rs` | the interrupts' side: bytes to windows |
-//! | `queue.rs` | what the two sides share |
+//! | `queue.rs` | queues between the two sides |
 //! | `sensor.rs` | the place to plug in a sensor |
 //! | `encoding.rs` | `main`'s side: windows to frames |
 //! | `memory.rs` | the memory that a setup divides |
-//! | `clock.rs` | time, and what interrupts took of it |
+//! | `clock.rs` | time, and how much of it interrupts took |
 //! | `log.rs` | defmt over RTT on a board, over semihosting in QEMU |
 //! | `stack.rs` | how much of the stack was used |
 //! | `fault.rs` | what happens on a panic, a fault, or when the stack's floor is crossed |

@@ -1,4 +1,4 @@
-//! Where defmt's bytes go: to RTT on a board, to semihosting in QEMU. One image serves both.
+//! Destination of defmt's bytes: RTT on a board, semihosting in QEMU. One image serves both.
 
 use core::cell::RefCell;
 
@@ -9,11 +9,11 @@ use rtt_target::UpChannel;
 use crate::board;
 
 enum Sink {
-    /// Not asked yet which one it is.
+    /// Not determined yet.
     Unknown,
     Rtt(UpChannel),
     Semihosting(HostStream),
-    /// Neither took the log.
+    /// Neither accepted the log.
     None,
 }
 
@@ -59,8 +59,8 @@ impl Sink {
 #[defmt::global_logger]
 struct Logger;
 
-// SAFETY: `acquire` enters a critical section that `release` leaves, so no two loggers overlap;
-// the log's own borrow is short and never held across a call of defmt's.
+// SAFETY: `acquire` enters a critical section that `release` leaves, so no two loggers overlap; the borrow of the
+// log is short and never held across a call into defmt.
 unsafe impl defmt::Logger for Logger {
     fn acquire() {
         // SAFETY: paired with `release`, which defmt calls exactly once after this.
@@ -84,7 +84,7 @@ unsafe impl defmt::Logger for Logger {
             log.restore.take()
         });
         if let Some(Some(restore)) = restore {
-            // SAFETY: the state that `acquire` got.
+            // SAFETY: this is the state that `acquire` got.
             unsafe { critical_section::release(restore) };
         }
     }
@@ -97,7 +97,8 @@ unsafe impl defmt::Logger for Logger {
     }
 }
 
-/// `None` where the log is in use: a fault in the middle of it must not end in another one.
+/// Runs `act` on the log; `None` if the log is in use, so that a fault in the middle of it does not end in another
+/// one.
 fn with<R>(act: impl FnOnce(&mut Log) -> R) -> Option<R> {
     critical_section::with(|token| {
         let mut log = LOG.borrow(token).try_borrow_mut().ok()?;

@@ -1,5 +1,4 @@
-//! The memory that a setup divides: windows, a frame, and what the dense coder learns where it is the one
-//! that is asked for.
+//! The memory that a setup divides: windows, a frame, and what the dense coder learns, if that coder is used.
 //!
 //! | | fast, coefficients | dense |
 //! |---|---|---|
@@ -13,16 +12,16 @@ use eecvs_nostd::coder::dense::model::Model;
 use eecvs_nostd::coder::dense::{DenseMemory, words};
 use eecvs_nostd::{Coder, Config, Hybrid, Mode};
 
-/// Memory of all windows in words: memory.x has its budget.
+/// Words for all windows; memory.x has the budget.
 const WINDOW_WORDS: usize = 22 * 1024;
-/// Largest frame.
+/// Size of the largest frame in bytes.
 const FRAME_BYTES: usize = 4096;
-/// Largest frame of the dense coder.
+/// Size of the dense coder's largest frame in bytes.
 const DENSE_FRAME_BYTES: usize = 8192;
-/// Words of the dense coder's rows, beyond which the window before is not kept: it saves some hundredths of
-/// the bits of quiet scenes, and a window that is longer saves as much.
+/// Most words for the dense coder's rows with which the window before is still kept. It saves some hundredths of
+/// the bits in quiet scenes, and a longer window saves as much.
 const PREVIOUS_WORDS_MAX: usize = WINDOW_WORDS / 16;
-/// What is left for the dense coder's rows and the windows.
+/// Words left for the dense coder's rows and the windows.
 const REST_WORDS: usize =
     (WINDOW_WORDS * 4 + FRAME_BYTES - DENSE_FRAME_BYTES - size_of::<Model>()) / 4;
 
@@ -54,31 +53,31 @@ static mut MEMORY: Memory = Memory {
     }),
 };
 
-/// The parts of the memory.
+/// Parts of the memory, as divided for a setup.
 pub struct Shares {
-    /// Of all windows.
+    /// For all windows.
     pub windows: &'static mut [u32],
-    /// Of a frame.
+    /// For a frame.
     pub out: &'static mut [u8],
-    /// Of the dense coder, where it is asked for.
+    /// For the dense coder, if it is used.
     pub dense: Option<DenseMemory<'static>>,
 }
 
-/// Divides the memory, zeroed, for a configuration; `None` where the dense coder has no room.
+/// Divides the memory, zeroed, for a configuration; `None` if the dense coder does not fit.
 ///
 /// # Safety
-/// Nothing that was lent before may be in use any more.
+/// Nothing that was lent before may still be in use.
 pub unsafe fn divide(config: &Config) -> Option<Shares> {
     let memory = &raw mut MEMORY;
-    // SAFETY: nobody else has a reference to it. Integers are all there is in it, of which zeros are a
-    // value; they also make bytes of what may have been padding.
+    // SAFETY: nobody else has a reference to it. It holds only integers, for which zeros are valid; writing all
+    // bytes also initialises what may have been padding.
     unsafe { memory.write_bytes(0, 1) };
     let Mode::Hybrid(Hybrid {
         coder: Coder::Dense,
         ..
     }) = config.mode
     else {
-        // SAFETY: all of the union was written.
+        // SAFETY: all bytes of the union were written.
         let Plain { windows, out } = unsafe { &mut *memory.cast() };
         return Some(Shares {
             windows,

@@ -1,4 +1,4 @@
-//! What interrupts and `main` share. No operation waits, fails or panics for being interrupted.
+//! Queues between interrupts and `main`. No operation waits, fails or panics when it is interrupted.
 
 use core::cell::Cell;
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
@@ -6,17 +6,16 @@ use core::sync::atomic::{AtomicU8, AtomicU32, Ordering};
 use critical_section::Mutex;
 use heapless::Deque;
 
-/// Bytes from one interrupt to a less urgent one: one side puts, the other takes. `N` is a power
-/// of two.
+/// Queue of bytes from one interrupt to a less urgent one: one side puts, the other takes. `N` is a power of two.
 pub struct Ring<const N: usize> {
     bytes: [AtomicU8; N],
-    /// Bytes put and taken so far; wrap.
+    /// Bytes put and taken so far; these wrap.
     put: AtomicU32,
     taken: AtomicU32,
 }
 
 impl<const N: usize> Ring<N> {
-    /// An empty ring.
+    /// Returns an empty ring.
     #[must_use]
     pub const fn new() -> Self {
         const { assert!(N.is_power_of_two()) };
@@ -27,7 +26,7 @@ impl<const N: usize> Ring<N> {
         }
     }
 
-    /// Bytes in it.
+    /// Returns the number of bytes in the ring.
     #[inline]
     #[must_use]
     pub fn len(&self) -> usize {
@@ -35,21 +34,21 @@ impl<const N: usize> Ring<N> {
         put.wrapping_sub(self.taken.load(Ordering::Acquire)) as usize
     }
 
-    /// Whether there is none.
+    /// Returns whether the ring has no bytes.
     #[inline]
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Whether it takes no more.
+    /// Returns whether the ring takes no more bytes.
     #[inline]
     #[must_use]
     pub fn is_full(&self) -> bool {
         self.len() >= N
     }
 
-    /// Puts a byte, asked only where the ring is not full.
+    /// Puts a byte; called only if the ring is not full.
     #[inline]
     pub fn put(&self, byte: u8) {
         let put = self.put.load(Ordering::Relaxed);
@@ -59,13 +58,13 @@ impl<const N: usize> Ring<N> {
         self.put.store(put.wrapping_add(1), Ordering::Release);
     }
 
-    /// The place behind the byte that was put last.
+    /// Returns the place after the byte that was put last.
     #[must_use]
     pub fn end(&self) -> u32 {
         self.put.load(Ordering::Acquire)
     }
 
-    /// Takes the oldest byte, where it was put before the place `end`, which is not before that byte.
+    /// Takes the oldest byte if it was put before the place `end`, which must not be before that byte.
     #[inline]
     pub fn take_before(&self, end: u32) -> Option<u8> {
         match self.taken.load(Ordering::Relaxed) == end {
@@ -74,12 +73,12 @@ impl<const N: usize> Ring<N> {
         }
     }
 
-    /// Leaves all bytes out that were put before the place `end`, as far as they are there; returns how
-    /// many. The taking side's.
+    /// Skips all bytes that were put before the place `end`, if they are still there, and returns how many. For the
+    /// taking side.
     pub fn skip_to(&self, end: u32) -> u32 {
         let taken = self.taken.load(Ordering::Relaxed);
         let skipped = end.wrapping_sub(taken);
-        // Behind it already.
+        // That place has been passed already.
         if skipped as usize > self.len() {
             return 0;
         }
@@ -87,7 +86,7 @@ impl<const N: usize> Ring<N> {
         skipped
     }
 
-    /// Takes the oldest byte.
+    /// Takes the oldest byte, if there is one.
     #[inline]
     pub fn take(&self) -> Option<u8> {
         if self.is_empty() {
@@ -106,11 +105,11 @@ impl<const N: usize> Default for Ring<N> {
     }
 }
 
-/// Anything else, a few at a time.
+/// Queue of a few items of any other type.
 pub struct Queue<T, const N: usize>(Mutex<Cell<Deque<T, N>>>);
 
 impl<T, const N: usize> Queue<T, N> {
-    /// An empty queue.
+    /// Returns an empty queue.
     #[must_use]
     pub const fn new() -> Self {
         Self(Mutex::new(Cell::new(Deque::new())))
@@ -126,25 +125,25 @@ impl<T, const N: usize> Queue<T, N> {
         })
     }
 
-    /// Whether it takes no more.
+    /// Returns whether the queue takes no more items.
     #[must_use]
     pub fn is_full(&self) -> bool {
         self.with(|queue| queue.is_full())
     }
 
-    /// Whether there is nothing in it.
+    /// Returns whether the queue has no items.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.with(|queue| queue.is_empty())
     }
 
-    /// Puts an item; asked only where the queue is not full.
+    /// Puts an item; called only if the queue is not full.
     pub fn put(&self, item: T) {
         // There is room.
         let _ = self.with(|queue| queue.push_back(item));
     }
 
-    /// Takes the oldest item.
+    /// Takes the oldest item, if there is one.
     pub fn take(&self) -> Option<T> {
         self.with(Deque::pop_front)
     }

@@ -1,4 +1,4 @@
-//! Bytes from the link to windows: the interrupts' side.
+//! Turns bytes from the link into windows: the interrupts' side.
 
 #[cfg(feature = "usb")]
 use core::sync::atomic::AtomicBool;
@@ -25,19 +25,19 @@ use crate::sensor;
 
 /// Bytes between the link's interrupt and PendSV: two of the longest packets.
 const RING_BYTES: usize = 1024;
-/// Bytes in the ring that PendSV is asked to look at.
+/// Number of bytes in the ring from which on PendSV is triggered.
 const MANY_BYTES: usize = 128;
-/// The lowest priority there is.
+/// The lowest priority.
 const LOWEST: u8 = 0xff;
 
 static BYTES: Ring<RING_BYTES> = Ring::new();
 /// Windows that wait to be filled.
 static FREE: Queue<Window<'static>, 2> = Queue::new();
-/// What waits for `main`.
+/// Work that waits for `main`.
 static WORK: Queue<Work<'static>, 4> = Queue::new();
 /// Setups that `main` has done, and how many windows they have.
 static SET_UP: Queue<(Setup, usize), 1> = Queue::new();
-/// What [`Link`] counts, for the status.
+/// Counts of [`Link`], for the status.
 static DAMAGED_BYTES: AtomicU32 = AtomicU32::new(0);
 static IGNORED: AtomicU32 = AtomicU32::new(0);
 
@@ -57,7 +57,7 @@ impl Exchange<'static> for Queues {
     }
 }
 
-/// What is to be done next.
+/// Returns the next piece of work for `main`.
 pub fn work() -> Option<Work<'static>> {
     WORK.take()
 }
@@ -69,33 +69,33 @@ pub fn wait() {
     if WORK.is_empty() {
         cortex_m::asm::wfi();
     }
-    // SAFETY: enabled before, and no critical section is open here.
+    // SAFETY: interrupts were enabled before, and no critical section is open here.
     unsafe { cortex_m::interrupt::enable() };
 }
 
-/// Gives a window back.
+/// Gives a window back to be filled.
 pub fn free(window: Window<'static>) {
     FREE.put(window);
     SCB::set_pendsv();
 }
 
-/// Tells that the setup is done and `windows` windows follow.
+/// Reports that the setup is done and that `windows` windows follow.
 pub fn set_up(setup: &Setup, windows: usize) {
     SET_UP.put((*setup, windows));
     SCB::set_pendsv();
 }
 
-/// Bytes of the link that belonged to no packet.
+/// Returns how many bytes of the link belonged to no packet.
 pub fn damaged_bytes() -> u32 {
     DAMAGED_BYTES.load(Ordering::Relaxed)
 }
 
-/// Packets that came twice or made no sense, and left-over bytes.
+/// Returns how many packets came twice or were invalid, plus bytes left over.
 pub fn ignored() -> u32 {
     IGNORED.load(Ordering::Relaxed)
 }
 
-/// Lets the interrupts run.
+/// Sets the priority of PendSV and starts the interrupts.
 pub fn start(core: &mut Peripherals) {
     // SAFETY: nothing relies on priorities for exclusion.
     unsafe { core.SCB.set_priority(SystemHandler::PendSV, LOWEST) };
@@ -103,19 +103,19 @@ pub fn start(core: &mut Peripherals) {
         // The setup is there already.
         SCB::set_pendsv();
     }
-    // A host that only takes frames has requests, too.
+    // A host that only takes frames has requests too.
     if cfg!(any(not(feature = "sensor"), feature = "usb")) {
         board::resume_receiving();
     }
 }
 
-/// The UART's interrupt: takes the byte that is there. PendSV runs when there are many, or with the
-/// timer's next interrupt.
+/// Body of the UART's interrupt: takes the byte that is there. PendSV runs once there are many, or with the timer's
+/// next interrupt.
 #[cfg(not(feature = "usb"))]
 #[inline]
 pub fn on_receive() {
     let stopwatch = ShortStopwatch::start();
-    // A full ring leaves bytes in the UART, whose flow control then holds the sender.
+    // With a full ring, bytes stay in the UART, whose flow control then holds the sender.
     if !BYTES.is_full()
         && let Some(byte) = board::read_byte()
     {
@@ -130,21 +130,21 @@ pub fn on_receive() {
     stopwatch.stop_interrupt();
 }
 
-/// Whether a session of the USB link has begun that PendSV has not seen yet.
+/// Whether the USB link has begun a session that PendSV has not seen yet.
 #[cfg(feature = "usb")]
 static RESTARTED: AtomicBool = AtomicBool::new(false);
-/// Where its bytes begin.
+/// Place in the ring where that session's bytes begin.
 #[cfg(feature = "usb")]
 static SESSION_BEGIN: AtomicU32 = AtomicU32::new(0);
 
-/// The USB link's interrupt: bytes that [`put`] takes.
+/// Returns how many bytes [`put`] takes; called from the USB link's interrupt.
 #[cfg(feature = "usb")]
 #[must_use]
 pub fn room() -> usize {
     RING_BYTES.saturating_sub(BYTES.len())
 }
 
-/// The USB link's interrupt: takes a packet's bytes, for which there is room.
+/// Takes a packet's bytes, for which there is room; called from the USB link's interrupt.
 #[cfg(feature = "usb")]
 pub fn put(bytes: &[u8]) {
     for byte in bytes {
@@ -157,7 +157,7 @@ pub fn put(bytes: &[u8]) {
     }
 }
 
-/// The USB link's interrupt: what was put is of a session that is over.
+/// Marks everything put so far as part of a session that is over; called from the USB link's interrupt.
 #[cfg(feature = "usb")]
 pub fn restart() {
     SESSION_BEGIN.store(BYTES.end(), Ordering::Relaxed);
@@ -165,12 +165,12 @@ pub fn restart() {
     SCB::set_pendsv();
 }
 
-/// The next byte; at the end of a session PendSV has to see that first.
+/// Returns the next byte; `None` also where a session ends, until PendSV has seen that.
 #[cfg(feature = "usb")]
 #[inline]
 fn next_byte() -> Option<u8> {
-    // In this order: a byte that is there before the session is looked at is taken rightly, even where
-    // the interrupt begins one in between.
+    // In this order: a byte that is there before the session is checked is handled correctly even if the interrupt
+    // begins a session in between.
     if BYTES.is_empty() {
         return None;
     }
@@ -180,14 +180,14 @@ fn next_byte() -> Option<u8> {
     }
 }
 
-/// The next byte.
+/// Returns the next byte.
 #[cfg(not(any(feature = "usb", feature = "sensor")))]
 #[inline]
 fn next_byte() -> Option<u8> {
     BYTES.take()
 }
 
-/// PendSV's own: packets, words, events, windows.
+/// State that belongs to PendSV: packets, words, events, windows.
 pub struct Receiving {
     #[cfg(any(feature = "usb", not(feature = "sensor")))]
     link: Link,
@@ -197,7 +197,7 @@ pub struct Receiving {
 }
 
 impl Receiving {
-    /// Before the first byte.
+    /// Returns the state before the first byte.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -209,7 +209,7 @@ impl Receiving {
         }
     }
 
-    /// PendSV.
+    /// Body of PendSV: processes received bytes, and takes over finished setups.
     pub fn on_pend(&mut self) {
         let stopwatch = Stopwatch::start();
         if self.ingest.is_setting_up()
@@ -220,7 +220,7 @@ impl Receiving {
         #[cfg(feature = "usb")]
         self.restart();
         self.poll();
-        // Also where the ring stays full: requests are to be answered however long the encoder is busy.
+        // Also while the ring is full: requests have to be answered however long the encoder is busy.
         #[cfg(feature = "usb")]
         board::resume_receiving();
         stopwatch.stop_interrupt();
@@ -242,7 +242,7 @@ impl Receiving {
         self.count();
     }
 
-    /// Leaves out what is left of a session that is over.
+    /// Skips what is left of a session that is over.
     #[cfg(feature = "usb")]
     fn restart(&mut self) {
         if RESTARTED.swap(false, Ordering::Acquire) {

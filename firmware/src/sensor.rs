@@ -1,12 +1,12 @@
-//! The place to plug in a sensor, here a Prophesee GENX320 whose 8-bit parallel port sends EVT 2.0
-//! words. Feature `sensor` builds the image with it in the link's place: events come from the
-//! port, frames leave on the UART.
+//! The place to plug in a sensor, here a Prophesee GENX320 whose 8-bit parallel port sends EVT 2.0 words. The
+//! feature `sensor` builds the image with it instead of the link: events come from the port, frames leave on the
+//! UART.
 //!
-//! What is here is everything but the transfer itself, which depends on the board. On a chip with
-//! a camera interface (DCMI), let its DMA fill two halves of a buffer of words in turn; on the
-//! STM32F405, which has none, let the port's clock trigger a timer's capture channel and that a DMA
-//! stream from the GPIO's input register, one byte a clock. Either way the DMA's half-complete
-//! and complete interrupts have a half of the buffer that nobody writes to, and do
+//! Everything is here but the transfer itself, which depends on the board. On a chip with a camera interface
+//! (DCMI), let its DMA fill the two halves of a buffer of words in turn. On the STM32F405, which has none, let the
+//! port's clock trigger a timer's capture channel, and that trigger a DMA stream from the GPIO's input register,
+//! one byte per clock. In either case the DMA's half-complete and complete interrupts have a half of the buffer
+//! that nobody writes to, and do
 //!
 //! ```ignore
 //! #[interrupt]
@@ -16,9 +16,9 @@
 //! }
 //! ```
 //!
-//! with the interrupt's priority above PendSV's, which is the lowest. A word is the four bytes in
-//! the order in which they came (little-endian). A transfer that overran calls
-//! [`Port::count_lost`] with the events of a half, at the most: its frames then say so.
+//! with the interrupt's priority above that of PendSV, which is the lowest. A word is the four bytes in the order
+//! in which they arrived (little-endian). After an overrun, call [`Port::count_lost`] with at most the events of a
+//! half buffer: frames then report them.
 
 use core::cell::RefCell;
 
@@ -30,12 +30,12 @@ use heapless::spsc::Queue;
 
 use crate::clock::Stopwatch;
 
-/// Words between the transfer's interrupt and PendSV.
+/// Number of words between the transfer's interrupt and PendSV.
 const QUEUE_WORDS: usize = 512;
 
-/// 320 x 320 pixels, windows of 32,768 us, the events lossless in the fast coder (`Mode` of the core;
-/// with 0 in place of 1 the coefficients: M = 16, the DCT for every window, and calibrated thresholds
-/// would go here). A sensor cannot be held, so what finds no free window is dropped and counted.
+/// 320 x 320 pixels, windows of 32,768 us, events coded losslessly by the fast coder (see `Mode` of the core). With
+/// 0 in place of 1 for `mode` it codes coefficients: M = 16 and the DCT for every window; calibrated thresholds
+/// would go here. A sensor cannot be held, so events that find no free window are dropped and counted.
 pub const SETUP: Setup = Setup {
     width: 320,
     height: 320,
@@ -59,10 +59,10 @@ pub const SETUP: Setup = Setup {
     when_full: Setup::DROP,
 };
 
-/// The port on its way to the interrupt that uses it.
+/// The port, until the interrupt that uses it takes it.
 static PORT: Mutex<RefCell<Option<Port<'static>>>> = Mutex::new(RefCell::new(None));
 
-/// Both ends of the queue: one for PendSV; the other waits for the transfer's interrupt.
+/// Creates the queue. Returns the end for PendSV; the other end waits for the transfer's interrupt.
 pub fn start() -> Option<SensorSource<'static>> {
     let (producer, consumer) =
         cortex_m::singleton!(: Queue<u32, QUEUE_WORDS> = Queue::new())?.split();
@@ -70,7 +70,8 @@ pub fn start() -> Option<SensorSource<'static>> {
     Some(SensorSource::new(consumer, SETUP))
 }
 
-/// The transfer's interrupt: hands `port`, its own, to `take`; the first call fetches it.
+/// Body of the transfer's interrupt: passes `port`, which belongs to the interrupt, to `take`. The first call
+/// fetches it.
 pub fn on_transfer(port: &mut Option<Port<'static>>, take: impl FnOnce(&mut Port<'static>)) {
     let stopwatch = Stopwatch::start();
     if port.is_none() {

@@ -10,19 +10,19 @@ unsafe extern "C" {
     static _stack_end: u32;
 }
 
-/// Whether a stack pointer stands below the stack.
+/// Returns whether a stack pointer is below the stack.
 #[must_use]
 pub fn is_overflow(pointer: u32) -> bool {
     pointer < addr_of!(_stack_end) as u32
 }
 
-/// Bytes of the stack that were ever written to.
+/// Returns how many bytes of the stack were ever written to.
 #[must_use]
 pub fn used_bytes() -> u32 {
     let start = addr_of!(_stack_start);
     let mut word = addr_of!(_stack_end);
-    // SAFETY: both are addresses of the linker's, and every word in between is RAM; volatile,
-    // because the words below the stack pointer belong to no Rust object.
+    // SAFETY: both addresses are from the linker, and every word between them is RAM. The read is volatile, as the
+    // words below the stack pointer belong to no Rust object.
     while word < start && unsafe { word.read_volatile() } == STACK_PAINT_VALUE {
         word = word.wrapping_add(1);
     }

@@ -1,5 +1,4 @@
-//! Any events under any configuration: every event is accounted for, every frame parses and
-//! unpacks.
+//! Encodes any events under any configuration: every event is accounted for, and every frame parses and unpacks.
 #![no_main]
 
 use std::num::NonZeroU32;
@@ -54,7 +53,7 @@ fuzz_target!(|data: &[u8]| {
     let window_us = 1 << (*window % 32);
     let mode = to_mode(*mode, *fidelity);
     let key_windows = 1 + u16::from(*key >> 4);
-    // The least that is taken, and up to 60 kB more.
+    // The least budget accepted, plus up to 63 kB per second.
     let budget = 1_000_000_u32.div_ceil(window_us) * 147 + 1000 * (u32::from(*control) >> 2);
     let config = Config {
         window: WindowConfig::new(sensor, window_us),

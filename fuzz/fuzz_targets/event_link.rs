@@ -1,4 +1,4 @@
-//! Any bytes on the event link: no panic, packets within their bounds, words decode or are skipped.
+//! Receives any bytes on the event link: no panic, packets stay within their bounds, words decode or are skipped.
 #![no_main]
 
 use eecvs_nostd::event_link::{BODY_BYTES_MAX, HotNumbers, Kind, Receiver, Setup};

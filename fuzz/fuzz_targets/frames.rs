@@ -1,5 +1,5 @@
-//! Any bytes read as a stream of frames: no panic, no endless loop, every byte accounted for, and
-//! whatever is a frame decodes into events or is refused.
+//! Reads any bytes as a stream of frames: no panic, no endless loop, every byte is accounted for, and every frame
+//! decodes to events or is refused.
 #![no_main]
 
 use eecvs::decode::WindowReader;

@@ -1,5 +1,5 @@
-//! Packets with any words, damaged or not, and an encoding side that is fast or slow: no panic, no
-//! standstill, and the counts add up.
+//! Feeds packets with any words, damaged or not, to the ingest of an encoding side that is fast or slow: no panic,
+//! no deadlock, and the counts add up.
 #![no_main]
 
 use std::collections::VecDeque;
@@ -51,12 +51,12 @@ struct Machine<'b> {
     encoder: WindowEncoder<'b>,
     /// Memory of the windows, lent once.
     buffers: Vec<WindowBuffers<'b>>,
-    /// Events in windows.
+    /// Number of events in windows.
     encoded: u64,
 }
 
 impl<'b> Machine<'b> {
-    /// One piece of the encoding side's work; `false` where there is none.
+    /// Does one piece of the encoding side's work; returns `false` if there is none.
     fn work(&mut self) -> bool {
         match self.side.work.pop_front() {
             None => return false,
@@ -194,7 +194,7 @@ fuzz_target!(|data: &[u8]| {
         .write(&mut bytes)
         .expect("room for the longest");
         if operation % 8 == 7 {
-            // Garbage, or a packet cut short.
+            // Garbage, or a truncated packet.
             len /= 2;
         }
         machine.receive(&bytes[..len]);

@@ -1,6 +1,6 @@
 #![no_main]
-//! Any bytes as a recording of the format that EECVS_FORMAT names: one program for all readers, which
-//! take longer to link than to fuzz.
+//! Reads any bytes as a recording of the format that EECVS_FORMAT names. One program serves all readers, since
+//! programs take longer to link than to fuzz.
 
 use std::sync::LazyLock;
 
@@ -25,7 +25,7 @@ fuzz_target!(|data: &[u8]| {
         })
     };
     let last_us = drain(open(), None);
-    // Indexes are as little to be trusted as events are.
+    // Indexes are no more trustworthy than events, so seeking is tested as well.
     if let Some(t_us) = last_us {
         drain(
             open(),

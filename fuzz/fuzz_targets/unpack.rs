@@ -1,5 +1,5 @@
-//! Any payload behind a valid header unpacks or is refused, within the header's bounds; what
-//! unpacks packs to the same bits.
+//! Unpacks any payload after a valid header: it is refused or stays within the header's bounds, and what unpacks
+//! packs to the same bits.
 #![no_main]
 
 use eecvs_nostd::pack::bits_lsb_first::{BitReader, BitWriter};

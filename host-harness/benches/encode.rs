@@ -1,7 +1,7 @@
-//! `cargo bench`: a window of 3,200 events of a 346 x 260 scene, pushed and encoded, on one thread.
+//! Benchmarks pushing and encoding a window of 3,200 events of a 346 x 260 scene, on one thread: `cargo bench`.
 //!
-//! Events per second are comparable with the paper's Table III, whose windows are as large.
-//! host-harness/instructions.sh counts the instructions of the same.
+//! Events per second are comparable with the paper's Table III, whose windows have the same size.
+//! host-harness/instructions.sh counts the instructions of the same work.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use eecvs::encode::{HostStorage, WINDOW_EVENTS};
@@ -20,7 +20,7 @@ fn benches(criterion: &mut Criterion) {
                 .encoder(config(transform, m))
                 .expect("a valid configuration");
             let mut out = vec![0; FRAME_BYTES_MAX];
-            // The answer first: a frame that reads back with every event.
+            // Check the result first: a frame that decodes to every event.
             let Scan::Frame(frame) = scan(encode(&mut encoder, events, &mut out)) else {
                 panic!("not a frame");
             };

@@ -1,4 +1,4 @@
-//! Library behind the `eecvs` command.
+//! Library of the `eecvs` command: its subcommands, and the studies, baselines and reports behind them.
 
 pub mod baseline;
 pub mod cmd;

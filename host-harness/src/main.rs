@@ -7,7 +7,7 @@ use eecvs_cli::output::end;
 use eecvs_cli::stop::end_on_signals;
 use host_harness::cmd;
 
-/// Event camera windows as transform coefficients: encode, decode, compare
+/// Encode event-camera recordings into frames of events or transform coefficients; decode and compare them
 #[derive(Debug, Parser)]
 #[command(name = "eecvs", version, arg_required_else_help = true)]
 struct Eecvs {

@@ -1,11 +1,12 @@
-//! The recordings of files and folders, each once.
+//! Finds the recordings in files and folders, each one once.
 //!
 //! ```text
 //! paths -> files -> events -> taken
 //!                          -> left out: the same events as a file that is taken, or no recording
 //! ```
 //!
-//! What a file holds decides, not where it lies: data sets have the same events in several formats.
+//! Files are compared by their events, not by their paths, because data sets hold the same events in several
+//! formats.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -17,50 +18,50 @@ use eecvs_nostd::{Event, Polarity};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-/// Endings that a folder is searched for. Of files with the same events, the one whose ending stands
-/// first is taken: what sensors write comes before archives of it. Arrays and text count where they are
-/// named, as their endings do not tell that they hold events.
+/// Extensions that a folder is searched for. Of files with the same events, the one whose extension comes first
+/// here is taken: files written by sensors come before archives of them. Arrays and text count only if they are
+/// named, since their extensions do not imply that they hold events.
 const ENDINGS: [&str; 6] = ["aedat4", "aedat", "raw", "evt2", "h5", "hdf5"];
 
 /// A recording that is taken.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Recording<T> {
-    /// As no other one is called.
+    /// Name, distinct from that of every other recording taken.
     pub name: String,
-    /// Its file.
+    /// Path of the file.
     pub path: PathBuf,
-    /// What is kept of it.
+    /// What the caller's `keep` returned for it.
     pub kept: T,
 }
 
-/// Why a file is left out.
+/// Reason why a file is left out.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Why {
-    /// The file that is taken has the same events: the same times from the first event on, places and
-    /// polarities, in any order of equal times.
+    /// A file that is taken has the same events: the same times counted from the first event, positions and
+    /// polarities; events of equal time may be in another order.
     SameEventsAs(String),
-    /// It lies in a folder and cannot be read, or has no events.
+    /// The file was found in a folder, and cannot be read or has no events.
     NotRead(String),
-    /// So many files with this ending lie in a folder, which is not searched for such.
+    /// This many files with this extension were found in a folder, but folders are not searched for that extension.
     PassedBy(u64),
 }
 
-/// A file that is left out.
+/// A file, or a pattern of files, that is left out.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LeftOut {
-    /// Its path.
+    /// Path of the file.
     pub file: String,
-    /// The reason.
+    /// Why it is left out.
     pub why: Why,
 }
 
-/// What some paths hold.
+/// Recordings found in some paths.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Recordings<T> {
-    /// In the order of their paths, those of a folder sorted.
+    /// Recordings taken, in the order of their paths; those of a folder are sorted.
     pub taken: Vec<Recording<T>>,
-    /// What else was found.
+    /// Files left out.
     pub left_out: Vec<LeftOut>,
 }
 
@@ -68,18 +69,19 @@ pub struct Recordings<T> {
 #[derive(Debug, Clone)]
 struct File {
     path: PathBuf,
-    /// In [`ENDINGS`], counted from 1; 0 where it was named.
+    /// Position of its extension in [`ENDINGS`], counted from 1; 0 if the file was named.
     rank: usize,
-    /// Whether the folder that it lies in was found in another one that was named.
+    /// Whether it lies in a folder inside a folder that was named.
     is_below: bool,
 }
 
-/// Reads every recording of some paths, files or folders; `keep` is given each that has not been there
-/// yet, one at a time, and `progress` is told how many have been read. A folder stands for the
-/// recordings in it and in its folders, without those below.
+/// Reads every recording in `paths`, which are files or folders.
+///
+/// `keep` is called with each recording whose events have not been seen yet, one at a time; `progress` is called
+/// with the number read so far. A folder stands for the recordings in it and in its direct subfolders.
 ///
 /// # Errors
-/// A folder that cannot be listed, or a named file that cannot be read; the message names it.
+/// Fails if a folder cannot be listed or a named file cannot be read; the message names it.
 pub fn read<T>(
     paths: &[PathBuf],
     progress: &dyn Fn(usize),
@@ -137,21 +139,21 @@ pub fn read<T>(
     })
 }
 
-/// Reads a recording.
+/// Reads the recording at `path`, in any format that is recognised.
 ///
 /// # Errors
-/// As [`Source::new`]; the message names the file.
+/// Fails if the file cannot be opened, or for the reasons given at [`Source::new`]; the message names the file.
 pub fn recording(name: &str, path: &Path) -> Result<Source> {
     let mut reader = event_files::open(path, None)?;
     Source::new(name, reader.as_mut()).with_context(|| path.display().to_string())
 }
 
-/// What is left out and why, for a person; `None` where nothing is.
+/// Lists what is left out and why, for people; `None` if nothing is.
 #[must_use]
 pub fn notice(left_out: &[LeftOut]) -> Option<String> {
     let lines = left_out.iter().map(|LeftOut { file, why }| match why {
         Why::SameEventsAs(taken) => format!("\n  {file}: the same events as {taken}"),
-        // The error names the file.
+        // The error message starts with the name of the file.
         Why::NotRead(error) => format!("\n  {error}"),
         Why::PassedBy(1) => format!("\n  {file}: a file that counts where it is named"),
         Why::PassedBy(files) => {
@@ -168,7 +170,7 @@ pub fn notice(left_out: &[LeftOut]) -> Option<String> {
     (count > 0).then(|| format!("{count} {files} left out:{lines}"))
 }
 
-/// SHA-256 of the events, with times from the first one on; those of equal times are sorted.
+/// Returns the SHA-256 of the events, with times counted from the first event; events of equal time are sorted.
 fn fingerprint(source: &Source) -> [u8; 32] {
     let mut hash = Sha256::new();
     let mut equal: Vec<(u16, u16, Polarity)> = Vec::new();
@@ -192,15 +194,16 @@ fn fingerprint(source: &Source) -> [u8; 32] {
     hash.finalize().into()
 }
 
-/// What paths lead to.
+/// Files found in paths.
 struct Found {
     /// Every file that may be a recording, once.
     files: Vec<File>,
-    /// How many files of folders have the ending of a format that these are not searched for: `FOLDER/*.ENDING`.
+    /// Number of files in folders, per pattern `FOLDER/*.ENDING`, whose extension belongs to a format that folders
+    /// are not searched for.
     passed_by: BTreeMap<PathBuf, u64>,
 }
 
-/// Every file, once.
+/// Returns every file in `paths`, once.
 fn files(paths: &[PathBuf]) -> Result<Found> {
     let mut found: Vec<File> = Vec::new();
     let mut passed_by = Vec::new();
@@ -229,7 +232,7 @@ fn files(paths: &[PathBuf]) -> Result<Found> {
             }
         }
     }
-    // A file that was named twice, or lies in a folder that was named too, is no other file.
+    // A file that was named twice, or that lies in a folder that was named as well, counts once.
     let mut known: BTreeMap<PathBuf, usize> = BTreeMap::new();
     let mut once: Vec<File> = Vec::new();
     for file in found {
@@ -257,7 +260,7 @@ fn files(paths: &[PathBuf]) -> Result<Found> {
     })
 }
 
-/// `FOLDER/*.ENDING` of a file whose ending is that of a format.
+/// Returns `FOLDER/*.ENDING` for a file whose extension belongs to a known format.
 fn passed_by_pattern(path: &Path) -> Option<PathBuf> {
     let name = path.file_name()?.to_str()?.to_ascii_lowercase();
     let mut endings = event_files::FORMATS
@@ -278,14 +281,14 @@ impl File {
         })
     }
 
-    /// The folder in a named one that it lies in.
+    /// Returns the subfolder of a named folder that the file lies in, if it does.
     fn folder(&self) -> Option<&Path> {
         self.path.parent().filter(|_| self.is_below)
     }
 }
 
-/// A recording that is alone in its folder is called as this; paths tell those apart that would share
-/// a name.
+/// Names the recordings: one that is alone in its subfolder takes the subfolder's name; paths replace names that
+/// would be equal.
 fn names(files: &[&File]) -> Vec<String> {
     let mut names: Vec<String> = files
         .iter()
@@ -339,7 +342,7 @@ mod tests {
 
     use super::*;
 
-    /// What a folder is filled with.
+    /// A temporary folder to fill with files.
     struct Folder(tempfile::TempDir);
 
     impl Folder {
@@ -355,8 +358,8 @@ mod tests {
             self.0.path().join(name)
         }
 
-        /// Events of which `x` tells them from others, from `start_us` on; the order of two equal times
-        /// depends on it.
+        /// Writes events from `start_us` on. `x` distinguishes them from other recordings; `start_us` decides the
+        /// order of two events of equal time.
         fn write(&self, name: &str, x: u16, start_us: u64) {
             let path = self.at(name);
             let mut events = [(0, 2), (0, 1), (900, 2)]
@@ -406,7 +409,7 @@ mod tests {
             .collect();
         let pattern = |name: &str| folder.at(name).display().to_string();
         assert_eq!(patterns, [pattern("*.npz"), pattern("two/*.txt")]);
-        // What is named counts, whatever its ending; nothing is read twice.
+        // Named files count whatever their extension; nothing is read twice.
         let (taken, left_out) = folder
             .read(&["two", "two/q.evt2.raw", "two/notes.txt"])
             .unwrap();
@@ -425,7 +428,7 @@ mod tests {
     #[test]
     fn the_same_events_count_once() {
         let folder = Folder::new();
-        // The ending that stands first in the list, not the first path, is taken.
+        // The extension that comes first in the list is taken, not the first path.
         folder.write("one/a.evt2", 7, 0);
         folder.write("two/b.raw", 7, 5000);
         folder.write("two/c.raw", 8, 0);
@@ -441,7 +444,7 @@ mod tests {
             text.starts_with("1 file left out:") && text.contains("a.evt2: the same events as")
         );
         assert_eq!(notice(&[]), None);
-        // What is named comes first.
+        // Named files take precedence.
         let (taken, left_out) = folder.read(&["", "one/a.evt2"]).unwrap();
         assert_eq!(taken, ["one", "two"]);
         assert_eq!(left_out, [left("two/b.raw", "one/a.evt2")]);
@@ -473,7 +476,7 @@ mod tests {
         };
         assert!(error.contains("depth.hdf5"), "{error}");
         assert!(notice(&left_out).unwrap().contains(error));
-        // A person who names it wants it read.
+        // A file that the user names must be readable.
         for name in ["one/depth.hdf5", "nothing.raw"] {
             let error = folder.read(&["", name]).unwrap_err();
             assert!(format!("{error:#}").contains(name), "{error:#}");

@@ -1,4 +1,4 @@
-//! A recording in memory through the codec and back, as studies and benches have it.
+//! Runs a recording in memory through the codec and back, for studies and benches.
 
 use std::num::NonZeroUsize;
 
@@ -11,7 +11,7 @@ use eecvs::reconstruct::events::{EventDecoder, Finder};
 use eecvs_bench::source::{Source, WINDOW_US};
 use eecvs_nostd::{Config, Event, Mode, Thresholds, Transform, WindowConfig};
 
-/// The codec's defaults, on the windows of every study.
+/// Returns the codec's default configuration for windows of [`WINDOW_US`], as every study uses it.
 #[must_use]
 pub fn config(
     source: &Source,
@@ -31,22 +31,22 @@ pub fn config(
     }
 }
 
-/// A file of frames.
+/// An encoded recording.
 #[derive(Debug, Clone)]
 pub struct Encoded {
-    /// Headers and all.
+    /// Bytes of the whole file, headers included.
     pub file: Vec<u8>,
-    /// Spent encoding, one thread.
+    /// Encoding time in seconds on one thread.
     pub seconds: f64,
-    /// Windows by transform: DCT, DTFT, DWT.
+    /// Number of windows per transform: DCT, DTFT, DWT.
     pub windows: [u64; 3],
 }
 
 impl Encoded {
-    /// Encodes a recording on one thread; how its sensor scans is found out as `eecvs encode` does.
+    /// Encodes a recording on one thread; detects how its sensor scans, as `eecvs encode` does.
     ///
     /// # Errors
-    /// A configuration that cannot run, or an event that is not in any frame.
+    /// Fails if the configuration cannot run, or if an event is in no frame.
     pub fn new(source: &Source, config: Config) -> Result<Self> {
         let config = readout::look_at(&source.events, config);
         let mut file = Vec::new();
@@ -76,10 +76,10 @@ impl Encoded {
     }
 }
 
-/// The events of a file; `each` is shown every window.
+/// Decodes a file of frames to events; calls `each` with every window.
 ///
 /// # Errors
-/// A frame that does not decode, or what `each` reports.
+/// Fails if a frame does not decode, or with the error of `each`.
 pub fn decode(
     file: &[u8],
     finder: Finder,

@@ -1,8 +1,8 @@
-//! Frames of several sensors in one stream, taken apart.
+//! Separates the frames of several sensors in one stream.
 //!
-//! A frame tells its sensor by its size alone. So there is a part for each size, and a further one where the
-//! numbers of its frames begin anew: another recording put behind the first, or an encoder that was started
-//! again. Frames of two sensors of one size that alternate cannot be told apart.
+//! A frame identifies its sensor only by the sensor's size. So there is one part per size, and a further part
+//! wherever the sequence numbers restart: after a recording that was appended to the first, or after an encoder was
+//! restarted. Interleaved frames of two sensors of the same size cannot be separated.
 
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
@@ -13,33 +13,35 @@ use eecvs_nostd::Sensor;
 use event_files::output::{Kind, OutputFile, check};
 use serde::Serialize;
 
-/// Parts at the most: each is an open file until the end.
+/// Largest number of parts; each is an open file until the end.
 pub const PARTS_MAX: usize = 256;
 
-/// A part; the fields are JSON keys.
+/// One part of the stream; the fields are JSON keys.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Part {
-    /// Its file.
+    /// File that the part was written to.
     pub file: PathBuf,
-    /// Columns of its sensor.
+    /// Columns of the sensor.
     pub width: u16,
-    /// Rows.
+    /// Rows of the sensor.
     pub height: u16,
-    /// Its frames.
+    /// Number of frames.
     pub frames: u64,
-    /// Events in them.
+    /// Number of events in the frames.
     pub events: u64,
-    /// Bytes of them.
+    /// Size of the frames in bytes.
     pub bytes: u64,
-    /// The number of its first frame: not 0 where its beginning is missing.
+    /// Sequence number of the first frame; not 0 if the beginning of the part is missing.
     pub first_number: u32,
 }
 
-/// Writes the frames of `reader`, each as it is, to files in `folder`, named by their number and size; all have
-/// their names when the last frame has been written, and none before.
+/// Writes the frames of `reader` unchanged to files in `folder`, named by part number and sensor size.
+///
+/// The files get their names only after the last frame has been written, so that a failure leaves none of them.
 ///
 /// # Errors
-/// Reading or writing, a file that is there already (unless `overwrite`), more than [`PARTS_MAX`] parts.
+/// Fails if reading or writing fails, a file exists already (unless `overwrite`), or there are more than
+/// [`PARTS_MAX`] parts.
 pub fn split(
     reader: &mut FrameReader<impl Read>,
     folder: &Path,

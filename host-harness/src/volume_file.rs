@@ -1,8 +1,8 @@
-//! Volumes as files of numpy: `.npy`, the array alone, or `.npz`, with the windows' times.
+//! Writes volumes as files of NumPy: `.npy` holds the array alone, `.npz` also the times of the windows.
 //!
 //! | file | arrays |
 //! |---|---|
-//! | `.npy` | float32, C x H x W of one window, T x C x H x W of all; of all, `NAME.times.npy` beside it has int64, T x 2 |
+//! | `.npy` | float32, C x H x W for one window, T x C x H x W for all; then also `NAME.times.npy`, int64, T x 2 |
 //! | `.npz` | `volume` as above; `t0_us` and `duration_us`, int64, of T or no dimensions; compressed |
 
 use std::ffi::OsString;
@@ -16,23 +16,23 @@ use event_files::output::OutputFile;
 use zip::CompressionMethod;
 use zip::write::SimpleFileOptions;
 
-/// Volumes are mostly zeros, which the lowest level has out of the way as well as any.
+/// The lowest level compresses volumes well enough, since they are mostly zeros.
 const DEFLATE_LEVEL: i64 = 1;
 
-/// From this size on zip needs its 64-bit fields.
+/// Arrays of this size or more need ZIP's 64-bit fields.
 const LARGE_BYTES: u64 = 1 << 31;
 
-/// What an ending stands for.
+/// File format, chosen by the extension.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Npy,
     Npz,
 }
 
-/// A file of volumes being written: of one window, or of all.
+/// A file of volumes that is being written, for one window or for all.
 ///
-/// How many there are is known at the end. Until then they wait in an unnamed file beside the output, so that memory is
-/// one plane's, whatever the shape is.
+/// The number of volumes is known only at the end. Until then the volumes are kept in an unnamed file beside the
+/// output, so that memory holds one plane, whatever the shape.
 #[derive(Debug)]
 pub struct VolumeFile {
     path: PathBuf,
@@ -41,15 +41,16 @@ pub struct VolumeFile {
     waiting: BufWriter<File>,
     plane: Vec<f32>,
     shape: Option<[usize; 3]>,
-    /// Start and duration of each window.
+    /// Start and duration of each window, in us.
     times: Vec<[i64; 2]>,
 }
 
 impl VolumeFile {
-    /// Volumes for the file at `path`; `all` where they are those of all windows, with a dimension of their own.
+    /// Starts a file at `path`; `all` gives the array a dimension of windows.
     ///
     /// # Errors
-    /// A name that ends neither with .npy nor with .npz; a folder in which no file can be created.
+    /// Fails if the name ends neither with .npy nor with .npz, or if no temporary file can be created in the
+    /// folder.
     pub fn new(path: &Path, all: bool) -> Result<Self> {
         let kind = kind(path)?;
         let folder = path
@@ -73,10 +74,10 @@ impl VolumeFile {
         })
     }
 
-    /// Appends the volume of a window that begins at `t0_us` and takes `duration_us`.
+    /// Appends the volume of a window that begins at `t0_us` and lasts `duration_us`.
     ///
     /// # Errors
-    /// I/O; a volume of another shape than those before it.
+    /// Fails on I/O errors, or if the shape differs from that of earlier volumes.
     pub fn append(&mut self, volume: &Volume<'_>, t0_us: u64, duration_us: u32) -> Result<()> {
         let shape = volume.shape();
         let first = *self.shape.get_or_insert(shape);
@@ -102,22 +103,22 @@ impl VolumeFile {
         Ok(())
     }
 
-    /// How many volumes there are.
+    /// Returns the number of volumes appended.
     #[must_use]
     pub const fn len(&self) -> usize {
         self.times.len()
     }
 
-    /// Whether there is no volume.
+    /// Returns whether no volume has been appended.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.times.is_empty()
     }
 
-    /// Writes the file.
+    /// Writes the file, and `NAME.times.npy` if there is one.
     ///
     /// # Errors
-    /// I/O; no volume.
+    /// Fails on I/O errors, or if no volume was appended.
     pub fn finish(self) -> Result<()> {
         let name = self.path.display().to_string();
         let shape = self
@@ -140,7 +141,7 @@ impl VolumeFile {
         let mut out = OutputFile::create(&self.path)?;
         match self.kind {
             Kind::Npy => {
-                // Neither file is there without the other.
+                // Both files are created before either gets its name, so that a failed write leaves neither.
                 let times = times_of(&self.path, self.all).map(|path| OutputFile::create(&path));
                 write_array(&mut out, "<f4", &sides, values).with_context(context)?;
                 if let Some(times) = times {
@@ -166,7 +167,7 @@ impl VolumeFile {
     }
 }
 
-/// Writes an array of `sides`, whose bytes in C order are `values`.
+/// Writes an array of shape `sides`, whose bytes in C order are `values`.
 fn write_array(
     out: &mut impl Write,
     dtype: &str,
@@ -191,7 +192,7 @@ fn write_npz(
         .compression_level(Some(DEFLATE_LEVEL));
     zip.start_file("volume.npy", options.large_file(bytes >= LARGE_BYTES))?;
     write_array(&mut zip, "<f4", sides, values)?;
-    // As many dimensions as windows have.
+    // The times have the shape of the windows: (T) or ().
     let of_windows = sides
         .split_last_chunk::<3>()
         .map_or(sides, |(before, _)| before);
@@ -205,9 +206,10 @@ fn write_npz(
     Ok(())
 }
 
-/// Version 1.0 header of an array in C order: padded with spaces to a multiple of 64 bytes, ending in a newline.
+/// Returns the version 1.0 header of an array in C order, padded with spaces to a multiple of 64 bytes and ended by
+/// a newline.
 fn header(dtype: &str, sides: &[usize]) -> Vec<u8> {
-    // As Python writes a tuple: (), (1,), (1, 2).
+    // Written like a tuple in Python: (), (1,), (1, 2).
     let sides: Vec<String> = sides.iter().map(ToString::to_string).collect();
     let comma = if sides.len() == 1 { "," } else { "" };
     let shape = sides.join(", ");
@@ -224,14 +226,14 @@ fn header(dtype: &str, sides: &[usize]) -> Vec<u8> {
     bytes
 }
 
-/// The file of times that the volumes of `all` windows in this file have beside them.
+/// Returns the path of the times beside the file at `path`, if it is an `.npy` of `all` windows.
 #[must_use]
 pub fn times_of(path: &Path, all: bool) -> Option<PathBuf> {
     let is_npy = kind(path).is_ok_and(|kind| kind == Kind::Npy);
     (all && is_npy).then(|| times_beside(path))
 }
 
-/// `NAME.times.npy` beside `NAME.npy`.
+/// Returns `NAME.times.npy` in the folder of `NAME.npy`.
 #[must_use]
 pub fn times_beside(path: &Path) -> PathBuf {
     let mut name: OsString = path.file_stem().unwrap_or_default().to_owned();

@@ -1,8 +1,8 @@
-//! `cargo bench -p usb-bridge --bench parse_inivation`: streams of iniVation's cameras into events, on
-//! one thread, in transfers of 8 KiB.
+//! Parsing of streams from iniVation's cameras into events, on one thread, in transfers of 8 KiB. Run with
+//! `cargo bench -p usb-bridge --bench parse_inivation`.
 //!
-//! `spread` has a pixel of its own for every event, which is the most words; `lines` has runs of
-//! neighbours in a column, as moving edges make them.
+//! `spread` has a different pixel for every event, which takes the most words; `lines` has runs of neighbours in a
+//! column, as moving edges produce them.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use eecvs_nostd::{Event, Polarity, Sensor};
@@ -22,7 +22,7 @@ const MODELS: [(&str, u16, u16); 5] = [
     ("dvxplorer-mipi", 640, 480),
 ];
 
-/// Events of runs of up to `run` neighbours, one run a microsecond or two.
+/// Events in runs of up to `run` neighbours, 1 to 3 us apart.
 fn events(sensor: Sensor, run: u64) -> Vec<Event> {
     let mut numbers = Xoshiro256PlusPlus::seed_from_u64(run);
     let mut below = |end: u64| numbers.next_u64() % end;
@@ -64,7 +64,7 @@ fn benches(criterion: &mut Criterion) {
             writer.write(&wanted, &mut bytes).expect("in order");
             writer.finish(&mut bytes).expect("in order");
             let mut read = Vec::with_capacity(wanted.len() + TRANSFER * 8);
-            // The answer first.
+            // Verifies the result before timing it.
             model.parser(&info).parse(&bytes, &mut read);
             assert!(read == wanted, "{name} reads what was written");
             group.throughput(Throughput::Elements(wanted.len() as u64));

@@ -1,7 +1,7 @@
-//! Time per event of the parser of the encoder's frames: lossless, by the fast coder.
+//! Time per event of the parser of the encoder's frames: lossless, with the fast coder.
 //!
-//! Streams are written from the shared recordings, and from a seeded scene where these are absent. Every
-//! answer is verified before it is timed. `--test` runs each once.
+//! Streams are written from the shared recordings, or from a seeded scene if there are none. Every result is
+//! verified before it is timed. `--test` runs each benchmark once.
 
 use std::hint::black_box;
 use std::path::Path;
@@ -14,7 +14,7 @@ use usb_bridge::device::mcu::parse::McuParser;
 use usb_bridge::device::mcu::write::McuStream;
 use usb_bridge::device::{Parse, WriteStream};
 
-/// A transfer of the encoder's.
+/// Bytes per transfer from the encoder.
 const TRANSFER: usize = 1 << 12;
 
 fn sources() -> Vec<(&'static str, Box<dyn EventReader>)> {

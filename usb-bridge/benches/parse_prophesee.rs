@@ -1,7 +1,7 @@
 //! Time per event of the parsers of Prophesee's streams, and of the crate `evt3` on the same bytes.
 //!
-//! Streams are written from the shared recordings, and from a seeded scene where these are absent;
-//! `own` is what a camera sent. Every answer is verified before it is timed. `--test` runs each once.
+//! Streams are written from the shared recordings, or from a seeded scene if there are none; `own` is what a camera
+//! sent. Every result is verified before it is timed. `--test` runs each benchmark once.
 
 use std::hint::black_box;
 use std::path::Path;
@@ -22,7 +22,7 @@ const HD: Sensor = Sensor {
     width: 1280,
     height: 720,
 };
-/// A transfer of the camera's.
+/// Bytes per transfer from the camera.
 const TRANSFER: usize = 1 << 17;
 
 fn read(mut reader: Box<dyn EventReader>) -> Vec<Event> {
@@ -70,7 +70,7 @@ fn written(mut writer: impl WriteStream, events: &[Event]) -> Vec<u8> {
     bytes
 }
 
-/// A camera's bytes without the file's header.
+/// Returns a camera's bytes without the file's header.
 fn own() -> Option<Vec<u8>> {
     let path =
         Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data/imx636_sparse_evt3/evt3.raw");

@@ -1,8 +1,7 @@
-//! Cameras whose cable is handled, and consumers that stop reading, while `eecvs-usb` is at work.
+//! Cases in which a camera's cable changes, or a consumer stops reading, while `eecvs-usb` is running.
 //!
-//! In every case a director, which is a test device, is plugged in first. On a note it is replaced by the
-//! case's camera, a while later; the camera is replaced by the next case's director when it is pulled, or on
-//! a note.
+//! In every case a director, which is a test device, is plugged in first. On a note it is replaced by the camera of
+//! the case, after a delay. The camera is replaced by the next case's director when it is pulled, or on a note.
 
 use std::net::TcpListener;
 use std::path::Path;
@@ -23,26 +22,26 @@ use usb_bridge::peripheral::{Bulk, Descriptors, Peripheral, Reply, Speed};
 use super::capture::{program, read, said};
 use super::{APPEARS, open, plan, vendor_out};
 
-/// After the director has left, the camera comes after this time.
+/// Time after the director's removal at which the camera arrives.
 const LATE: Duration = Duration::from_millis(1500);
-/// Each consumer's queue, which the stream does not fit into.
+/// Queue of each consumer, which the stream does not fit into.
 const QUEUE_MIB: &str = "4";
-/// Of a process with such a queue and what the system's libraries take.
+/// Most memory of a process with such a queue, including the system's libraries.
 const MEMORY_MAX: u64 = 48 << 20;
-/// Events of a frame of the simulated encoder, at the most, and its window.
+/// Most events of a frame of the simulated encoder, and the length of its window in microseconds.
 const FRAME: (usize, u64) = (4096, 32_768);
 
-/// What happens to a camera at a place of its stream.
+/// What happens to a camera at a position of its stream.
 #[derive(Clone, Copy)]
 enum Fault {
     None,
-    /// It is pulled.
+    /// The camera is pulled.
     Pulled(u64),
     /// Its endpoint halts, once.
     Halts(u64),
 }
 
-/// A camera and what the guest does with it.
+/// A camera, and what the guest does with it.
 pub struct Case {
     name: &'static str,
     model: &'static str,
@@ -51,7 +50,7 @@ pub struct Case {
     run: fn(&mut Guest<'_>) -> Result<String>,
 }
 
-/// All of them.
+/// All cases, in the order in which they run.
 pub const CASES: &[Case] = &[
     Case {
         name: "a camera that comes late and is pulled",
@@ -85,7 +84,7 @@ impl Case {
         plan::scene(SENSOR, self.events)
     }
 
-    /// The device that is there first; `next` plugs in the next case's.
+    /// Returns the device that is plugged in first; `next` plugs in the director of the next case.
     pub fn director(
         &'static self,
         changes: Sender<Change>,
@@ -96,7 +95,7 @@ impl Case {
             if note != b"camera" {
                 return;
             }
-            // Whoever has the other end of the channel has ended, otherwise.
+            // The channel is closed only if the other thread has ended.
             let _ = changes.send(Change::Unplug);
             let (changes, next) = (changes.clone(), next.clone());
             thread::spawn(move || {
@@ -205,15 +204,15 @@ impl Stream for Prepared {
     }
 }
 
-/// The guest's side of a case: its port, and what the kernel tells.
+/// The guest's side of a case: its port, and the changes that the kernel reports.
 struct Guest<'c> {
     case: &'c Case,
-    /// The port's name, `usb:BUS-PORT`.
+    /// Name of the port, `usb:BUS-PORT`.
     id: String,
     watch: Watch,
 }
 
-/// The guest's side.
+/// Runs the guest's side of all cases.
 pub fn run() -> Result<()> {
     for case in CASES {
         let told = Guest::new(case).and_then(|mut guest| (case.run)(&mut guest));
@@ -223,7 +222,7 @@ pub fn run() -> Result<()> {
 }
 
 impl<'c> Guest<'c> {
-    /// With the camera on its way.
+    /// Starts a case: the camera is on its way when this returns.
     fn new(case: &'c Case) -> Result<Self> {
         let director = open(case.name)?;
         let all = Bus::new()?.all()?;
@@ -232,11 +231,11 @@ impl<'c> Guest<'c> {
         let id = found.context("the director has gone")?.id();
         let watch = Watch::new()?;
         ensure!(watch.is_told(), "libusb does not tell of devices here");
-        // The device may be gone before the request has its status.
+        // The device may leave before the request completes.
         let _ = vendor_out(&director, sequence::NOTE, b"camera");
         drop(director);
         let mut guest = Self { case, id, watch };
-        // Where others are attached, their arrivals come first.
+        // The arrivals of other attached devices are reported first.
         guest.await_removal().context("the director's removal")?;
         Ok(guest)
     }
@@ -275,7 +274,7 @@ impl<'c> Guest<'c> {
         })
     }
 
-    /// Replaces the camera, which nobody uses any more.
+    /// Replaces the camera, which is no longer in use.
     fn next(&self) -> Result<()> {
         let found = Bus::new()?.find(Some(&self.id))?;
         let _ = vendor_out(&found.open(0)?, sequence::NOTE, b"next");
@@ -301,8 +300,8 @@ fn events_of(path: &str) -> Result<Vec<Event>> {
     Ok(events)
 }
 
-/// `capture` waits for the camera, and ends with a file that can be read when it is pulled; the kernel tells
-/// of both.
+/// Checks that `capture` waits for the camera and, when it is pulled, leaves a file that can be read; and that the
+/// kernel reports the arrival and the removal.
 fn pulled(guest: &mut Guest<'_>) -> Result<String> {
     let path = "/tmp/pulled.aedat4";
     let capture = guest.start(&["capture", "-o", path])?;
@@ -310,7 +309,7 @@ fn pulled(guest: &mut Guest<'_>) -> Result<String> {
     guest.await_removal().context("the camera's removal")?;
     let output = capture.wait_with_output()?;
     one_line(&output, 1, "unplugged")?;
-    // What a capture that failed leaves is marked by its name.
+    // The file of a failed capture is marked by its name.
     let found = events_of("/tmp/incomplete-pulled.aedat4")?;
     let sent = guest.case.scene();
     ensure!(
@@ -321,7 +320,7 @@ fn pulled(guest: &mut Guest<'_>) -> Result<String> {
     Ok(format!("{} of {} events before", found.len(), sent.len()))
 }
 
-/// `capture` goes on after a halt: the frame that it cut is counted, and nothing else is missing.
+/// Checks that `capture` continues after a halt: only the frame that the halt cut is missing, and counted.
 fn halts(guest: &mut Guest<'_>) -> Result<String> {
     let path = "/tmp/halted.aedat4";
     let (frame, window_us) = FRAME;
@@ -360,7 +359,7 @@ fn halts(guest: &mut Guest<'_>) -> Result<String> {
     Ok(format!("{} events of one frame are missing", missing.len()))
 }
 
-/// `forward` to one that takes nothing: the file beside it has everything, and memory stays small.
+/// Checks `forward` to a consumer that reads nothing: the file next to it gets everything, and memory stays small.
 fn stuck(guest: &mut Guest<'_>) -> Result<String> {
     for buffer in ["tcp_rmem", "tcp_wmem"] {
         let path = format!("/proc/sys/net/ipv4/{buffer}");
@@ -375,7 +374,7 @@ fn stuck(guest: &mut Guest<'_>) -> Result<String> {
     let addresses = ["--to", &to, "--to", "file:/tmp/all"];
     let arguments = [&["forward", "--as", "raw"], &queue[..], &addresses, &limits].concat();
     let forward = guest.start(&arguments)?;
-    // It is there, and never reads.
+    // The consumer connects and never reads.
     let _consumer = listener.accept()?;
     let output = forward.wait_with_output()?;
     let said = said(&output)?;

@@ -1,4 +1,4 @@
-//! The guest's side of cameras: `eecvs-usb capture`, and a look at the file that it leaves.
+//! The guest's side of cameras: runs `eecvs-usb capture` and checks the file that it leaves.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -15,28 +15,28 @@ use super::APPEARS;
 use super::digest::Digest;
 use super::recordings::keeps_order;
 
-/// The program under test, where `boot.sh` puts it.
+/// Path of the program under test, where `boot.sh` puts it.
 const PROGRAM: &str = "/eecvs-usb";
-/// Captures at a time.
+/// Number of captures that run at a time.
 const AT_ONCE: usize = 3;
-/// A capture without its last event ends after this time, in seconds.
+/// Time after which a capture without its last event ends, in seconds.
 const ENOUGH_S: &str = "120";
 
-/// A call of the program under test.
+/// Builds a call of the program under test.
 pub fn program(arguments: &[&str]) -> Command {
     let mut command = Command::new(PROGRAM);
     command.args(arguments);
     command
 }
 
-/// Its JSON, where it succeeds.
+/// Returns the program's JSON output if it succeeded.
 pub fn said(output: &Output) -> Result<Value> {
     let errors = String::from_utf8_lossy(&output.stderr);
     ensure!(output.status.success(), "{}: {errors}", output.status);
     Ok(serde_json::from_slice(&output.stdout)?)
 }
 
-/// Gives the events of a file, batch by batch.
+/// Passes the events of a file to `take`, batch by batch.
 pub fn read(path: &Path, take: &mut dyn FnMut(&[Event])) -> Result<()> {
     let mut reader = event_files::open(path, None)?;
     let mut events = Vec::new();
@@ -47,8 +47,8 @@ pub fn read(path: &Path, take: &mut dyn FnMut(&[Event])) -> Result<()> {
     Ok(())
 }
 
-/// Captures what was sent from each camera of `PORT MODEL NAME DIGEST`, some at a time: most of the time
-/// they wait.
+/// Captures from each camera of `PORT MODEL NAME DIGEST` what it sends. Several captures run at a time, because
+/// they wait most of the time.
 pub fn all(wanted: &[&str]) -> Result<()> {
     let wanted = Mutex::new(wanted.chunks(4));
     let work = || -> Result<()> {
@@ -79,7 +79,7 @@ pub fn all(wanted: &[&str]) -> Result<()> {
     })
 }
 
-/// Captures from the camera at a place.
+/// Captures from the camera at a port and compares its events with `sent`.
 pub fn capture(id: &str, model: &str, sent: &Digest) -> Result<String> {
     let started = Instant::now();
     let path = PathBuf::from(format!("/tmp/{id}.aedat4"));
@@ -106,7 +106,7 @@ pub fn capture(id: &str, model: &str, sent: &Digest) -> Result<String> {
     ))
 }
 
-/// The device at a port, when it has appeared.
+/// Waits for the device at a port and returns it.
 fn attached(port: u8) -> Result<Attached> {
     let until = Instant::now() + APPEARS;
     loop {

@@ -1,12 +1,12 @@
 //! The end-to-end test of simulated devices: a guest's kernel and libusb against this crate.
 //!
-//! `guest-check serve SOCKET` has the devices, one after the other, on the host;
-//! `guest-check run` is the guest's side, which asks for the next one when it is done with one;
-//! `guest-check usbip` has both in the guest, with the kernel's vhci-hcd between them;
-//! `guest-check scenes FOLDER` writes a scene for every model, and a plan (plan.rs);
-//! `guest-check recordings DATA [MODEL|MODEL:RECORDING]...` is a plan of recordings;
-//! `guest-check captures PORT MODEL NAME DIGEST ...` captures what was planned, in the guest;
-//! `guest-check all PORT MODEL NAME DIGEST ...` is all that the guest does, one after the other.
+//! - `guest-check serve SOCKET` serves the devices one after the other, on the host.
+//! - `guest-check run` is the guest's side, which requests the next device when it is done with one.
+//! - `guest-check usbip` runs both sides in the guest, with the kernel's vhci-hcd between them.
+//! - `guest-check scenes FOLDER` writes a scene for every model, and a plan (plan.rs).
+//! - `guest-check recordings DATA [MODEL|MODEL:RECORDING]...` prints a plan of recordings.
+//! - `guest-check captures PORT MODEL NAME DIGEST ...` captures in the guest what was planned.
+//! - `guest-check all PORT MODEL NAME DIGEST ...` runs everything that the guest does, in order.
 
 mod cable;
 mod capture;
@@ -32,7 +32,7 @@ use usb_bridge::peripheral::usbredir::UsbRedir;
 
 /// Bytes of a stream that a case reads.
 const BYTES: u64 = 4 << 20;
-/// How the stream is read. The device ends a transfer itself when it pauses: none is taken back.
+/// How the stream is read. The device ends its transfers itself when it pauses, so none is cancelled.
 const TRANSFERS: Transfers = Transfers {
     endpoint: sequence::STREAM,
     interface: 0,
@@ -40,10 +40,10 @@ const TRANSFERS: Transfers = Transfers {
     bytes: 64 << 10,
     timeout: Duration::ZERO,
 };
-/// A device shows within this time, in an emulated machine.
+/// Time within which a device appears in an emulated machine.
 const APPEARS: Duration = Duration::from_secs(30);
 
-/// A device and what the guest does with it.
+/// A device, and what the guest does with it.
 struct Case {
     name: &'static str,
     device: fn() -> SequenceDevice,
@@ -116,11 +116,11 @@ fn main() -> ExitCode {
     }
 }
 
-/// The host's side: each device until the guest notes that it wants the next.
+/// Serves, on the host, each device until the guest requests the next one with a note.
 fn serve(path: &str) -> Result<()> {
     let listener = UnixListener::bind(path).with_context(|| path.to_owned())?;
     let (changes, cable) = mpsc::channel();
-    // The receiver is here.
+    // The receiver still exists here, so this cannot fail.
     let _ = changes.send(plug(0, &changes));
     let (mut socket, _) = listener.accept()?;
     let report = socket::serve(&mut socket, &mut UsbRedir::new(), &mut || {
@@ -135,11 +135,11 @@ fn serve(path: &str) -> Result<()> {
     Ok(())
 }
 
-/// Plugs in the device of a case; a note of the guest replaces it by the next.
+/// Plugs in the device of a case; a note from the guest replaces it by the next device.
 fn plug(number: usize, changes: &Sender<Change>) -> Change {
     let to = changes.clone();
     let next = move || {
-        // Whoever has the other end of the channel has ended, otherwise.
+        // The channel is closed only if the other thread has ended.
         let _ = to.send(plug(number + 1, &to));
     };
     if let Some(case) = CASES.get(number) {
@@ -156,7 +156,7 @@ fn plug(number: usize, changes: &Sender<Change>) -> Change {
     }
 }
 
-/// The guest's side.
+/// Runs the guest's side of every case.
 fn run() -> Result<()> {
     for case in CASES {
         let started = Instant::now();
@@ -173,7 +173,7 @@ fn run() -> Result<()> {
     Ok(())
 }
 
-/// Opens the device with this product's name, when it has appeared.
+/// Waits for the device with this product name and opens it.
 fn open(name: &str) -> Result<Device> {
     let until = Instant::now() + APPEARS;
     while Instant::now() < until {
@@ -181,7 +181,7 @@ fn open(name: &str) -> Result<Device> {
             .all()?
             .into_iter()
             .find(|one| one.product_name.as_deref() == Some(name));
-        // The kernel may not have made its file yet.
+        // The kernel may not have created the device's file yet.
         if let Some(device) = found.and_then(|one| one.open(0).ok()) {
             return Ok(device);
         }
@@ -195,16 +195,16 @@ fn vendor_out(device: &Device, request: u8, data: &[u8]) -> Result<(), LinkError
     device.control().control_out(request, data)
 }
 
-/// Asks the host for the next device, which unplugs this one.
+/// Requests the next device from the host, which unplugs this one.
 fn next(device: &Device) {
-    // The device may be gone before the request has its status.
+    // The device may leave before the request completes.
     let _ = vendor_out(device, sequence::NOTE, b"next");
 }
 
-/// Reads a stream until `bytes` have come, with `stalls` on the way.
+/// Reads a stream until `bytes` bytes have arrived, and expects `stalls` stalls on the way.
 fn stream(device: &Device, bytes: u64, stalls: u32, pause: Duration) -> Result<()> {
     let mut link: UsbLink = device.stream(&TRANSFERS)?;
-    // Nothing comes before the start.
+    // Nothing arrives before the start.
     ensure!(matches!(
         link.receive(Duration::from_millis(50))?,
         Received::Nothing
@@ -224,7 +224,7 @@ fn stream(device: &Device, bytes: u64, stalls: u32, pause: Duration) -> Result<(
         std::thread::sleep(pause);
     }
     ensure!(stalls_found == stalls, "{stalls_found} stalls");
-    // What flows when the stream is held still comes, to the last byte.
+    // What was in flight when the stream was stopped still arrives, to the last byte.
     vendor_out(device, sequence::STOP, &[])?;
     while let Received::Bytes { bytes, .. } = link.receive(Duration::from_millis(200))? {
         check.take(bytes);
@@ -249,7 +249,7 @@ fn stream(device: &Device, bytes: u64, stalls: u32, pause: Duration) -> Result<(
     Ok(())
 }
 
-/// Requests and bulk endpoints that carry commands.
+/// Checks control requests, and bulk endpoints that carry commands.
 fn commands(device: &Device) -> Result<()> {
     let mut control = device.control();
     let note: Vec<u8> = (0..64).collect();
@@ -270,14 +270,14 @@ fn commands(device: &Device) -> Result<()> {
     for length in [1, 63, 64] {
         echo(&mut control, &note[..length])?;
     }
-    // Longer than the device takes: its endpoint halts until that is ended.
+    // More than the device accepts: its endpoint halts until the halt is cleared.
     let long = control.bulk_out(sequence::COMMANDS, &[0; 65]);
     ensure!(long.is_err(), "{long:?}");
     let halted = control.bulk_out(sequence::COMMANDS, &[1]);
     ensure!(halted.is_err(), "{halted:?}");
     control.clear_halt(sequence::COMMANDS)?;
     echo(&mut control, &[1])?;
-    // Taken back while it waits, and asked for again.
+    // A transfer that is cancelled while it waits, and then requested again.
     let late = control.bulk_in(sequence::ANSWERS, &mut [0; 64]);
     ensure!(late.is_err(), "{late:?}");
     echo(&mut control, &[2])?;
@@ -285,7 +285,7 @@ fn commands(device: &Device) -> Result<()> {
     Ok(())
 }
 
-/// The device leaves in the middle of its stream.
+/// Checks that unplugging a device in the middle of its stream is reported.
 fn unplugged(device: &Device) -> Result<()> {
     let mut link: UsbLink = device.stream(&TRANSFERS)?;
     vendor_out(device, sequence::START, &[])?;

@@ -1,4 +1,4 @@
-//! Events of a stream in a few numbers, which the host's side hands to the guest's.
+//! A digest of a stream's events in a few numbers, which the host's side passes to the guest's.
 
 use std::str::FromStr;
 
@@ -7,7 +7,7 @@ use eecvs_nostd::Event;
 
 /// Number of events, a sum over them that does not depend on their order, and a hash that does.
 ///
-/// For an event e, m(e) is a mix of all its bits:
+/// For an event e, m(e) mixes all its bits:
 ///
 /// ```text
 /// sum   = sum of m(e_i)                      modulo 2^64
@@ -15,7 +15,7 @@ use eecvs_nostd::Event;
 /// ```
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Digest {
-    /// Events.
+    /// Number of events.
     pub events: u64,
     sum: u64,
     chain: u64,
@@ -24,7 +24,7 @@ pub struct Digest {
 }
 
 impl Digest {
-    /// Adds events.
+    /// Adds events to the digest.
     pub fn take(&mut self, events: &[Event]) {
         for event in events {
             let place = u64::from(event.x) << 33 | u64::from(event.y) << 1 | event.polarity as u64;
@@ -42,16 +42,16 @@ impl Digest {
         self.events += events.len() as u64;
     }
 
-    /// For the command line: `EVENTS,SUM,CHAIN`.
+    /// Formats the digest for the command line: `EVENTS,SUM,CHAIN`.
     pub fn words(&self) -> String {
         format!("{},{},{}", self.events, self.sum, self.chain)
     }
 
-    /// Whether these are the events of `sent`, in their order; where that is not kept, in the order of
-    /// their times.
+    /// Checks that these are the events of `sent` and that their times do not run back; with `keeps_order`, also
+    /// that their order is the same.
     ///
     /// # Errors
-    /// They are not; the message says what differs.
+    /// They differ; the message says how.
     pub fn require(&self, sent: &Self, keeps_order: bool) -> Result<()> {
         ensure!(
             self.events == sent.events,

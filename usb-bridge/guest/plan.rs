@@ -1,13 +1,13 @@
-//! What cameras send: an emulated scene for every model, and every recording that fits its sensor.
+//! What the cameras send: an emulated scene for every model, and every recording that fits its sensor.
 //!
-//! A plan has a line for each camera, which `offer.sh` reads:
+//! A plan has one line per camera, which `offer.sh` reads:
 //!
 //! ```text
 //! MODEL NAME WIDTH HEIGHT START_US DIGEST FILE
 //! ```
 //!
-//! `START_US` is the first event's time on the device's clock: chosen so that 2^31 us is crossed in the
-//! middle of the events' time, after more wraps than a word of them can count.
+//! `START_US` is the time of the first event on the device's clock. It is chosen such that time crosses 2^31 us
+//! halfway through the events, after more wraps than one word can count.
 
 use std::path::Path;
 
@@ -20,10 +20,10 @@ use usb_bridge::device::{MODELS, Model};
 use super::digest::Digest;
 use super::recordings::{self, Recording, cross_2_31_us};
 
-/// Events of a scene.
+/// Number of events in a scene, before duplicates are removed.
 const EVENTS: usize = 100_000;
 
-/// Sensors, one of which fits every model.
+/// Sensors, of which at least one fits every model.
 const SENSORS: [(u16, u16); 6] = [
     (128, 128),
     (240, 180),
@@ -33,10 +33,10 @@ const SENSORS: [(u16, u16); 6] = [
     (1280, 720),
 ];
 
-/// A line for a scene of every model, which is written into `folder`.
+/// Writes a scene for every model into `folder`, and prints a line for each.
 pub fn scenes(folder: &str) -> Result<()> {
     for model in MODELS {
-        // On the bus these are another model, which the sensor tells apart.
+        // These models have the USB IDs of another model, which distinguishes them by their sensor.
         if model.identities().is_empty() {
             continue;
         }
@@ -58,8 +58,8 @@ pub fn scenes(folder: &str) -> Result<()> {
     Ok(())
 }
 
-/// Random events in the order of time, with bursts, simultaneous ones and pauses over several wraps
-/// of 2^15 us.
+/// Returns random events in order of time, with bursts, simultaneous events and pauses over several wraps of 2^15
+/// us.
 pub fn scene(sensor: Sensor, count: usize) -> Vec<Event> {
     let mut random = Xoshiro256PlusPlus::seed_from_u64(7);
     let mut below = |end: u16| (random.next_u64() % u64::from(end)) as u16;
@@ -79,14 +79,14 @@ pub fn scene(sensor: Sensor, count: usize) -> Vec<Event> {
             }
         })
         .collect();
-    // Some sensors send an event of a pixel and a time once.
+    // Some sensors send only one event per pixel and time.
     events.sort_unstable();
     events.dedup_by_key(|event| (event.t_us, event.x, event.y));
     events
 }
 
-/// A line for every recording in `data` and every model that it fits; of `chosen` only, each a `MODEL` or
-/// a `MODEL:RECORDING`, where there are any.
+/// Prints a line for every recording in `data` and every model that it fits. If `chosen` is not empty, only its
+/// entries are used, each a `MODEL` or a `MODEL:RECORDING`.
 pub fn recordings(data: &str, chosen: &[&str]) -> Result<()> {
     let is_chosen = |model: &str, name: &str| {
         let both = format!("{model}:{name}");

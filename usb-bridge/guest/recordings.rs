@@ -1,4 +1,4 @@
-//! The shared recordings as cameras send them: for the guest, and for the tests with a mocked device.
+//! The shared recordings as cameras send them, for the guest and for the tests with a mocked device.
 
 use std::path::{Path, PathBuf};
 
@@ -6,14 +6,14 @@ use anyhow::{Context as _, Result};
 use eecvs_nostd::{Event, Sensor};
 use serde::Deserialize;
 
-/// A recording that has a reader.
+/// A recording in a format that can be read.
 pub struct Recording {
     pub name: String,
     pub sensor: Sensor,
     pub path: PathBuf,
 }
 
-/// A recording as REFERENCE.json has it.
+/// A recording as listed in REFERENCE.json.
 #[derive(Deserialize)]
 struct Reference {
     name: String,
@@ -22,11 +22,11 @@ struct Reference {
     height: u16,
 }
 
-/// The recordings of a folder whose names are `wanted`; those whose format has no reader are named on
+/// Returns the recordings of a folder whose names are `wanted`; those in a format without a reader are named on
 /// stderr.
 ///
 /// # Errors
-/// The folder has no list of them.
+/// The folder has no list of recordings.
 pub fn all(data: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Recording>> {
     let list = data.join("REFERENCE.json");
     let name = list.display();
@@ -36,7 +36,7 @@ pub fn all(data: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Recording>>
     let mut all = Vec::new();
     for one in references.into_iter().filter(|one| wanted(&one.name)) {
         let sensor = Sensor::new(one.width, one.height).with_context(|| one.name.clone())?;
-        // The same events in several formats.
+        // The files hold the same events in several formats.
         let mut paths = one.files.iter().map(|file| data.join(&one.name).join(file));
         match paths.find(|path| event_files::open(path, Some(sensor)).is_ok()) {
             Some(path) => all.push(Recording {
@@ -51,10 +51,10 @@ pub fn all(data: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Recording>>
 }
 
 impl Recording {
-    /// Its first events, at most `limit`.
+    /// Reads the first events, at most `limit`.
     ///
     /// # Errors
-    /// It cannot be read.
+    /// The recording cannot be read.
     pub fn events(&self, limit: usize) -> Result<Vec<Event>> {
         let mut reader = event_files::open(&self.path, Some(self.sensor))?;
         let mut events = Vec::new();
@@ -64,8 +64,8 @@ impl Recording {
     }
 }
 
-/// Moves events in time so that they cross 2^31 us in the middle of their own; the first one's time. A
-/// device's clock has had more wraps by then than a word of them can count.
+/// Shifts events in time such that they cross 2^31 us halfway through; returns the time of the first event. A
+/// device's clock has had more wraps by then than one word can count.
 pub fn cross_2_31_us(events: &mut [Event]) -> u64 {
     let first_us = events.first().map_or(0, |event| event.t_us);
     let latest_us = events.last().map_or(0, |event| event.t_us);
@@ -76,8 +76,8 @@ pub fn cross_2_31_us(events: &mut [Event]) -> u64 {
     start_us
 }
 
-/// Whether a model's events come in the order in which they are sent: the others send those of a time by
-/// column, or by pixel.
+/// Returns whether a model's events arrive in the order in which they are sent. The other models sort simultaneous
+/// events by column or by pixel.
 pub fn keeps_order(model: &str) -> bool {
     !["dvxplorer-mipi", "eecvs"].contains(&model)
 }

@@ -1,7 +1,7 @@
-//! USB/IP inside the guest: this crate serves a device over TCP, the kernel's vhci-hcd imports it.
+//! USB/IP inside the guest: this crate serves a device over TCP, and the kernel's vhci-hcd imports it.
 //!
-//! Unlike QEMU's xHCI, it loses nothing where transfers are taken back: `capture` does that here, in every
-//! pause of a camera.
+//! Unlike QEMU's xHCI, vhci-hcd loses nothing when transfers are cancelled. `capture` cancels transfers here in
+//! every pause of a camera.
 
 use std::io::{Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
@@ -20,12 +20,12 @@ use usb_bridge::peripheral::{Descriptors, Peripheral, Speed};
 use super::digest::Digest;
 use super::{APPEARS, CASES, capture, open, plan};
 
-/// Where the kernel takes a socket over.
+/// File through which the kernel takes over a socket.
 const ATTACH: &str = "/sys/devices/platform/vhci_hcd.0/attach";
 
 /// A device that the kernel has imported, until the connection ends.
 struct Imported {
-    // The kernel has a connection of its own.
+    // The kernel holds its own reference to the connection.
     _client: TcpStream,
     served: JoinHandle<Result<Report>>,
 }
@@ -41,7 +41,7 @@ impl Imported {
             ask(&client)?;
             served.join().expect("the server's thread")
         })?;
-        // Ports 0 to 7 are those of USB 2, the next eight those of USB 3.
+        // Ports 0 to 7 are for USB 2, the next eight for USB 3.
         let (port, speed) = match descriptors.speed {
             Speed::Super => (8, 5),
             _ => (0, 3),
@@ -65,7 +65,7 @@ impl Imported {
     }
 }
 
-/// Runs every case with a connection of its own, and a camera.
+/// Runs every case on its own connection, and then a camera.
 pub fn run() -> Result<()> {
     for case in CASES {
         let (changes, cable) = mpsc::channel();
@@ -87,7 +87,7 @@ pub fn run() -> Result<()> {
     Ok(())
 }
 
-/// Every event comes from a camera that pauses for longer than transfers stay out.
+/// Checks that every event arrives from a camera whose pauses are longer than the timeout of transfers.
 fn camera() -> Result<String> {
     let sensor = Sensor::new(346, 260).context("a sensor")?;
     let model = find("davis346").context("a model")?;
@@ -118,7 +118,7 @@ fn camera() -> Result<String> {
     Ok(format!("{told}, {taken_back} transfers taken back"))
 }
 
-/// The place of the device on vhci-hcd's bus of USB 2 or 3, when it has appeared.
+/// Waits for the device on vhci-hcd's USB 2 or USB 3 bus and returns its name.
 fn attached_name() -> Result<String> {
     let on_vhci = |entry: &std::fs::DirEntry| {
         let target = std::fs::canonicalize(entry.path()).unwrap_or_default();
@@ -162,14 +162,14 @@ impl Stream for Bursts {
     }
 }
 
-/// The server's end of an import.
+/// Answers an import, as the server.
 fn import(mut server: TcpStream, descriptors: &Descriptors) -> Result<TcpStream> {
     let done = usbip::operation(&mut server, descriptors, true)?;
     ensure!(done == Operation::Imported, "{done:?}");
     Ok(server)
 }
 
-/// The client's end of an import.
+/// Requests an import, as the client.
 fn ask(mut client: &TcpStream) -> Result<()> {
     let mut bytes = [0; 40];
     bytes[..8].copy_from_slice(&[1, 0x11, 0x80, 3, 0, 0, 0, 0]);

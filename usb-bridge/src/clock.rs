@@ -1,21 +1,21 @@
-//! The device's clock against the host's.
+//! Relates the device's clock to the host's.
 //!
-//! A transfer arrives some time after its last event: h = o + (1 + e) d + l, with h the host's time,
-//! d the device's, e the drift and l > 0 what the bus, the kernel and the device's buffers add. l is
-//! never negative, so the pairs with the least h - d are those that tell o and e: the least of every
-//! half second is kept, of the last half minute, and a line is put through them.
+//! A transfer arrives some time after its last event: h = o + (1 + e) d + l, where h is the host's time, d the
+//! device's time, o the offset, e the drift, and l > 0 the delay that the bus, the kernel and the device's buffers
+//! add. As l is never negative, the pairs with the least h - d determine o and e. The pair of least delay in each
+//! half second is kept for the last half minute, and a line is fitted to these pairs by least squares.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// Host time of which one pair is kept.
+/// Span of host time from which one pair is kept.
 const BUCKET: Duration = Duration::from_millis(500);
-/// Pairs that are kept: half a minute.
+/// Number of pairs kept: half a minute.
 const BUCKETS: usize = 60;
-/// Pairs below which nothing is said.
+/// Fewest pairs for a fit.
 const BUCKETS_MIN: usize = 4;
-/// Root of the mean square of what the line leaves, above which the two are not related: a recording
-/// that is replayed faster than real time.
+/// Root mean square of the fit's residuals above which the clocks are taken as unrelated, as in a replay that runs
+/// faster than real time.
 const RESIDUAL_US_MAX: f64 = 5000.0;
 
 /// Host and device time, in microseconds since the first pair.
@@ -31,30 +31,30 @@ impl Pair {
     }
 }
 
-/// The line through the least delays.
+/// The line fitted to the least delays.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Relation {
     /// How much faster the device's clock runs than the host's, in parts per million.
     pub drift_ppm: f64,
-    /// Root of the mean square of the least delays around the line, in microseconds.
+    /// Root mean square of the least delays around the line, in microseconds.
     pub residual_us: f64,
-    /// Least delay at the device's time 0 of the pairs.
+    /// Delay on the line at device time 0, counted from the first pair, in microseconds.
     offset_us: f64,
-    /// Host microseconds per device microsecond, less 1.
+    /// Host microseconds per device microsecond, minus 1.
     slope: f64,
 }
 
-/// Follows both clocks.
+/// Estimates the relation between the two clocks.
 #[derive(Debug, Default)]
 pub struct Clock {
     start: Option<(Instant, u64)>,
-    /// The least delay of each bucket, the newest last, and when its bucket began.
+    /// Start of each bucket in host microseconds and its pair of least delay, the newest last.
     least: VecDeque<(f64, Pair)>,
     relation: Option<Relation>,
 }
 
 impl Clock {
-    /// A transfer arrived at `at`, whose last time is `device_us`.
+    /// Records that a transfer arrived at `at`, with `device_us` as the last device time in it.
     pub fn note(&mut self, at: Instant, device_us: u64) {
         let (start, device_start_us) = *self.start.get_or_insert((at, device_us));
         let pair = Pair {
@@ -77,7 +77,7 @@ impl Clock {
         }
     }
 
-    /// The least squares' line through the pairs whose buckets are complete.
+    /// Fits a line by least squares to the pairs of the complete buckets.
     fn fit(&self) -> Option<Relation> {
         if self.least.len() < BUCKETS_MIN {
             return None;
@@ -92,7 +92,7 @@ impl Clock {
             square += d * d;
             product += d * (pair.delay_us() - mean_l);
         }
-        // A device whose time stands still has no line.
+        // Without any progress of the device's time the slope is undefined.
         if square <= 0.0 {
             return None;
         }
@@ -101,7 +101,7 @@ impl Clock {
         let left = |pair: Pair| pair.delay_us() - offset_us - slope * pair.device_us;
         let residual_us = (pairs().map(|pair| left(pair).powi(2)).sum::<f64>() / n).sqrt();
         Some(Relation {
-            // The host's microseconds grow by 1 + slope with each of the device's.
+            // Host time grows by 1 + slope per device microsecond.
             drift_ppm: -1e6 * slope / (1.0 + slope),
             residual_us,
             offset_us,
@@ -109,15 +109,16 @@ impl Clock {
         })
     }
 
-    /// How the clocks are related; `None` in the first two seconds, and where they are not.
+    /// Returns how the clocks are related; `None` in the first two seconds and while the fit's residuals are too
+    /// large.
     #[must_use]
     pub fn relation(&self) -> Option<Relation> {
         self.relation
             .filter(|relation| relation.residual_us <= RESIDUAL_US_MAX)
     }
 
-    /// The device's time of the newest bytes that can have arrived at `at`, in its microseconds: that
-    /// of bytes with the usual least delay.
+    /// Returns the device time, in microseconds, of the newest bytes that can have arrived at `at`, assuming the
+    /// usual least delay. `None` without a relation.
     #[must_use]
     pub fn device_us(&self, at: Instant) -> Option<u64> {
         let relation = self.relation()?;
@@ -133,7 +134,7 @@ impl Clock {
 mod tests {
     use super::*;
 
-    /// Pairs of a device that is `ppm` faster, every `every_ms`, with delays from 1 to `jitter_us`.
+    /// A device that runs `ppm` faster and sends a pair every `every_ms`, delayed by 0 to `jitter_us` - 1 µs.
     fn run(ppm: f64, every_ms: u64, jitter_us: u64, seconds: u64) -> (Clock, Instant) {
         let mut clock = Clock::default();
         let start = Instant::now();
@@ -182,7 +183,7 @@ mod tests {
         let mut clock = Clock::default();
         let start = Instant::now();
         for i in 0..2000_u64 {
-            // Faster and faster.
+            // The ratio of the clocks grows steadily.
             clock.note(start + Duration::from_millis(5 * i), i * i * 40);
         }
         assert!(clock.relation().is_none());

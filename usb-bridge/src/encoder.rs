@@ -1,7 +1,6 @@
-//! An encoder on USB or at a serial port that is told what to do: both directions at once, the beginning of
-//! a session, the setup.
+//! An encoder on USB or on a serial port that the host configures: restart, setup and both directions at once.
 //!
-//! What is said over the link is [`mcu_link`]'s, whatever the link; here is what USB adds.
+//! The protocol is that of [`mcu_link`], whatever the link; this module adds the parts specific to USB.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -18,26 +17,26 @@ use crate::link::control::{Control, Request};
 use crate::link::{Link, LinkError, Outlet, Received};
 use crate::session::Source;
 
-/// Longest wait for what comes.
+/// Longest wait for one receive.
 const WAIT: Duration = Duration::from_millis(100);
-/// Bytes that are sent between two looks at whether the exchange has ended.
+/// Bytes per send, so that the sender checks often enough whether the exchange has ended.
 const PIECE: usize = 4096;
 
 type Shared = Arc<Mutex<Box<dyn Link>>>;
 
 /// An encoder whose session has begun.
 pub struct Encoder {
-    /// All but its link.
+    /// The device, with [`Nowhere`] in place of its link.
     source: Source,
     link: Shared,
 }
 
 impl Encoder {
-    /// Begins a session: what an earlier host has left in the encoder is dropped there. A serial port has
-    /// no request for it; its session begins with the setup.
+    /// Begins a session: the encoder drops what an earlier host left in it. A serial port has no such request;
+    /// there the setup begins the session.
     ///
     /// # Errors
-    /// The device is none, or refuses.
+    /// The device is not an encoder, or it refuses the request.
     pub fn begin(mut source: Source) -> Result<Self> {
         let name = source.link.name().to_owned();
         ensure!(
@@ -55,30 +54,30 @@ impl Encoder {
         })
     }
 
-    /// What it says of itself.
+    /// Returns the device, without its link: model, identity and control side.
     #[must_use]
     pub const fn source(&self) -> &Source {
         &self.source
     }
 
-    /// Name of its link, for messages.
+    /// Returns the name of the link, for messages.
     #[must_use]
     pub fn name(&self) -> String {
         lock(&self.link).name().to_owned()
     }
 
-    /// Its link in use.
+    /// Opens a connection over the link. An exchange on it fails if nothing moves for `patience`.
     ///
     /// # Errors
-    /// The link takes no bytes.
+    /// The link cannot send to the device.
     pub fn connect(&self, patience: Duration) -> Result<Connection> {
         Connection::new(self, patience)
     }
 
-    /// Sets it up and gives its stream back, from the first byte after its answer on.
+    /// Sets the encoder up and returns its stream from the first byte after its answer on.
     ///
     /// # Errors
-    /// It does not answer, or refuses: the message says why.
+    /// The encoder does not answer, or refuses; the message gives the reason.
     pub fn set_up(self, wish: &Wish<'_>) -> Result<Source> {
         let name = self.name();
         let mut connection = self.connect(mcu_link::PATIENCE)?;
@@ -102,15 +101,15 @@ impl Encoder {
     }
 }
 
-/// What an encoder is to do.
+/// What an encoder shall do.
 pub struct Wish<'w> {
-    /// How it encodes.
+    /// Configuration of the encoding.
     pub config: Config,
-    /// Pixels that it never sends, each once, in raster order: column and row.
+    /// Hot pixels that the encoder shall never send, as (column, row): each once, in raster order.
     pub hot: &'w [(u16, u16)],
 }
 
-/// Drops what an encoder has queued and what it has received and not used yet.
+/// Makes the encoder drop what it has queued, and what it has received but not yet used.
 fn restart(control: &mut dyn Control) -> Result<(), LinkError> {
     control.control_out(Request::vendor_out(RESTART, 0, 0), &[])
 }
@@ -133,10 +132,10 @@ impl mcu_link::Link for Encoder {
     }
 }
 
-/// From the encoder.
+/// Reads from the encoder.
 struct Reader {
     link: Shared,
-    /// What came with the last transfer, and how much of it is used.
+    /// Bytes of the last transfer, of which `used` are consumed.
     rest: Vec<u8>,
     used: usize,
 }
@@ -149,7 +148,7 @@ impl Read for Reader {
             match lock(&self.link).receive(WAIT).map_err(io::Error::other)? {
                 Received::Bytes { bytes, .. } => self.rest.extend_from_slice(bytes),
                 Received::Ended => return Ok(0),
-                // What a loss took is missed by the numbers of frames and packets.
+                // A loss shows in the sequence numbers of frames and packets.
                 Received::Nothing | Received::Lost { .. } => {
                     return Err(ErrorKind::WouldBlock.into());
                 }
@@ -163,7 +162,7 @@ impl Read for Reader {
     }
 }
 
-/// To the encoder.
+/// Writes to the encoder.
 struct Writer(Box<dyn Outlet>);
 
 impl Write for Writer {
@@ -178,11 +177,11 @@ impl Write for Writer {
     }
 }
 
-/// A link of which some was received before it is used.
+/// A link that first returns bytes received before it was handed over.
 struct Begun {
     inner: Box<dyn Link>,
     rest: Vec<u8>,
-    /// When the rest came; `None` once it was given.
+    /// When `rest` arrived; `None` once it has been returned.
     at: Option<Instant>,
 }
 
@@ -210,7 +209,7 @@ impl Link for Begun {
     }
 }
 
-/// In the place of a link that is in use.
+/// Placeholder for a link that is in use elsewhere.
 struct Nowhere;
 
 impl Link for Nowhere {

@@ -1,16 +1,17 @@
-//! The USB link of event cameras and of the encoder's own microcontroller: capture, forward, simulate.
+//! USB links to event cameras and to the encoder's own microcontroller (MCU): capture, forward, simulate.
 //!
-//! The files follow the bytes:
+//! The modules follow the path of the bytes:
 //!
 //! ```text
 //! camera or MCU -> link -> device (bytes to events) -> encoder -> frames -> consumers
 //! recording -> device (events to bytes) -> peripheral -> link -> ...        (a simulated camera)
 //! ```
 //!
-//! [`device`] has what is known of each model: how it is found, started and stopped, how its stream
-//! is read, and how it is written, which makes a simulated camera of any recording. [`link`] moves
-//! bytes: over libusb, a serial port, TCP, or inside the process, with faults and traces around any
-//! of them. [`peripheral`] is the other end of a USB cable, for devices that are only simulated.
+//! [`device`] holds what is known of each model: how to find, start and stop it, how to parse its stream and how to
+//! write that stream, so that any recording can be played by a simulated camera. [`link`] moves bytes: over libusb,
+//! a serial port or TCP, or inside the process. Fault injection and traces can wrap any link. [`peripheral`] is the
+//! device end of a USB cable, for simulated devices. [`session`] runs a device, [`live`] reads its events and
+//! [`forward`] sends frames or raw packets to consumers.
 
 pub mod clock;
 pub mod cmd;

@@ -1,5 +1,4 @@
-//! Events of a link as they come: what every command of the project reads recordings with reads a
-//! camera with.
+//! Reads the events of a link as they arrive, through the same [`EventReader`] interface as recordings.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -13,31 +12,31 @@ use crate::device::{EVENTS_PER_BYTE_MAX, Parse};
 use crate::pump::{Chunk, Pumped};
 use crate::queue::Taken;
 
-/// Longest time without a word on how far the stream is.
+/// Longest time between two updates of [`Progress`] while nothing arrives.
 const WAIT: Duration = Duration::from_millis(20);
-/// How often those who watch are told.
+/// Shortest time between two updates of [`Progress`] while chunks arrive.
 const TELL: Duration = Duration::from_millis(50);
-/// Bytes that are parsed in a go: their events are a batch at the most.
+/// Bytes parsed per call, so that their events fit one batch.
 const PARSE_BYTES: usize = BATCH_EVENTS / EVENTS_PER_BYTE_MAX;
 
-/// What is known of a live stream at any time, for those who watch it.
+/// State of a live stream, shared with whoever watches it.
 #[derive(Debug, Clone, Default)]
 pub struct Progress {
     /// Events so far.
     pub events: u64,
-    /// The sensor, as the stream tells it; nothing before the stream was looked at.
+    /// Size of the sensor as the stream reports it; `None` before the first update.
     pub sensor: Option<Sensor>,
-    /// Time of the stream so far, in the device's microseconds.
+    /// Latest time in the stream, in the device's microseconds.
     pub time_us: Option<u64>,
-    /// Words that are no events, by name.
+    /// Words that are not events, by name.
     pub words: Skipped,
     /// What the parser found lost or left out, by cause.
     pub losses: Skipped,
-    /// The clocks' relation.
+    /// Relation between the device's clock and the host's.
     pub relation: Option<Relation>,
 }
 
-/// Follows a stream: its parser, told of losses and the host's clock, and those who watch.
+/// Runs a stream's parser, informs it of losses and the host's clock, and updates the shared [`Progress`].
 pub struct Follower {
     parser: Box<dyn Parse>,
     clock: Clock,
@@ -46,7 +45,7 @@ pub struct Follower {
 }
 
 impl Follower {
-    /// Of a stream at its beginning; `progress` is brought up to date some twenty times a second.
+    /// Follows a stream from its beginning; `progress` is updated about twenty times a second.
     #[must_use]
     pub fn new(parser: Box<dyn Parse>, progress: Arc<Mutex<Progress>>) -> Self {
         Self {
@@ -57,25 +56,25 @@ impl Follower {
         }
     }
 
-    /// The parser.
+    /// Returns the stream's parser, for its counts, time and sensor.
     #[must_use]
     pub fn parser(&self) -> &dyn Parse {
         self.parser.as_ref()
     }
 
-    /// Before the bytes of a chunk.
+    /// Prepares the parser for a chunk; call it before the chunk's bytes are parsed.
     pub fn begin(&mut self, chunk: &Chunk) {
         if chunk.after_loss {
             self.parser.resume(self.clock.device_us(chunk.at));
         }
     }
 
-    /// Bytes of a chunk; their events are appended.
+    /// Parses bytes of a chunk and appends their events to `events`.
     pub fn parse(&mut self, bytes: &[u8], events: &mut Vec<Event>) {
         self.parser.parse(bytes, events);
     }
 
-    /// After the bytes of a chunk, which had arrived at `at`.
+    /// Completes a chunk that arrived at `at`: relates the clocks and updates the progress when due.
     pub fn end(&mut self, at: Instant) {
         if let Some(time_us) = self.parser.time_us() {
             self.clock.note(at, time_us);
@@ -86,7 +85,7 @@ impl Follower {
         }
     }
 
-    /// All of a chunk, whose events are only counted; `events` is room for them.
+    /// Parses a whole chunk only to count its events; `events` is scratch space.
     pub fn count(&mut self, chunk: &Chunk, events: &mut Vec<Event>) {
         self.begin(chunk);
         for part in chunk.bytes.chunks(PARSE_BYTES) {
@@ -96,7 +95,7 @@ impl Follower {
         self.end(chunk.at);
     }
 
-    /// Tells those who watch: where nothing comes for a while, and at the end.
+    /// Updates the shared progress now: for pauses of the stream and for its end.
     pub fn tell(&mut self) {
         let mut progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
         *progress = Progress {
@@ -110,23 +109,23 @@ impl Follower {
     }
 }
 
-/// Reader of a link's events.
+/// Reads the events of a link.
 pub struct LiveReader {
     format: &'static str,
     camera: String,
     pumped: Arc<Pumped>,
     follower: Follower,
     chunk: Option<Chunk>,
-    /// Bytes of the chunk that are parsed.
+    /// Number of bytes of the chunk that have been parsed.
     used: usize,
-    /// Events that were read while the sensor was waited for.
+    /// Events read while waiting for the sensor.
     ahead: Vec<Event>,
     ended: bool,
     words: Skipped,
 }
 
 impl LiveReader {
-    /// Of a link that is pumped already; `camera` is what files name it.
+    /// Reads a link that is already pumped; `camera` is the name that files give the camera.
     #[must_use]
     pub fn new(
         format: &'static str,
@@ -147,10 +146,10 @@ impl LiveReader {
         }
     }
 
-    /// Waits until the stream has told of a sensor other than `unknown`, or has ended.
+    /// Waits until the stream reports a sensor other than `unknown`, or ends.
     ///
     /// # Errors
-    /// As [`EventReader::read`].
+    /// Those of [`EventReader::read`].
     pub fn wait_for_sensor(&mut self, unknown: Sensor) -> Result<()> {
         while self.sensor() == unknown && self.ahead.is_empty() && !self.ended {
             let mut ahead = Vec::new();
@@ -161,7 +160,7 @@ impl LiveReader {
         Ok(())
     }
 
-    /// The chunk that is read now, where there is one in time.
+    /// Returns the next chunk if one arrives in time.
     fn next_chunk(&mut self) -> Option<Chunk> {
         match self.pumped.queue.take(WAIT) {
             Taken::Item(chunk) => {
@@ -272,7 +271,7 @@ mod tests {
         codec: CodecOptions,
     }
 
-    /// A byte b < 200 is an event after b microseconds, 255 a whole window without one.
+    /// A byte below 255 is an event that many microseconds after the previous one; 255 is a window without events.
     struct Steps {
         time_us: u64,
         events: u64,
@@ -336,7 +335,7 @@ mod tests {
         LiveReader::new("steps", "test".to_owned(), pumped, follower)
     }
 
-    /// Sends nothing after a quiet window until a frame has been written.
+    /// Sends nothing after an empty window until a frame has been written.
     struct Patient {
         step: usize,
         frames: Arc<AtomicUsize>,
@@ -414,7 +413,7 @@ mod tests {
             starts.push((frame.header.t0_us, frame.header.events));
             rest = &rest[frame.bytes..];
         }
-        // The grid goes on through the pause.
+        // The grid of windows continues through the pause.
         assert_eq!(starts, [(5, 3), (1005, 1)]);
     }
 

@@ -1,4 +1,4 @@
-//! The `eecvs-usb` command.
+//! The command-line program `eecvs-usb`.
 
 use std::process::ExitCode;
 
@@ -25,7 +25,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    // Bad usage ends here, with exit status 2.
+    // Wrong usage ends the process here, with exit status 2.
     let result = match EecvsUsb::parse().command {
         Command::List(command) => command.run(),
         Command::Capture(command) => command.run(),

@@ -1,8 +1,8 @@
-//! The thread that empties a link: nothing that happens to the bytes later holds a device up.
+//! The thread that empties a link, so that slow processing never holds up a device.
 //!
-//! A camera's own buffer is small: whoever reads its link late loses events in the camera, uncounted.
-//! So one thread does nothing else, and what has no room in the queue behind it is let go of here,
-//! where it can be counted and the parser told.
+//! A camera's own buffer is small: if the host reads its link late, the camera loses events without counting them.
+//! One thread therefore does nothing but read. Chunks for which the queue has no room are dropped here, where they
+//! are counted and the parser is informed of the loss.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,49 +14,49 @@ use anyhow::{Context, Result};
 use crate::link::{Link, LinkError, Loss, Received};
 use crate::queue::{Queue, Weigh};
 
-/// Longest wait for a link.
+/// Longest wait for one receive.
 const WAIT: Duration = Duration::from_millis(50);
-/// A link that was silent for so long after the device was stopped has given all.
+/// After the device was stopped, silence of this length means that everything has arrived.
 const QUIET: Duration = Duration::from_millis(200);
-/// A device that goes on after it was stopped is heard for so long.
+/// Longest time that a device which keeps sending after it was stopped is read.
 const DRAIN_MAX: Duration = Duration::from_secs(2);
-/// Buffers that are kept to be used again.
+/// Number of buffers kept for reuse.
 const SPARE: usize = 64;
 
-/// Bytes of a link, in order.
+/// Consecutive bytes of a link.
 #[derive(Debug)]
 pub struct Chunk {
-    /// The bytes.
+    /// Bytes of one transfer.
     pub bytes: Vec<u8>,
-    /// When the last of them had arrived.
+    /// When the last of them arrived.
     pub at: Instant,
-    /// Whether bytes before them are missing.
+    /// Whether bytes before these are missing.
     pub after_loss: bool,
 }
 
 impl Weigh for Chunk {
     fn weight(&self) -> usize {
-        // Its buffer may be larger than what it holds.
+        // The capacity may exceed the length.
         self.bytes.capacity()
     }
 }
 
-/// What came over a link, and what did not.
+/// Counts of what arrived over a link and of what was lost.
 #[derive(Debug, Default)]
 pub struct LinkAccount {
     /// Bytes that arrived.
     bytes: AtomicU64,
     /// Transfers that arrived.
     pub transfers: AtomicU64,
-    /// Bytes that arrived and were let go of, as the queue was full.
+    /// Bytes that arrived but were dropped because the queue was full.
     pub overrun_bytes: AtomicU64,
-    /// Transfers that were.
+    /// Transfers that arrived but were dropped because the queue was full.
     pub overrun_transfers: AtomicU64,
-    /// Losses that the link told, by cause: overflow, damaged, stalled, injected.
+    /// Losses that the link reported, by cause: overflow, damaged, stalled, injected.
     losses: [AtomicU64; 4],
 }
 
-/// Names of [`LinkAccount::losses`].
+/// Causes and names of the counters in [`LinkAccount::losses`].
 const CAUSES: [(Loss, &str); 4] = [
     (Loss::Overflow, "transfers that overflowed"),
     (Loss::Damaged, "transfers that were damaged"),
@@ -72,20 +72,20 @@ impl LinkAccount {
         }
     }
 
-    /// Bytes that arrived, and the transfers that they came in.
+    /// Returns the number of bytes that arrived and of the transfers that carried them.
     #[must_use]
     pub fn arrived(&self) -> (u64, u64) {
         let bytes = self.bytes.load(Ordering::Relaxed);
         (bytes, self.transfers.load(Ordering::Relaxed))
     }
 
-    /// Bytes that arrived and were let go of, as the queue was full.
+    /// Returns the number of bytes that arrived but were dropped because the queue was full.
     #[must_use]
     pub fn overrun_bytes(&self) -> u64 {
         self.overrun_bytes.load(Ordering::Relaxed)
     }
 
-    /// Losses by name, those that happened.
+    /// Returns the losses that occurred, by name.
     pub fn losses(&self) -> impl Iterator<Item = (&'static str, u64)> + '_ {
         let names = CAUSES.iter().map(|(_, name)| *name);
         let counts = self.losses.iter().map(|n| n.load(Ordering::Relaxed));
@@ -97,11 +97,11 @@ impl LinkAccount {
     }
 }
 
-/// What the pump and those behind it share.
+/// State shared between the pump and its consumers.
 pub struct Pumped {
-    /// Chunks in the order of the link.
+    /// Chunks in the order in which they arrived.
     pub queue: Queue<Chunk>,
-    /// What came.
+    /// Counts of what arrived and of what was lost.
     pub account: LinkAccount,
     stopping: AtomicBool,
     ended: AtomicBool,
@@ -110,18 +110,19 @@ pub struct Pumped {
 }
 
 impl Pumped {
-    /// The device has been stopped: what it sent before is still taken, then the queue ends.
+    /// Ends the pump once the device has been stopped: what it sent before is still received, then the queue
+    /// closes.
     pub fn stop(&self) {
         self.stopping.store(true, Ordering::Relaxed);
     }
 
-    /// Whether nothing comes any more: what is queued can still be taken.
+    /// Returns whether the pump has ended. Queued chunks can still be taken.
     #[must_use]
     pub fn is_ended(&self) -> bool {
         self.ended.load(Ordering::Relaxed)
     }
 
-    /// Why the link failed, once, after the queue has ended.
+    /// Returns why the link failed, if it did, and only to the first caller after the queue has closed.
     pub fn failure(&self) -> Option<LinkError> {
         self.failure
             .lock()
@@ -129,7 +130,7 @@ impl Pumped {
             .take()
     }
 
-    /// Takes a buffer back.
+    /// Takes back the buffer of a used chunk.
     pub fn reuse(&self, mut bytes: Vec<u8>) {
         bytes.clear();
         let mut spare = self.spare.lock().unwrap_or_else(PoisonError::into_inner);
@@ -146,7 +147,7 @@ impl Pumped {
             .unwrap_or_default()
     }
 
-    /// Takes what comes until the stream ends, the link fails, or nothing comes after a stop.
+    /// Receives until the stream ends, the link fails, or the device is silent after a stop.
     fn run(&self, link: &mut dyn Link) {
         let mut after_loss = false;
         let mut quiet_since = Instant::now();
@@ -205,10 +206,10 @@ impl Pumped {
     }
 }
 
-/// The thread of a link, which gives it back.
+/// Handle of the pump's thread; joining it returns the link.
 pub type Thread = JoinHandle<Box<dyn Link>>;
 
-/// Starts the thread of a link, whose queue holds at most `queue_bytes`.
+/// Starts the thread that pumps a link into a queue of at most `queue_bytes` bytes.
 ///
 /// # Errors
 /// The thread cannot be started.
@@ -239,7 +240,7 @@ pub(crate) mod tests {
 
     use crate::queue::Taken;
 
-    /// What a scripted link gives next.
+    /// What a scripted link returns next.
     #[derive(Debug, Clone)]
     pub(crate) enum Step {
         Bytes(Vec<u8>),
@@ -248,7 +249,7 @@ pub(crate) mod tests {
         Unplug,
     }
 
-    /// A link that does as it was told.
+    /// A link that plays a script.
     pub(crate) struct Scripted {
         pub steps: VecDeque<Step>,
         pub current: Vec<u8>,

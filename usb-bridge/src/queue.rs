@@ -1,16 +1,16 @@
 //! A queue between two threads, bounded in bytes.
 //!
-//! Whoever fills it never waits longer than it wants to: [`Queue::offer`] refuses what has no room,
-//! [`Queue::force`] makes room by letting go of the oldest, and both say what that was, so that it can
-//! be counted.
+//! The sender chooses how long it waits: [`Queue::offer`] refuses an item that does not fit, [`Queue::force`] makes
+//! room by dropping the oldest items, and [`Queue::wait`] waits for room. All three return what was not kept, so
+//! that it can be counted.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Something with a size.
+/// An item with a size.
 pub trait Weigh {
-    /// Bytes that it takes in the queue's account.
+    /// Returns the number of bytes that the item takes of the queue's limit.
     fn weight(&self) -> usize;
 }
 
@@ -19,18 +19,18 @@ pub trait Weigh {
 pub enum Taken<T> {
     /// The oldest item.
     Item(T),
-    /// Nothing came in time.
+    /// Nothing arrived in time.
     Nothing,
-    /// The queue was closed and is empty.
+    /// The queue is closed and empty.
     Closed,
 }
 
-/// How full a queue is and was.
+/// Current and peak fill of a queue.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Fill {
-    /// Bytes in it.
+    /// Bytes in the queue.
     pub bytes: usize,
-    /// Most bytes that were ever in it; never above its limit.
+    /// Most bytes that were ever in the queue; never above its limit.
     pub peak_bytes: usize,
 }
 
@@ -46,7 +46,7 @@ struct Shared<T> {
     limit_bytes: usize,
 }
 
-/// Either end of a queue; clones are the same queue.
+/// A handle to a queue; clones refer to the same queue.
 pub struct Queue<T>(Arc<Shared<T>>);
 
 impl<T> Clone for Queue<T> {
@@ -56,7 +56,7 @@ impl<T> Clone for Queue<T> {
 }
 
 impl<T: Weigh> Queue<T> {
-    /// An empty queue of at most `limit_bytes`.
+    /// Creates an empty queue of at most `limit_bytes` bytes.
     #[must_use]
     pub fn new(limit_bytes: usize) -> Self {
         Self(Arc::new(Shared {
@@ -73,8 +73,8 @@ impl<T: Weigh> Queue<T> {
         }))
     }
 
-    /// A thread that panicked while it held the lock has left the state whole: no step in between
-    /// can panic.
+    /// Locks the state. A poisoned lock is safe to use: no code that runs under it can panic halfway through a
+    /// change.
     fn lock(&self) -> MutexGuard<'_, State<T>> {
         self.0.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -91,10 +91,10 @@ impl<T: Weigh> Queue<T> {
         !state.closed && item.weight() <= free
     }
 
-    /// Appends an item where there is room now, or gives it back.
+    /// Appends an item if there is room for it now.
     ///
     /// # Errors
-    /// The item: the queue is full or closed.
+    /// Returns the item if the queue is full or closed.
     pub fn offer(&self, item: T) -> Result<(), T> {
         let mut state = self.lock();
         if !self.has_room(&state, &item) {
@@ -104,8 +104,8 @@ impl<T: Weigh> Queue<T> {
         Ok(())
     }
 
-    /// Appends an item and lets go of the oldest where that is what makes room. What was let go of is
-    /// returned: the item itself where it is larger than the whole queue, or the queue is closed.
+    /// Appends an item, dropping the oldest items until there is room. Returns the dropped items; this is `item`
+    /// itself if it is larger than the whole queue or the queue is closed.
     pub fn force(&self, item: T) -> Vec<T> {
         let mut state = self.lock();
         let mut gone = Vec::new();
@@ -124,10 +124,11 @@ impl<T: Weigh> Queue<T> {
         gone
     }
 
-    /// Appends an item, and waits for room as long as `goes_on` says.
+    /// Appends an item, waiting for room while `goes_on` returns true. An item larger than the queue is not waited
+    /// for.
     ///
     /// # Errors
-    /// The item, where the wait was given up or the queue was closed.
+    /// Returns the item if the wait was given up, the queue was closed or the item can never fit.
     pub fn wait(&self, item: T, goes_on: impl Fn() -> bool) -> Result<(), T> {
         let mut state = self.lock();
         while !self.has_room(&state, &item) {
@@ -144,7 +145,7 @@ impl<T: Weigh> Queue<T> {
         Ok(())
     }
 
-    /// Takes the oldest item, and waits for one at most for `timeout`.
+    /// Takes the oldest item, waiting for one for at most `timeout`.
     pub fn take(&self, timeout: Duration) -> Taken<T> {
         let until = Instant::now() + timeout;
         let mut state = self.lock();
@@ -169,13 +170,13 @@ impl<T: Weigh> Queue<T> {
         }
     }
 
-    /// Nothing is appended any more; what is there can still be taken.
+    /// Closes the queue: nothing more can be appended, but what is queued can still be taken.
     pub fn close(&self) {
         self.lock().closed = true;
         self.0.changed.notify_all();
     }
 
-    /// Closes the queue and takes all that is left.
+    /// Closes the queue and returns everything left in it.
     pub fn abandon(&self) -> Vec<T> {
         let mut state = self.lock();
         state.closed = true;
@@ -184,7 +185,7 @@ impl<T: Weigh> Queue<T> {
         state.items.drain(..).collect()
     }
 
-    /// How full it is.
+    /// Returns the current and the peak fill.
     #[must_use]
     pub fn fill(&self) -> Fill {
         self.lock().fill
@@ -206,7 +207,7 @@ mod tests {
     }
 
     proptest! {
-        /// Nothing disappears, the order stays, and the limit holds.
+        /// Every item is taken or returned, the order is kept and the limit holds.
         #[test]
         fn every_item_is_taken_or_returned(
             limit in 0..100_usize,

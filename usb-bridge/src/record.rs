@@ -1,4 +1,4 @@
-//! A live stream to a file that stays readable, whatever ends it.
+//! Writes a live stream to a file that stays readable however the stream ends.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -22,19 +22,19 @@ use crate::session::Session;
 /// What a capture writes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// The device's own bytes.
+    /// The device's own bytes, with their times of arrival.
     Stream,
-    /// Frames.
+    /// Frames, encoded by the host or by the MCU.
     Frames,
-    /// Events in a format of recordings.
+    /// Events, in the format of a recording.
     Events,
 }
 
 impl Kind {
-    /// Refuses an output before anything is done, as [`output::check`].
+    /// Refuses an unusable output before any work is done, by [`output::check`].
     ///
     /// # Errors
-    /// As there.
+    /// Those of [`output::check`].
     pub fn check(self, path: &Path, overwrite: bool, inputs: &[&Path]) -> Result<()> {
         let kind = match self {
             Self::Stream => output::Kind::Stream,
@@ -45,10 +45,11 @@ impl Kind {
     }
 }
 
-/// By extension: `.stream`, `.eecvs`, or a recording's; stdout gets frames.
+/// Returns what to write to a path, by its extension: a stream for `.stream`, frames for `.eecvs` and for stdout,
+/// events otherwise.
 ///
 /// # Errors
-/// A format whose files cannot be read before they are complete.
+/// The format is one whose files cannot be read before they are complete (`.npz`).
 pub fn kind_of(path: &Path) -> Result<Kind> {
     let name = path.display();
     if output::is_stdout(path) {
@@ -65,10 +66,10 @@ pub fn kind_of(path: &Path) -> Result<Kind> {
     }
 }
 
-/// Writes a device's own bytes, with their times of arrival, until the stream ends or fails.
+/// Writes the device's own bytes with their times of arrival until the stream ends or fails.
 ///
 /// # Errors
-/// The link, the file.
+/// The link failed, or the file cannot be written.
 pub fn stream(session: &Session, path: &Path) -> Result<()> {
     let name = path.display();
     let out = create(path)?;
@@ -93,7 +94,7 @@ pub fn stream(session: &Session, path: &Path) -> Result<()> {
     session.outcome()
 }
 
-/// Hands on what arrives, of which the events are only counted, until the stream ends or that fails.
+/// Passes each chunk to `write`, and counts its events, until the stream ends or `write` fails.
 fn each_chunk(
     session: &Session,
     mut write: impl FnMut(&Chunk) -> io::Result<()>,
@@ -119,26 +120,26 @@ fn each_chunk(
     written
 }
 
-/// What was written, and in which order of times.
+/// Counts of the events written and of the runs that their times form.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Order {
-    /// Events that came.
+    /// Events received.
     pub events: u64,
-    /// Runs: 1, and 1 for each time that the clock fell back further than is put in order.
+    /// Runs: 1, plus 1 for each time that the clock falls back further than the reordering span.
     pub runs: u64,
-    /// Events that came too late for their window, and are in no frame.
+    /// Events that came too late for their window and are in no frame.
     pub events_late: u64,
 }
 
 impl Order {
-    /// Takes the header of a frame that is kept as it is.
+    /// Counts a frame that is kept as it is.
     fn frame(&mut self, header: &FrameHeader) {
         self.events += u64::from(header.events);
         self.events_late += u64::from(header.late);
         self.runs = self.runs.max(1) + u64::from(header.begins_run && self.runs > 0);
     }
 
-    /// Takes events of a recording, the latest time before which is `latest_us`.
+    /// Counts events of a recording; `latest_us` is the latest time before them, and is updated.
     fn events(&mut self, events: &[Event], latest_us: &mut u64, reorder_us: u32) {
         self.events += events.len() as u64;
         for event in events {
@@ -162,12 +163,12 @@ impl From<&EncodeSummary> for Order {
     }
 }
 
-/// Writes events until the stream ends or fails, and adds to `order` what they were: runs are told apart by
-/// times that fall back by more than `reorder_us`. What came before a failure is in the file, which is
-/// closed in order where that is still possible.
+/// Writes events until the stream ends or fails, and adds their counts to `order`. A run begins where the time
+/// falls back by more than `reorder_us`. Events before a failure are in the file, which is still closed in order if
+/// possible.
 ///
 /// # Errors
-/// The link, the file; the message names it.
+/// The link failed, or the file cannot be written; the message names it.
 pub fn events(
     reader: &mut dyn EventReader,
     path: &Path,
@@ -180,7 +181,7 @@ pub fn events(
     let outcome = loop {
         batch.clear();
         let read = reader.read(&mut batch);
-        // Those before an error count too.
+        // Events read before an error count too.
         if !batch.is_empty() {
             if let Err(error) = writer.write(&batch) {
                 break Err(error);
@@ -197,20 +198,20 @@ pub fn events(
     Ok(outcome.and(finished)?)
 }
 
-/// What is known of what was written, also where the stream failed.
+/// What is known of the output, even if the stream failed.
 #[derive(Debug, Default)]
 pub struct Kept {
-    /// Its order.
+    /// Counts of events and runs.
     pub order: Order,
-    /// How it was encoded, where this program did that.
+    /// Summary of the encoding; `None` if the frames came from the MCU.
     pub encoding: Option<EncodeSummary>,
 }
 
-/// Encodes events into frames, each written with one `write_all`, until the stream ends or fails. All events
-/// before a failure are in frames, and `kept` says what they are.
+/// Encodes events into frames, each written with one `write_all`, until the stream ends or fails. All events before
+/// a failure are in frames; `kept` receives their counts.
 ///
 /// # Errors
-/// The link, the output, a configuration that cannot run.
+/// The link failed, the output cannot be written, or the configuration is unusable.
 pub fn encode_live(
     reader: Box<dyn EventReader>,
     codec: Codec<'_>,
@@ -226,10 +227,10 @@ pub fn encode_live(
     reader.damage().map_or(Ok(()), |damage| Err(damage.into()))
 }
 
-/// Writes frames to a file, as [`encode_live`].
+/// Encodes events into frames in a file; see [`encode_live`].
 ///
 /// # Errors
-/// As there; the message names the file.
+/// Those of [`encode_live`]; the message names the file.
 pub fn frames(
     reader: Box<dyn EventReader>,
     codec: Codec<'_>,
@@ -244,11 +245,11 @@ pub fn frames(
     flushed
 }
 
-/// Writes the frames of an encoder as they are, each with one `write_all`, until the stream ends or fails, and adds
-/// to `order` what they say.
+/// Writes an MCU's frames unchanged, each with one `write_all`, until the stream ends or fails, and adds the counts
+/// of their headers to `order`.
 ///
 /// # Errors
-/// The link, the output.
+/// The link failed, or the output cannot be written.
 pub fn encoders_frames(session: &Session, out: &mut dyn Write, order: &mut Order) -> Result<()> {
     let mut messages = Messages::default();
     each_chunk(session, |chunk| kept(&mut messages, chunk, out, order))
@@ -256,7 +257,7 @@ pub fn encoders_frames(session: &Session, out: &mut dyn Write, order: &mut Order
     session.outcome()
 }
 
-/// Writes the frames that are whole with a chunk.
+/// Writes the frames that this chunk completes.
 fn kept(
     messages: &mut Messages,
     chunk: &Chunk,
@@ -283,22 +284,22 @@ fn kept(
     Ok(())
 }
 
-/// A file to write.
+/// Creates a buffered file, or opens stdout without a buffer.
 ///
 /// # Errors
-/// It cannot be created; the message names it.
+/// The file cannot be created; the message names it.
 pub fn create(path: &Path) -> Result<BufWriter<File>> {
     let file = output::create_bytes(path)
         .with_context(|| format!("{}: cannot be created", path.display()))?;
-    // Whoever reads stdout gets each frame when it is written.
+    // A reader of stdout gets each frame as soon as it is written.
     let room = if output::is_stdout(path) { 0 } else { 1 << 16 };
     Ok(BufWriter::with_capacity(room, file))
 }
 
-/// Writes what is buffered.
+/// Writes out what is buffered.
 ///
 /// # Errors
-/// It cannot be written; the message names the file.
+/// The file cannot be written; the message names it.
 pub fn flush(out: &mut dyn Write, path: &Path) -> Result<()> {
     let flushed = out.flush();
     flushed.with_context(|| format!("{}: cannot be written", path.display()))
@@ -333,7 +334,7 @@ mod tests {
         assert_eq!((order.runs, order.events), (3, 7));
     }
 
-    /// Gives events once, and fails then.
+    /// Returns its events once, then fails.
     struct Failing(Vec<Event>, Skipped);
 
     impl EventReader for Failing {

@@ -1,4 +1,4 @@
-//! A device in use: started, pumped, watched, stopped in order.
+//! Runs a device: starts it, pumps its stream, watches its limits and stops it in order.
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, Builder, JoinHandle};
@@ -17,27 +17,27 @@ use crate::pump::{self, Pumped};
 use crate::stop::Stop;
 use crate::usage::Usage;
 
-/// How often the wish to stop is looked for.
+/// Period at which the stop conditions are checked.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// A device that was opened and asked what it is.
+/// A device that has been opened and identified.
 pub struct Source {
-    /// Its model.
+    /// Model of the device.
     pub model: &'static dyn Model,
-    /// What it says of itself.
+    /// Identity that the device reports.
     pub info: Info,
     /// Its stream, with transfers in flight.
     pub link: Box<dyn Link>,
-    /// Its control side, where it has one: a serial port or a file has none.
+    /// Its control side; `None` for a serial port or a file.
     pub control: Option<Box<dyn Control + Send>>,
 }
 
-/// When a stream ends by itself.
+/// Conditions under which a stream is stopped.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Limits {
-    /// After this time of the host.
+    /// Host time after the start.
     pub duration: Option<Duration>,
-    /// After this many events, and those that came with the last of them.
+    /// Number of events. Those that arrive with the last one, or before the device has stopped, are kept too.
     pub events: Option<u64>,
 }
 
@@ -45,11 +45,11 @@ pub struct Limits {
 pub struct Session {
     /// Name of its link, for messages.
     pub name: String,
-    /// What the device says of itself.
+    /// Identity that the device reports.
     pub info: Info,
-    /// Its model.
+    /// Model of the device.
     pub model: &'static dyn Model,
-    /// What arrives.
+    /// Chunks that arrive, and their account.
     pub pumped: Arc<Pumped>,
     progress: Arc<Mutex<Progress>>,
     pump: pump::Thread,
@@ -60,11 +60,11 @@ pub struct Session {
 }
 
 impl Session {
-    /// Starts a device; its queue holds at most `queue_bytes`. `stop`, a limit or an end of the link
-    /// stops it: what it sent before still comes.
+    /// Starts a device, with a queue of at most `queue_bytes` bytes. `stop`, a limit or the end of the link stops
+    /// the device; what it sent before it was stopped is still delivered.
     ///
     /// # Errors
-    /// The device refuses to start.
+    /// The thread cannot be started, or the device refuses to start.
     pub fn start(source: Source, queue_bytes: usize, stop: &Stop, limits: Limits) -> Result<Self> {
         let Source {
             model,
@@ -107,7 +107,7 @@ impl Session {
         })
     }
 
-    /// Its events. Only one reader can have them.
+    /// Returns the reader of the device's events. Each chunk goes to the reader that takes it first: use only one.
     #[must_use]
     pub fn reader(&self) -> LiveReader {
         LiveReader::new(
@@ -118,10 +118,11 @@ impl Session {
         )
     }
 
-    /// Its events, when the sensor is known: an encoder's first frame tells which it is.
+    /// Returns the reader of the device's events once the sensor is known: the MCU reports its sensor with its
+    /// first frame, so this may wait for that frame.
     ///
     /// # Errors
-    /// The link failed before.
+    /// The link failed before the sensor was known.
     pub fn reader_of_sensor(&self) -> Result<LiveReader> {
         let mut reader = self.reader();
         if self.info.sensor == ANY_SENSOR {
@@ -130,37 +131,38 @@ impl Session {
         Ok(reader)
     }
 
-    /// What follows its stream from the beginning, where [`Session::reader`] does not.
+    /// Returns a follower that parses the stream from its beginning, for callers that take the chunks themselves
+    /// instead of using [`Session::reader`].
     #[must_use]
     pub fn follower(&self) -> Follower {
         let parser = self.model.parser(&self.info);
         Follower::new(parser, Arc::clone(&self.progress))
     }
 
-    /// What is known of the stream so far.
+    /// Returns what is known of the stream so far; a reader or follower keeps it up to date.
     #[must_use]
     pub fn progress(&self) -> Arc<Mutex<Progress>> {
         Arc::clone(&self.progress)
     }
 
-    /// How its link has ended.
+    /// Returns how the link ended. A failure is returned once only.
     ///
     /// # Errors
-    /// The link's failure.
+    /// The link failed.
     pub fn outcome(&self) -> Result<()> {
         self.pumped
             .failure()
             .map_or(Ok(()), |failure| Err(failure.into()))
     }
 
-    /// Stops the device, whose bytes nobody takes any more where there are some yet, and reports. Also
-    /// why the device could not be stopped, where that failed: what was received is as good as it was.
+    /// Stops the device and returns a report, and the error if the device could not be stopped: what was received
+    /// stays valid in that case. Bytes that are still queued are not parsed.
     #[must_use]
     pub fn finish(self) -> (Report, Option<anyhow::Error>) {
         self.stop.ask();
         let seconds = self.started.elapsed().as_secs_f64();
         let failure = self.watch.join().unwrap_or_default();
-        // Its queue is closed when it ends, so it waits for nobody.
+        // The pump closes its queue when it ends and waits for no consumer.
         let _ = self.pump.join();
         let progress = self.progress.lock().unwrap_or_else(PoisonError::into_inner);
         let account = &self.pumped.account;
@@ -194,44 +196,44 @@ impl Session {
     }
 }
 
-/// What a session was.
+/// Summary of a session.
 #[derive(Debug, Clone, Serialize)]
 pub struct Report {
-    /// Link.
+    /// Name of the link.
     pub device: String,
-    /// Model.
+    /// Name of the model.
     pub model: &'static str,
-    /// As the device gives it.
+    /// Firmware version as the device reports it.
     pub firmware: String,
-    /// Columns.
+    /// Width of the sensor, in pixels.
     pub width: u16,
-    /// Rows.
+    /// Height of the sensor, in pixels.
     pub height: u16,
-    /// From the start to the stop.
+    /// Host time from the start to the stop, in seconds.
     pub seconds: f64,
     /// Bytes that arrived.
     pub bytes: u64,
     /// Transfers that arrived.
     pub transfers: u64,
-    /// Events in them.
+    /// Events decoded from them.
     pub events: u64,
-    /// Events per second of the host.
+    /// Events per second of host time.
     pub events_per_s: f64,
-    /// Words that are no events, by name.
+    /// Words that are not events, by name.
     pub words: std::collections::BTreeMap<&'static str, u64>,
     /// Losses, by cause.
     pub losses: std::collections::BTreeMap<&'static str, u64>,
-    /// Bytes that arrived and were let go of, as the queue was full.
+    /// Bytes that arrived but were dropped because the queue was full.
     pub overrun_bytes: u64,
-    /// Most bytes that were in the queue behind the link.
+    /// Most bytes that the queue after the link ever held.
     pub queue_peak_bytes: usize,
-    /// How much faster the device's clock is than the host's; nothing where they are not related.
+    /// How much faster the device's clock runs than the host's, in ppm; `None` if the clocks are not related.
     pub drift_ppm: Option<f64>,
-    /// Spread of the least delays around the drift's line.
+    /// Root mean square of the least delays around the fitted line, in microseconds.
     pub clock_residual_us: Option<f64>,
-    /// Processor time of this process since the start, of all threads.
+    /// Processor time of all threads of this process since the start, in seconds.
     pub cpu_s: f64,
-    /// Most memory that this process ever had.
+    /// Peak resident memory of this process, in bytes.
     pub memory_peak_bytes: Option<u64>,
 }
 
@@ -239,7 +241,7 @@ fn named(counts: &Skipped) -> std::collections::BTreeMap<&'static str, u64> {
     counts.iter().collect()
 }
 
-/// The thread that stops the device.
+/// The thread that stops the device when a limit is reached.
 struct Watch {
     model: &'static dyn Model,
     info: Info,
@@ -263,7 +265,8 @@ impl Watch {
             || self.pumped.is_ended()
     }
 
-    /// Why the device could not be stopped, where that failed.
+    /// Waits for a stop condition and stops the device. Returns why the device could not be stopped, if that
+    /// failed.
     fn run(mut self) -> Option<anyhow::Error> {
         let started = Instant::now();
         while !self.is_over(started) {
@@ -275,7 +278,7 @@ impl Watch {
             None => Ok(()),
         };
         self.pumped.stop();
-        // A device that is gone cannot be stopped, and need not be.
+        // An unplugged device cannot be stopped and need not be.
         stopped.err().filter(|_| !had_ended)
     }
 }

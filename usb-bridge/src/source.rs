@@ -1,4 +1,4 @@
-//! Devices by name: on USB, on a serial port, in a stream file, simulated.
+//! Opens a device by name: on USB, on a serial port, from a stream file, or simulated.
 
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -21,19 +21,19 @@ use crate::peripheral::stream::{Pace, Recording, Sent};
 use crate::session::Source;
 use crate::stop::Stop;
 
-/// Rate of a serial port; one of USB has none of its own.
+/// Baud rate of a serial port. A CDC-ACM device on USB ignores it.
 const BAUD: u32 = 3_000_000;
 
-/// Which device, as it is called on the command line.
+/// Which device to open, as named on the command line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Name {
-    /// On USB, by place, serial number or model.
+    /// A USB device, named by port, serial number or model.
     Usb(String),
-    /// A microcontroller at a serial port.
+    /// A microcontroller on the serial port with this path.
     Serial(String),
-    /// A stream file.
+    /// A stream file that is replayed.
     Replay(PathBuf),
-    /// A model that plays a recording, inside the process.
+    /// A model, by name, that plays a recording inside the process.
     Simulated(&'static str, PathBuf),
 }
 
@@ -64,20 +64,20 @@ impl FromStr for Name {
 /// How a device is opened.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// Wait until it is attached.
+    /// Wait until the device is attached.
     pub wait: bool,
-    /// Pace of what is replayed or simulated.
+    /// Pace of a replay or of a simulated device.
     pub rate: Pace,
-    /// File that gets every transfer.
+    /// File to which every transfer is written.
     pub trace: Option<PathBuf>,
-    /// On USB, in place of the model's [`device::Transfers::timeout`]; zero: never.
+    /// USB only: replaces the model's [`device::Transfers::timeout`]; zero means no timeout.
     pub hand_over: Option<Duration>,
 }
 
-/// Opens a device and asks it what it is; without a name the only one on USB.
+/// Opens a device and identifies it. Without a name, opens the only known device on USB.
 ///
 /// # Errors
-/// There is none, or it cannot be used: the message says what to do.
+/// No device matches, or it cannot be used; the message says what to do.
 pub fn open(name: Option<&Name>, options: &Options, stop: &Stop) -> Result<Source> {
     match name {
         None => usb(None, options, stop),
@@ -138,7 +138,7 @@ fn place(attached: &Attached, model: &dyn Model) -> Place {
     }
 }
 
-/// A trace, where one is asked for.
+/// Creates the trace if one was requested.
 fn tracer(options: &Options, place: Place, name: &str) -> Result<Option<Tracer>> {
     let Some(path) = &options.trace else {
         return Ok(None);
@@ -150,7 +150,7 @@ fn tracer(options: &Options, place: Place, name: &str) -> Result<Option<Tracer>>
     tracer.map(Some)
 }
 
-/// The trace of a link that is on no bus.
+/// Wraps a link that is on no USB bus in a trace if one was requested.
 fn traced(
     link: impl Link + 'static,
     model: &dyn Model,
@@ -250,7 +250,7 @@ fn simulated(model: &str, path: &Path, options: &Options) -> Result<Source> {
     })
 }
 
-/// A simulated camera's stream, which ends with its recording; a real camera is quiet then, for ever.
+/// The stream of a simulated camera. It ends with its recording, where a real camera would stay silent for ever.
 struct Ending<L> {
     inner: L,
     sent: Arc<Sent>,
@@ -262,7 +262,8 @@ impl<L: Link> Link for Ending<L> {
     }
 
     fn receive(&mut self, timeout: Duration) -> Result<Received<'_>, LinkError> {
-        // What was written before the end is still taken: only then nothing comes.
+        // `is_over` is read before the call: bytes written before the end are still received, and only then does an
+        // empty receive mean the end.
         let is_over = self.sent.rounds() > 0;
         if let Some(cause) = self.sent.error() {
             return Err(LinkError::Failed {

@@ -1,19 +1,19 @@
-//! The wish to stop: Ctrl-C, a termination signal, a time or a number of events that was asked for.
+//! A stop request shared between threads, set by Ctrl-C, by a termination signal or by the program.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result};
 
-/// A wish that any thread may see; clones are the same wish.
+/// A stop request that any thread can see; clones share it.
 #[derive(Debug, Clone, Default)]
 pub struct Stop(Arc<AtomicBool>);
 
 impl Stop {
-    /// One that Ctrl-C and termination signals make. The second ends the process at once.
+    /// Creates a request that Ctrl-C and termination signals set. A second signal ends the process at once.
     ///
     /// # Errors
-    /// The system does not take the handler; only the first call in a process can have it.
+    /// The system refuses the handler; only the first call in a process can install it.
     pub fn on_signals() -> Result<Self> {
         let stop = Self::default();
         let wish = stop.clone();
@@ -26,12 +26,12 @@ impl Stop {
         Ok(stop)
     }
 
-    /// Makes the wish.
+    /// Requests the stop, for all clones.
     pub fn ask(&self) {
         self.0.store(true, Ordering::Relaxed);
     }
 
-    /// Whether it was made.
+    /// Returns whether the stop was requested.
     #[must_use]
     pub fn is_asked(&self) -> bool {
         self.0.load(Ordering::Relaxed)

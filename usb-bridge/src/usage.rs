@@ -1,15 +1,15 @@
-//! What this process takes of the machine.
+//! Processor time and memory used by this process, read from Linux's `/proc`.
 
-/// Processor time and memory, where the system tells them.
+/// Processor time and memory at one moment; `None` where the system has no `/proc`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Usage {
     cpu_s: Option<f64>,
-    /// Most memory that was resident.
+    /// Peak resident memory, in bytes.
     pub memory_peak_bytes: Option<u64>,
 }
 
 impl Usage {
-    /// So far.
+    /// Returns the usage up to now.
     #[must_use]
     pub fn now() -> Self {
         Self {
@@ -21,7 +21,8 @@ impl Usage {
         }
     }
 
-    /// Processor time of all threads since then; 0 where the system does not tell.
+    /// Returns the processor time of all threads since this snapshot, in seconds; 0 where the system does not
+    /// report it.
     #[must_use]
     pub fn cpu_s(&self) -> f64 {
         match (Self::now().cpu_s, self.cpu_s) {
@@ -31,13 +32,13 @@ impl Usage {
     }
 }
 
-/// User and system time of the process, all threads, also of those that ended.
+/// Returns user plus system time of all threads of the process, including ended ones, in seconds.
 fn cpu_s() -> Option<f64> {
     let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
-    // The name, in brackets, may hold anything.
+    // The process name, in brackets, may itself contain spaces and brackets.
     let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
     let ticks = |at: usize| fields.get(at)?.parse::<f64>().ok();
-    // Linux gives hundredths of a second, whatever its own clock ticks at.
+    // Linux counts in units of 1/100 s here, whatever the kernel's tick rate.
     Some((ticks(11)? + ticks(12)?) / 100.0)
 }
 

@@ -16,24 +16,24 @@ use crate::identity::{MANUFACTURER, PRODUCT, RELEASE, SERIAL_NAME, VENDOR_AND_PR
 use crate::outgoing::{Fetcher, QUEUE_PACKETS};
 use crate::requests::Counts;
 
-/// What a bus-powered board may take, in milliamperes: the chip, a sensor and a few lamps.
+/// Largest current of a bus-powered board in milliamperes: the chip, a sensor and a few LEDs.
 const POWER_MA: usize = 250;
-/// Largest packet of the control endpoint.
+/// Size in bytes of the largest packet of the control endpoint.
 const CONTROL_BYTES: usize = 64;
 
-/// The encoder's receiving end.
+/// The encoder's receiving end, to which the device passes the host's bytes.
 pub trait Port {
-    /// Bytes that it takes now.
+    /// Returns how many bytes it can take now.
     fn room(&self) -> usize;
 
-    /// Takes a packet's bytes; asked only where there is room for [`PACKET_BYTES`].
+    /// Takes a packet's bytes; called only if there is room for [`PACKET_BYTES`].
     fn put(&mut self, bytes: &[u8]);
 
-    /// A session begins: what was put and is not used yet is of the one before.
+    /// Begins a session: bytes that were put and are not used yet belong to the one before.
     fn restart(&mut self);
 
-    /// The next packet of this endpoint is numbered DATA0, as the host's is after it set the
-    /// configuration or ended a halt: the stack leaves this to the controller.
+    /// Numbers this endpoint's next packet DATA0, as the host does after it has set the configuration or cleared a
+    /// halt; the stack leaves this to the controller.
     fn renumber(&mut self, endpoint: EndpointAddress) {
         let _ = endpoint;
     }
@@ -46,14 +46,14 @@ enum Owner {
     Serial,
 }
 
-/// A packet in the controller, that the host may take.
+/// A packet in the controller that the host may take.
 #[derive(Debug, Clone, Copy)]
 struct Flight {
     bytes: u32,
     ends: bool,
 }
 
-/// The USB device.
+/// The USB device with both functions, on a controller `B`; a [`Port`] connects it to the encoder.
 pub struct Device<'a, B: UsbBus, P> {
     device: UsbDevice<'a, B>,
     vendor: Function<'a, B>,
@@ -61,12 +61,12 @@ pub struct Device<'a, B: UsbBus, P> {
     outgoing: Fetcher<'a>,
     port: P,
     owner: Owner,
-    /// By [`Owner`].
+    /// Indexed by [`Owner`].
     flights: [Option<Flight>; 2],
 }
 
 impl<'a, B: UsbBus, P: Port> Device<'a, B, P> {
-    /// The device, connected to the bus. `None` where the controller has too few endpoints.
+    /// Returns the device, connected to the bus; `None` if the controller has too few endpoints.
     pub fn new(
         allocator: &'a UsbBusAllocator<B>,
         outgoing: Fetcher<'a>,
@@ -106,24 +106,24 @@ impl<'a, B: UsbBus, P: Port> Device<'a, B, P> {
         })
     }
 
-    /// What it has moved and dropped.
+    /// Returns what the device has moved and dropped.
     #[must_use]
     pub fn counts(&self) -> Counts {
         self.vendor.all_counts()
     }
 
-    /// The encoder's receiving end.
+    /// Returns the encoder's receiving end, as given to [`Device::new`].
     pub const fn port(&mut self) -> &mut P {
         &mut self.port
     }
 
-    /// The controller's driver.
+    /// Returns the controller's driver, which the stack uses.
     pub fn bus(&self) -> &B {
         self.device.bus()
     }
 
-    /// Does what there is to do: in the controller's interrupt, when a message was queued, and when
-    /// there is room again. At most one packet moves each way.
+    /// Handles everything that is due. Call it in the controller's interrupt, after a message was queued, and when
+    /// there is room again. It moves at most one packet each way.
     #[inline]
     pub fn poll(&mut self) {
         self.poll_stack();
@@ -136,7 +136,7 @@ impl<'a, B: UsbBus, P: Port> Device<'a, B, P> {
                 self.receive();
                 self.transmit();
             }
-            // Asleep, perhaps unplugged: what waits stays until a reset tells.
+            // Asleep, perhaps unplugged: what waits stays until a reset decides.
             UsbDeviceState::Suspend => {}
             UsbDeviceState::Default | UsbDeviceState::Addressed => {
                 self.outgoing.shared().listen(false);
@@ -145,14 +145,14 @@ impl<'a, B: UsbBus, P: Port> Device<'a, B, P> {
         }
     }
 
-    /// By itself, so that the stack's own code can be told from this crate's in an image.
+    /// Separate, so that the stack's own code can be distinguished from this crate's in an image.
     #[inline(never)]
     fn poll_stack(&mut self) {
         self.device.poll(&mut [&mut self.vendor, &mut self.serial]);
     }
 
-    /// Ends control transfers that send more than the stack takes. It leaves their packet where it is,
-    /// and a controller whose endpoints share a queue then receives nothing any more.
+    /// Ends control transfers with more data than the stack takes. The stack leaves their packet in place, and a
+    /// controller whose endpoints share a queue would then receive nothing more.
     fn refuse_excess(&mut self) {
         let control = EndpointAddress::from_parts(0, UsbDirection::Out);
         let bus = self.device.bus();
@@ -163,7 +163,7 @@ impl<'a, B: UsbBus, P: Port> Device<'a, B, P> {
                 bus.set_stalled(EndpointAddress::from_parts(0, UsbDirection::In), true);
                 add(&mut self.vendor.counts.controls_refused, 1);
             }
-            // Nothing is left, as it should be.
+            // No packet is left, as it should be.
             Err(_) => {}
         }
     }
@@ -219,7 +219,7 @@ impl<'a, B: UsbBus, P: Port> Device<'a, B, P> {
         self.discard();
     }
 
-    /// Drops packets of sessions that have ended: as many as the queue holds, at the most.
+    /// Drops packets of sessions that have ended, at most as many as the queue holds.
     fn discard(&mut self) {
         let session = self.outgoing.shared().session();
         for _ in 0..QUEUE_PACKETS {
@@ -233,7 +233,7 @@ impl<'a, B: UsbBus, P: Port> Device<'a, B, P> {
         }
     }
 
-    /// A packet that finds no room stays in its endpoint, which holds the host.
+    /// Receives packets. A packet for which there is no room stays in its endpoint, which holds the host.
     fn receive(&mut self) {
         let mut packet = [0; PACKET_BYTES];
         for from in [Owner::Vendor, Owner::Serial] {
@@ -245,7 +245,7 @@ impl<'a, B: UsbBus, P: Port> Device<'a, B, P> {
         }
     }
 
-    /// By itself, as [`Device::poll_stack`].
+    /// Separate, as [`Device::poll_stack`].
     #[inline(never)]
     fn read(&mut self, from: Owner, packet: &mut [u8; PACKET_BYTES]) -> usb_device::Result<usize> {
         match from {
@@ -254,7 +254,7 @@ impl<'a, B: UsbBus, P: Port> Device<'a, B, P> {
         }
     }
 
-    /// As [`Device::read`].
+    /// Separate, as [`Device::read`].
     #[inline(never)]
     fn write(&mut self, packet: &[u8]) -> usb_device::Result<usize> {
         match self.owner {
@@ -288,7 +288,7 @@ impl<'a, B: UsbBus, P: Port> Device<'a, B, P> {
             return;
         };
         if self.write(packet.bytes()).is_err() {
-            // One of an earlier session is still there; its end comes back here.
+            // A packet of an earlier session is still there; once it is gone, this is called again.
             return;
         }
         self.outgoing.take();

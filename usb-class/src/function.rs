@@ -1,5 +1,5 @@
-//! The vendor's function: its interface, endpoints and requests; and what both functions' endpoints have
-//! been through, which the stack tells every class.
+//! The vendor's function: its interface, endpoints and requests; and what happened to the endpoints of both
+//! functions, which the stack reports to every class.
 
 use usb_device::class_prelude::*;
 use usb_device::control::{Recipient, Request, RequestType};
@@ -11,23 +11,23 @@ use crate::outgoing::Shared;
 use crate::requests::{COUNTS, Counts, DESCRIPTORS, RESTART};
 use crate::{FROM_HOST, PACKET_BYTES, TO_HOST};
 
-/// Class, subclass and protocol: the vendor's own.
+/// Class, subclass and protocol: vendor-specific.
 const CLASS: u8 = 0xFF;
 /// `bDescriptorType` of a platform capability.
 const PLATFORM: u8 = 5;
-/// Endpoints by number, to the host from bit 16 on.
+/// All endpoints, a bit for each number; those to the host from bit 16 on.
 const EVERY_ENDPOINT: u32 = 0xFFFE_FFFE;
 
-/// What has happened since it was looked at last.
+/// What has happened since the device last looked.
 #[derive(Debug, Default)]
 pub(crate) struct Events {
     /// The bus was reset.
     pub reset: bool,
-    /// A session begins otherwise.
+    /// A session begins without a reset.
     pub restart: bool,
-    /// Endpoints whose packets are numbered anew, as in [`EVERY_ENDPOINT`].
+    /// Endpoints whose packets are numbered anew, in the bits of [`EVERY_ENDPOINT`].
     pub renumbered: u32,
-    /// Endpoints to the host, by number, whose packet the host has taken.
+    /// Endpoints, by number, from which the host has taken a packet.
     pub taken: u16,
 }
 
@@ -42,7 +42,7 @@ pub(crate) struct Function<'a, B: UsbBus> {
 }
 
 impl<'a, B: UsbBus> Function<'a, B> {
-    /// `None` where the controller has no such endpoints.
+    /// Returns the function; `None` if the controller lacks its endpoints.
     pub fn new(allocator: &'a UsbBusAllocator<B>, shared: &'a Shared) -> Option<Self> {
         let bytes = PACKET_BYTES as u16;
         let bulk = EndpointType::Bulk;
@@ -59,7 +59,7 @@ impl<'a, B: UsbBus> Function<'a, B> {
         })
     }
 
-    /// The counts of both sides.
+    /// Returns the counts of both sides.
     pub fn all_counts(&self) -> Counts {
         let Counts {
             messages_dropped,
@@ -73,7 +73,7 @@ impl<'a, B: UsbBus> Function<'a, B> {
         }
     }
 
-    /// Whether it is one of the vendor's requests, to the device or to the interface.
+    /// Whether a request is one of the vendor's, to the device or to the interface.
     fn is_own(&self, request: &Request) -> bool {
         let to_interface = u16::from(u8::from(self.interface));
         request.request_type == RequestType::Vendor
@@ -124,8 +124,8 @@ impl<B: UsbBus> UsbClass<B> for Function<'_, B> {
         if !self.is_own(request) {
             return;
         }
-        // What is not answered here, the stack stalls. Copies, for the stack forgets to end an answer of
-        // constant bytes that a host leaves in its middle, and would mix it with the next one.
+        // The stack stalls what is not accepted here. The answers are copies: if a host stops in the middle of an
+        // answer of constant bytes, the stack does not end it and would mix it with the next one.
         let _ = match (request.request, request.recipient, request.index) {
             (COUNTS, ..) => transfer.accept_with(&self.all_counts().to_bytes()),
             (DESCRIPTORS, Recipient::Device, SET_INDEX) => transfer.accept_with(&DESCRIPTOR_SET),
@@ -142,7 +142,7 @@ impl<B: UsbBus> UsbClass<B> for Function<'_, B> {
             }
             return;
         }
-        // The standard's own: the stack answers them, but tells no class.
+        // Standard requests: the stack answers them without reporting them to any class.
         match (request.request_type, request.recipient, request.request) {
             (RequestType::Standard, Recipient::Device, Request::SET_CONFIGURATION) => {
                 self.events.restart = true;

@@ -1,25 +1,25 @@
-//! Numbers and strings that a host knows the device by.
+//! Numbers and strings by which a host recognises the device.
 
-/// USB vendor and product: 1209:0001 is what pid.codes gives for tests. A product needs a pair of its own,
-/// as another device of somebody's tests may have this one: hosts look at the strings too.
+/// USB vendor and product numbers: 1209:0001, which pid.codes provides for tests. A product needs a pair of its
+/// own, as other test devices may have this one too; hosts therefore also check the strings.
 pub const VENDOR_AND_PRODUCT: (u16, u16) = (0x1209, 0x0001);
 /// Release of the device, `bcdDevice`: 0.1.
 pub const RELEASE: u16 = 0x0010;
-/// String 1.
+/// Manufacturer, string 1.
 pub const MANUFACTURER: &str = "EECVS";
-/// String 2.
+/// Product, string 2.
 pub const PRODUCT: &str = "EECVS event encoder";
-/// String of the vendor's interface: what Windows shows.
+/// Name of the vendor's interface, which Windows shows.
 pub const VENDOR_NAME: &str = "EECVS encoder";
-/// String of the serial port's interface.
+/// Name of the serial port's interface.
 pub const SERIAL_NAME: &str = "EECVS encoder, serial";
-/// The class of device interfaces under which Windows' programs find the encoder.
+/// Class of device interfaces by which Windows programs find the encoder.
 pub const DEVICE_INTERFACE: &str = "{6A2D7B84-3F51-4E0C-9B7E-5C0F8D1EEC55}";
 
-/// Digits of a serial number.
+/// Number of digits in a serial number.
 pub const SERIAL_BYTES: usize = 24;
 
-/// A chip's unique number of 96 bits as 24 digits, string 3.
+/// Returns a chip's unique number of 96 bits as 24 hexadecimal digits in ASCII, for string 3.
 #[must_use]
 pub fn serial_number(unique: [u32; 3]) -> [u8; SERIAL_BYTES] {
     let mut text = [0; SERIAL_BYTES];

@@ -1,10 +1,10 @@
-//! Microsoft OS 2.0 descriptors: Windows reads them by itself and loads WinUSB for the vendor's function,
-//! so that no driver is to be installed. The serial port's function needs none: Windows has its driver.
+//! Microsoft OS 2.0 descriptors, from which Windows loads WinUSB for the vendor's function, so that no driver has
+//! to be installed. The serial port's function needs none: Windows has its driver.
 
 use crate::identity::DEVICE_INTERFACE;
 use crate::requests::DESCRIPTORS;
 
-/// Windows 8.1, the first that asks.
+/// Windows 8.1, the first version that asks.
 const WINDOWS: [u8; 4] = [0x00, 0x00, 0x03, 0x06];
 /// `MS_OS_20_DESCRIPTOR_INDEX`: `wIndex` of the request for the set.
 pub const SET_INDEX: u16 = 7;
@@ -12,17 +12,17 @@ pub const SET_INDEX: u16 = 7;
 const INTERFACE: u8 = 0;
 
 const NAME: &str = "DeviceInterfaceGUIDs";
-/// A string in UTF-16 with its end.
+/// Length of the name in UTF-16 with its terminator.
 const NAME_BYTES: usize = 2 * (NAME.len() + 1);
-/// A list of strings has an end of its own.
+/// Length of the list of strings, which has a terminator of its own.
 const DATA_BYTES: usize = 2 * (DEVICE_INTERFACE.len() + 2);
 
 const PROPERTY_AT: usize = 10 + 8 + 8 + 20;
 const SET_BYTES: usize = PROPERTY_AT + 10 + NAME_BYTES + DATA_BYTES;
 
 /// Content of the platform capability in the binary object store, from `bReserved` on: the set's UUID
-/// D8DD60DF-4589-4CC7-9CD2-659D9E648A9F, Windows' version, the set's length, the request that asks for it,
-/// and no other enumeration.
+/// D8DD60DF-4589-4CC7-9CD2-659D9E648A9F, the version of Windows, the set's length, the request that returns it, and
+/// no alternate enumeration.
 pub const PLATFORM_CAPABILITY: [u8; 25] = [
     0x00, //
     0xDF,
@@ -59,7 +59,7 @@ pub const PLATFORM_CAPABILITY: [u8; 25] = [
 /// | 10 | 8 | header of the first configuration |
 /// | 18 | 8 | header of the function that begins with interface 0 |
 /// | 26 | 20 | compatible identity `WINUSB` |
-/// | 46 | 132 | registry's property `DeviceInterfaceGUIDs`, a list of strings |
+/// | 46 | 132 | registry property `DeviceInterfaceGUIDs`, a list of strings |
 pub const DESCRIPTOR_SET: [u8; SET_BYTES] = descriptor_set();
 
 const fn descriptor_set() -> [u8; SET_BYTES] {
@@ -72,7 +72,7 @@ const fn descriptor_set() -> [u8; SET_BYTES] {
 
     at = put_word(&mut set, at, 8);
     at = put_word(&mut set, at, 1);
-    // The configuration by its place, and a reserved byte.
+    // Index of the configuration, and a reserved byte.
     at = put(&mut set, at, &[0, 0]);
     at = put_word(&mut set, at, SET_BYTES - 10);
 
@@ -114,7 +114,7 @@ const fn put_word(set: &mut [u8; SET_BYTES], at: usize, word: usize) -> usize {
     put(set, at, &(word as u16).to_le_bytes())
 }
 
-/// Ends are zeros, which are there already.
+/// Writes a text in UTF-16. Its terminator is zeros, which are there already.
 const fn put_text(set: &mut [u8; SET_BYTES], at: usize, text: &str) {
     let bytes = text.as_bytes();
     let mut i = 0;

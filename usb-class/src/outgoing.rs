@@ -1,20 +1,20 @@
-//! Messages to packets: the queue between the encoder and the bus.
+//! Splits messages into packets: the queue between the encoder and the bus.
 //!
-//! A message ends with a packet that is not full, an empty one where its last packet would be: so a host's
-//! transfer ends where the message does. The queue holds packets, and so never allocates or grows; where
-//! it is full the encoder waits, and it is the encoder's rule that says what then becomes of events.
+//! A message ends with a packet that is not full, an empty one if need be, so that a host's transfer ends where the
+//! message does. The queue holds a fixed number of packets, and so never allocates or grows. While it is full the
+//! encoder waits, and the encoder's setup decides what happens to events.
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use crate::PACKET_BYTES;
 
-/// Packets that the queue holds: 4 KiB, an ordinary frame. A power of two.
+/// Number of packets that the queue holds: 4 KiB, an ordinary frame. A power of two.
 pub const QUEUE_PACKETS: usize = 64;
 const WORDS: usize = PACKET_BYTES / 4;
 
 /// One packet of the queue.
 pub(crate) struct Packet {
-    /// Session that it is of, its low bits: the queue is emptied long before they repeat.
+    /// Low bits of the packet's session; the queue is emptied long before they repeat.
     session: u16,
     len: u16,
     bytes: [u8; PACKET_BYTES],
@@ -25,7 +25,7 @@ impl Packet {
         self.bytes.get(..usize::from(self.len)).unwrap_or(&[])
     }
 
-    /// Whether a message ends with it.
+    /// Whether the packet ends a message.
     pub(crate) const fn ends(&self) -> bool {
         (self.len as usize) < PACKET_BYTES
     }
@@ -35,8 +35,8 @@ impl Packet {
     }
 }
 
-/// A packet's place: its length in the low half of `head`, its session in the high one. Atomics, so that
-/// both sides may have the queue; it is `put` and `taken` that order them.
+/// A packet's place in the queue: the low half of `head` is its length, the high half its session. Made of atomics,
+/// so that both sides can share the queue; `put` and `taken` order the accesses.
 struct Slot {
     head: AtomicU32,
     words: [AtomicU32; WORDS],
@@ -80,7 +80,7 @@ impl Slot {
     }
 }
 
-/// What both sides know.
+/// State that both sides share.
 #[derive(Debug)]
 pub(crate) struct Shared {
     /// Written by the bus's side.
@@ -91,7 +91,7 @@ pub(crate) struct Shared {
     bytes_dropped: AtomicU32,
 }
 
-/// Of a number that one side writes and the other reads.
+/// Adds to a count that one side writes and the other reads.
 fn add(count: &AtomicU32, more: usize) {
     let sum = count.load(Ordering::Relaxed).wrapping_add(more as u32);
     count.store(sum, Ordering::Relaxed);
@@ -123,17 +123,17 @@ impl Shared {
     }
 }
 
-/// The queue.
+/// Queue of packets from the encoder to the bus.
 pub struct Outgoing {
     slots: [Slot; QUEUE_PACKETS],
-    /// Packets put and taken so far; wrap.
+    /// Packets put and taken so far; these wrap.
     put: AtomicU32,
     taken: AtomicU32,
     shared: Shared,
 }
 
 impl Outgoing {
-    /// An empty queue.
+    /// Returns an empty queue.
     #[must_use]
     pub const fn new() -> Self {
         const { assert!(QUEUE_PACKETS.is_power_of_two()) };
@@ -150,7 +150,7 @@ impl Outgoing {
         }
     }
 
-    /// The encoder's end and the bus's, for [`crate::Device::new`].
+    /// Returns the encoder's end and the bus's end, the latter for [`crate::Device::new`].
     pub fn split(&mut self) -> (Sender<'_>, Fetcher<'_>) {
         let queue = &*self;
         (Sender { queue, session: 0 }, Fetcher { queue })
@@ -173,37 +173,37 @@ impl Default for Outgoing {
     }
 }
 
-/// The encoder's end.
+/// The encoder's end of the queue.
 pub struct Sender<'q> {
     queue: &'q Outgoing,
-    /// The one that messages are of.
+    /// Session that its messages belong to.
     session: u32,
 }
 
 impl Sender<'_> {
-    /// What is sent from now on is of the host's session as it is now. Until the call after the begin of a
-    /// session, messages are dropped: they answer a host that is gone.
+    /// Makes later messages belong to the host's current session. Between the start of a session and this call
+    /// messages are dropped, as they answer a host that is gone.
     pub fn follow(&mut self) {
         self.session = self.queue.shared.session();
     }
 
-    /// Whether a host listens to what would be sent.
+    /// Returns whether a host would receive what is sent.
     #[must_use]
     pub fn is_heard(&self) -> bool {
         let shared = &self.queue.shared;
         shared.is_listening() && shared.session() == self.session
     }
 
-    /// Whether a message of `bytes` can be queued without waiting.
+    /// Returns whether a message of `bytes` bytes can be queued without waiting.
     #[must_use]
     pub fn has_room(&self, bytes: usize) -> bool {
         bytes / PACKET_BYTES < self.queue.free()
     }
 
-    /// Queues a message; calls `wait` where the queue is full, until there is room.
+    /// Queues a message. While the queue is full it calls `wait`, until there is room.
     ///
-    /// Returns `false`, and counts the rest as dropped, where nobody listens, the session ends, or `wait`
-    /// says `false`. An empty message is none.
+    /// Returns `false`, and counts the rest as dropped, if nobody listens, if the session ends, or if `wait`
+    /// returns `false`. An empty message queues nothing.
     pub fn send(&mut self, message: &[u8], mut wait: impl FnMut() -> bool) -> bool {
         let mut rest = message;
         while !message.is_empty() {
@@ -225,7 +225,7 @@ impl Sender<'_> {
         true
     }
 
-    /// Queues a packet, for which there is room.
+    /// Queues a packet; there has to be room for it.
     fn put(&mut self, bytes: &[u8]) {
         let put = self.queue.put.load(Ordering::Relaxed);
         if let Some(slot) = self.queue.slot(put) {
@@ -242,7 +242,7 @@ impl Sender<'_> {
     }
 }
 
-/// The bus's end.
+/// The bus's end of the queue.
 pub struct Fetcher<'q> {
     queue: &'q Outgoing,
 }
@@ -252,7 +252,7 @@ impl<'q> Fetcher<'q> {
         &self.queue.shared
     }
 
-    /// The oldest packet.
+    /// Returns a copy of the oldest packet.
     pub(crate) fn peek(&self) -> Option<Packet> {
         if self.queue.free() == QUEUE_PACKETS {
             return None;
@@ -261,7 +261,7 @@ impl<'q> Fetcher<'q> {
         self.queue.slot(taken).map(Slot::read)
     }
 
-    /// Gives up the packet that [`Fetcher::peek`] has.
+    /// Removes the packet that [`Fetcher::peek`] returns.
     pub(crate) fn take(&mut self) {
         if self.queue.free() < QUEUE_PACKETS {
             let taken = self.queue.taken.load(Ordering::Relaxed);

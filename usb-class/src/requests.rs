@@ -6,28 +6,28 @@
 //! | restart | 0x02 | to the device | none |
 //! | descriptors | 0x20, `wIndex` 7 | from the device | [`crate::DESCRIPTOR_SET`], for Windows |
 //!
-//! Any other one is refused with a stall. A restart begins a session: what the encoder has queued and
-//! what it has received and not used yet is dropped, frames too until the next setup.
+//! All others are refused with a stall. A restart begins a session: everything that the encoder has queued, and
+//! everything received and not used yet, is dropped; so are frames until the next setup.
 
-/// What the device has moved and dropped: [`Counts`].
+/// Request that returns what the device has moved and dropped: [`Counts`].
 pub const COUNTS: u8 = 0x01;
-/// Begin anew.
+/// Request that begins a session, without data.
 pub const RESTART: u8 = 0x02;
-/// Windows' descriptor set.
+/// Request that returns Windows' descriptor set.
 pub const DESCRIPTORS: u8 = 0x20;
 
-/// Bytes of [`Counts`].
+/// Size of [`Counts`] in bytes.
 pub const COUNTS_BYTES: usize = 40;
-/// The first byte of [`Counts`]: another layout has another number.
+/// First byte of [`Counts`], which identifies the layout.
 const LAYOUT: u8 = 1;
 
-/// What the device has moved and dropped since it started; all wrap. A *message* is a frame or a packet of
+/// What the device has moved and dropped since it started; all counts wrap. A *message* is a frame or a packet of
 /// the event link.
 ///
 /// | at | type | field |
 /// |---|---|---|
 /// | 0 | u8 | 1, this layout |
-/// | 1 | u8 | 1 where the serial port has the encoder, else 0 |
+/// | 1 | u8 | 1 if the serial port has the encoder, else 0 |
 /// | 2 | u16 | 0 |
 /// | 4 | u32, little-endian, as all that follow | sessions |
 /// | 8 | u32 | messages sent |
@@ -42,28 +42,28 @@ const LAYOUT: u8 = 1;
 pub struct Counts {
     /// Whether the serial port has the encoder.
     pub serial: bool,
-    /// Sessions begun.
+    /// Number of sessions begun.
     pub sessions: u32,
-    /// Messages that the host has taken to their end.
+    /// Messages that the host has taken in full.
     pub messages_sent: u32,
     /// Bytes that the host has taken.
     pub bytes_sent: u32,
-    /// Messages that nobody listened to, or whose session ended before they were sent.
+    /// Messages that nobody listened to, or whose session ended before they were sent in full.
     pub messages_dropped: u32,
-    /// Bytes of them that were not sent.
+    /// Bytes of such messages that were not sent.
     pub bytes_dropped: u32,
     /// Bytes from the host for the encoder.
     pub bytes_received: u32,
-    /// Bytes on the function that does not have the encoder.
+    /// Bytes received by the function that does not have the encoder.
     pub bytes_refused: u32,
-    /// Packets of them.
+    /// Packets received by that function.
     pub packets_refused: u32,
-    /// Control transfers that sent more than the device takes.
+    /// Control transfers with more data than the device takes.
     pub controls_refused: u32,
 }
 
 impl Counts {
-    /// The bytes of the answer.
+    /// Returns the bytes of the answer to [`COUNTS`].
     #[must_use]
     pub fn to_bytes(&self) -> [u8; COUNTS_BYTES] {
         let mut bytes = [0; COUNTS_BYTES];
@@ -86,7 +86,7 @@ impl Counts {
         bytes
     }
 
-    /// Reads an answer; `None` where it is none.
+    /// Reads an answer; `None` if it has another length or layout.
     #[must_use]
     pub fn parse(bytes: &[u8]) -> Option<Self> {
         let bytes: &[u8; COUNTS_BYTES] = bytes.try_into().ok()?;

@@ -1,4 +1,5 @@
-//! What a path leads to, frames or a recording, by its first bytes: those of a pipe stay for who reads it.
+//! Decides by a path's first bytes whether it leads to EECVS frames or to a recording; a pipe's bytes are not
+//! lost.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -10,28 +11,30 @@ use crate::format::FRAMES_SYNC;
 use crate::input::piped::{Piped, is_stream, name_of, open_bytes};
 use crate::{EventReader, Reading};
 
-/// What a path leads to.
+/// What a path leads to, decided by [`Content::of`].
 pub enum Content {
-    /// Frames of the codec, from the first on.
+    /// EECVS frames, from the first byte on.
     Frames(Box<dyn Read + Send>),
-    /// Anything else.
+    /// Anything else, which is opened as a recording.
     Recording(Unopened),
 }
 
-/// A recording that has not been opened.
+/// A recording that has not been opened yet.
 pub enum Unopened {
-    /// A file, a folder, or a place in one.
+    /// A file, a folder, or a place inside one.
     File(PathBuf),
-    /// A pipe, and what messages call it.
+    /// A pipe, and its name in messages.
     Pipe(Piped, String),
 }
 
 impl Content {
-    /// Looks at the first bytes; a name that ends in `.eecvs` is of frames, as damage may hide what they
-    /// begin with. Of a pipe, waits for these bytes.
+    /// Looks at the first bytes of `path`; for a pipe it waits for them.
+    ///
+    /// A file whose name ends in `.eecvs` is taken for frames whatever its first bytes, since these may be
+    /// damaged.
     ///
     /// # Errors
-    /// A file that cannot be opened or read.
+    /// The file cannot be opened or read.
     pub fn of(path: &Path) -> Result<Self> {
         let is_named_so = path.extension().is_some_and(|ending| ending == "eecvs");
         if is_stream(path) {
@@ -45,7 +48,7 @@ impl Content {
                 Self::Recording(Unopened::Pipe(pipe, name))
             });
         }
-        // A folder and a place in a file are recordings.
+        // A folder, or a place inside a file, is a recording.
         if path.is_file() && (is_named_so || begins_with_frames(path)?) {
             return Ok(Self::Frames(Box::new(open_bytes(path)?)));
         }
@@ -63,10 +66,10 @@ fn begins_with_frames(path: &Path) -> Result<bool> {
 }
 
 impl Unopened {
-    /// Opens it; `reading` says what it does not.
+    /// Opens the recording; `reading` states what it does not.
     ///
     /// # Errors
-    /// As [`crate::open`].
+    /// Those of [`crate::open`].
     pub fn open(self, reading: &Reading) -> Result<Box<dyn EventReader>> {
         match self {
             Self::File(path) => crate::open(&path, reading),
@@ -75,19 +78,19 @@ impl Unopened {
     }
 }
 
-/// A recording that is read several times: a temporary file has all of what came through a pipe.
+/// A recording that can be read several times: what comes through a pipe is kept in a temporary file.
 pub struct Rereadable {
     path: PathBuf,
     name: String,
-    /// Of a pipe; removed with this.
+    /// The temporary file of a pipe, removed when this is dropped.
     whole: Option<TempPath>,
 }
 
 impl Rereadable {
-    /// Waits for all of a pipe; of anything else nothing is read.
+    /// Prepares a recording for reading. A pipe is read to its end; nothing else is read yet.
     ///
     /// # Errors
-    /// A pipe that cannot be read or kept.
+    /// A pipe cannot be read, or its temporary file cannot be written.
     pub fn of(path: &Path) -> Result<Self> {
         let name = name_of(path);
         if !is_stream(path) {
@@ -108,16 +111,16 @@ impl Rereadable {
         })
     }
 
-    /// What messages call it.
+    /// Returns the recording's name in messages.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Opens it from its first event.
+    /// Opens the recording from its first event on.
     ///
     /// # Errors
-    /// As [`crate::open`].
+    /// Those of [`crate::open`].
     pub fn open(&self, reading: impl Into<Reading>) -> Result<Box<dyn EventReader>> {
         if self.whole.is_none() {
             return crate::open(&self.path, reading);

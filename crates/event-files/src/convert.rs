@@ -1,4 +1,4 @@
-//! `eecvs convert`: from one event-file format to another, optionally a part of it.
+//! Converts a recording, or a part of it, from one event-file format to another: `eecvs convert`.
 
 use std::path::{Path, PathBuf};
 
@@ -12,70 +12,71 @@ use crate::output::is_same;
 use crate::sort::Sorted;
 use crate::{Format, Intact, Reading};
 
-/// A rectangle of pixels.
+/// A rectangle of a sensor's pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Crop {
-    /// Its left column.
+    /// Left column.
     pub x: u16,
-    /// Its top row.
+    /// Top row.
     pub y: u16,
-    /// Columns, at least 1.
+    /// Number of columns, at least 1.
     pub width: u16,
-    /// Rows, at least 1.
+    /// Number of rows, at least 1.
     pub height: u16,
 }
 
-/// What to keep; the default keeps everything.
+/// The events to keep; the default keeps all of them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Filter {
-    /// Only events with t >= `from_us`, in the file's own time.
+    /// Keeps only events with t >= `from_us`, in the file's own time.
     pub from_us: Option<u64>,
-    /// Only events with t < `to_us`, in the file's own time.
+    /// Keeps only events with t < `to_us`, in the file's own time.
     pub to_us: Option<u64>,
-    /// Only this part of the sensor; its corner becomes (0, 0).
+    /// Keeps only this part of the sensor; its top left corner becomes (0, 0).
     pub crop: Option<Crop>,
 }
 
-/// How a recording is converted; the default converts all of it, and loses nothing.
+/// How to convert a recording; the default converts all of it without loss.
 #[derive(Debug, Clone, Default)]
 pub struct Conversion {
-    /// What is kept.
+    /// The events to keep.
     pub filter: Filter,
-    /// What the output's format cannot hold is made to fit, and counted, in place of being refused.
+    /// Makes events fit that the output format cannot hold, and counts them, instead of refusing them.
     pub allow_loss: bool,
-    /// Events are sorted by time first.
+    /// Sorts the events by time first.
     pub sort: bool,
-    /// What is appended to the input comes as well.
+    /// Also converts what is appended to the input while it is read.
     pub follow: Option<Follow>,
-    /// The output's format, in place of that of its extension.
+    /// The output format; `None` chooses it by the output's file name.
     pub format: Option<&'static Format>,
 }
 
-/// Outcome of [`convert`].
+/// The outcome of [`convert`].
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct Converted {
-    /// Events read: with an index, those of the times that were asked for, and a few around them.
+    /// Number of events read. With an index, only those of the requested times and a few around them.
     pub events_in: u64,
-    /// Events written; the others did not pass the filter, or are in `lost`.
+    /// Number of events written; the others did not pass the filter or are counted in `lost`.
     pub events_out: u64,
-    /// What the output's format could not hold.
+    /// What the output format could not hold.
     pub lost: Lost,
-    /// What the input's reader took to be so, and what it left out.
+    /// What the input's reader assumed and what it left out.
     #[cfg_attr(feature = "serde", serde(flatten))]
     pub findings: Findings,
-    /// Where and why the input ended before its end; everything before is in the output.
+    /// Where and why the input broke off; everything before that is in the output.
     pub damage: Option<String>,
-    /// With `damage`: the file that has it, which is another than the output where that was there already.
+    /// Only with `damage`: the file that was written. It is not the requested output if a file of that name
+    /// existed.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
     pub incomplete_output: Option<PathBuf>,
 }
 
 impl Filter {
-    /// Size of what is kept of a sensor.
+    /// Returns the size of the part of `sensor` that is kept.
     ///
     /// # Errors
-    /// The crop does not lie inside of the sensor.
+    /// The crop does not lie inside the sensor.
     pub fn sensor(&self, sensor: Sensor) -> Result<Sensor> {
         let Some(crop) = self.crop else {
             return Ok(sensor);
@@ -100,7 +101,7 @@ impl Filter {
             })
     }
 
-    /// The event as it is kept, or `None`.
+    /// Returns the event with its coordinates in the crop, or `None` if it is not kept.
     #[must_use]
     pub fn apply(&self, event: Event) -> Option<Event> {
         let early = self.from_us.is_some_and(|from| event.t_us < from);
@@ -117,20 +118,22 @@ impl Filter {
     }
 }
 
-/// Times of a recording step back by less than this: reading may end so long behind the last that is wanted.
+/// Largest step back of a recording's times: reading ends once all events of a batch are this far past the last
+/// time wanted.
 const STEP_BACK_MAX_US: u64 = 1_000_000;
 
-/// Writes the events of `input` that pass the filter to `output`, whose extension names the format.
+/// Writes the events of `input` that pass the filter to `output`, by default in the format of its file name's
+/// ending.
 ///
-/// Events keep their order. Where reading fails, everything before the damage is in `output`, and
-/// [`Converted::damage`] tells it; where writing fails, what was written is removed.
+/// Events keep their order, unless [`Conversion::sort`] is set. If reading fails, everything before the damage is
+/// in `output` and [`Converted::damage`] describes it; if writing fails, the incomplete output is removed.
 ///
-/// Reading begins at `from_us` where the format has an index, and ends a second behind `to_us`: times that
-/// step back further than that are not found.
+/// Reading begins at `from_us` if the format has an index, and ends one second after `to_us`: events after a
+/// larger step back in time are missed.
 ///
 /// # Errors
-/// An unknown input, an output format that cannot hold the events, a crop outside of the sensor,
-/// `from_us` above `to_us`, input and output the same file.
+/// The input cannot be opened; the output format cannot hold an event; the crop lies outside the sensor; `from_us`
+/// is above `to_us`; input and output are the same file. Damage before the first event is also an error.
 pub fn convert(
     input: &Path,
     output: &Path,
@@ -174,7 +177,7 @@ pub fn convert(
     let mut reader = Intact::new(reader);
     let result = copy(&mut reader, writer.as_mut(), conversion, format)
         .with_context(|| format!("{}: cannot be converted", output.display()));
-    // Nothing of a recording is no recording.
+    // A conversion without a single event read is an error, not an empty recording.
     let converted = result?;
     let findings = Findings::of(&reader);
     let damage = match reader.damage() {

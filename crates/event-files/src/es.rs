@@ -1,28 +1,28 @@
-//! Event Stream 2 (`.es`), the compact format of neuromorphic-paris' `sepia` and of `faery`.
+//! Event Stream 2 (`.es`), the compact format of neuromorphic-paris' `sepia` and `faery`.
 //!
 //! | bytes | content |
 //! |---|---|
 //! | 0..12 | `Event Stream` |
 //! | 12..15 | version: major 2, minor, patch |
 //! | 15 | type: 0 generic, 1 DVS, 2 ATIS, 4 colour |
-//! | 16..18, 18..20 | width, height, little-endian; not in generic files |
+//! | 16..18, 18..20 | width, height, little-endian; absent in generic files |
 //!
-//! Then events, each with the microseconds since the one before it (the first since 0); bytes that only
-//! let time pass stand between them:
+//! Events follow, each with the microseconds since the previous one (the first since 0). Between them there may be
+//! bytes that only let time pass:
 //!
-//! | type | first byte | lets time pass | does nothing | then |
+//! | type | first byte | lets time pass | does nothing | followed by |
 //! |---|---|---|---|---|
-//! | generic | time | `0xff`: 254 us | `0xfe` | length, 7 bits a byte from the lowest, bit 0 = more; as many bytes |
+//! | generic | time | `0xff`: 254 us | `0xfe` | length in 7-bit groups, lowest first, bit 0 = 1: more; content |
 //! | DVS | bits 7..1 time, bit 0 = ON | `0xff`: 127 us | `0xfe` | x, y |
-//! | ATIS | bits 7..2 time, bit 1 polarity, bit 0 = threshold crossing | `0xfd`..`0xff`: 63 us times bits 1..0 | `0xfc` | x, y |
+//! | ATIS | bits 7..2 time, bit 1 polarity, bit 0 = crossing | `0xfd`..`0xff`: 63 us times bits 1..0 | `0xfc` | x, y |
 //! | colour | time | `0xff`: 254 us | `0xfe` | x, y, three bytes of colour |
 //!
-//! x and y are 16 bits, little-endian. y counts upwards from the lowest row; events have it from the
-//! uppermost, as everywhere in this crate and as `faery` reads it: row = height - 1 - y. An ATIS file's
-//! changes (bit 0 = 0) are events; threshold crossings, colours and generic events are counted.
-//! Source: the specification (`neuromorphic-paris/event_stream`) and its reference, `sepia.hpp`.
+//! x and y are 16 bits, little-endian. In the file y counts upwards from the lowest row; here it counts downwards
+//! from the top, as everywhere in this crate and as `faery` reads it: row = height - 1 - y. An ATIS file's changes
+//! (bit 0 = 0) are events; threshold crossings, colours and generic events are only counted. Source: the
+//! specification (`neuromorphic-paris/event_stream`) and its reference implementation, `sepia.hpp`.
 //!
-//! Time cannot step back and there is no index.
+//! Times cannot step back, and there is no index.
 
 use std::path::Path;
 
@@ -39,16 +39,16 @@ pub const MAGIC: &[u8] = b"Event Stream";
 
 const VERSION: [u8; 3] = [2, 0, 0];
 
-/// Most that one byte of a DVS file lets pass.
+/// Longest time that one byte of a DVS file can let pass.
 const DVS_OVERFLOW_US: u64 = 127;
 
-/// Largest time that is written, 19 hours: a gap of 127 us costs a byte, this one 541 MB.
+/// Largest time that is written, 19 hours: every 127 us of a gap costs a byte, so such a gap costs 541 MB.
 const T_MAX_US: u64 = 1 << 36;
 
-/// Bytes of a generic event's length, at the most: 63 bits.
+/// Largest number of bytes of a generic event's length: 63 bits.
 const LENGTH_BYTES: u32 = 9;
 
-/// This format in the table of formats.
+/// This format's entry in the table of formats.
 pub const FORMAT: Format = Format {
     name: "es",
     title: "Event Stream",
@@ -72,7 +72,7 @@ pub const FORMAT: Format = Format {
     create: Some(|path, sensor| Ok(Box::new(EsWriter::create(path, sensor)?))),
 };
 
-/// What a file's events are.
+/// The type of a file's events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Generic,
@@ -81,12 +81,12 @@ enum Kind {
     Colour,
 }
 
-/// What the first byte of an event, or a byte between two, says.
+/// Meaning of an event's first byte, or of a byte between two events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum First {
-    /// Nothing begins; so many microseconds pass.
+    /// No event begins; this number of microseconds passes.
     Pass(u64),
-    /// An event begins after so many microseconds; its polarity, where it is a change.
+    /// An event begins after this number of microseconds; its polarity, if it is a brightness change.
     Begin(u64, Option<Polarity>),
 }
 
@@ -108,14 +108,14 @@ impl Kind {
     }
 }
 
-/// Reader of Event Stream files.
+/// A reader of Event Stream files.
 pub type EsReader = Reader<EsDecoder>;
 
 impl EsReader {
-    /// Reads `source`, which messages call `name`; `size` counts where the file is of generic events.
+    /// Reads `source`, which messages call `name`; `size` is used only if the file holds generic events.
     ///
     /// # Errors
-    /// No Event Stream header, another version, an unknown type, a size that no sensor has.
+    /// There is no Event Stream header; the version or the type is unknown; the size is out of range.
     pub fn new(source: Box<dyn ReadSeek>, name: &str, size: Option<Sensor>) -> Result<Self> {
         let mut input = Input::new(source, name)?;
         let mut magic = [0; MAGIC.len()];
@@ -146,7 +146,7 @@ impl EsReader {
             }
         };
         let sensor = if kind == Kind::Generic {
-            // No event has a pixel: any sensor will do.
+            // Generic events have no pixel, so any sensor will do.
             size.unwrap_or(Sensor {
                 width: 1,
                 height: 1,
@@ -174,7 +174,7 @@ impl EsReader {
     }
 }
 
-/// State between two events.
+/// The decoder of [`EsReader`]: its state between two events.
 pub struct EsDecoder {
     input: Input,
     bytes: Words<1>,
@@ -186,7 +186,7 @@ pub struct EsDecoder {
 }
 
 impl EsDecoder {
-    /// A byte within an event, which the file must still have.
+    /// Reads a byte within an event; the end of the file is an error.
     #[inline]
     fn byte(&mut self) -> Result<u8> {
         match self.bytes.next(&mut self.input)? {
@@ -200,8 +200,8 @@ impl EsDecoder {
         Ok(u16::from_le_bytes([self.byte()?, self.byte()?]))
     }
 
-    /// The pixel of an event that began at byte `offset`, its row counted from the uppermost; none where it is
-    /// left out.
+    /// Reads the pixel of an event that began at byte `offset`, with its row counted from the top; `None` if the
+    /// event is left out.
     fn pixel(&mut self, offset: u64) -> Result<Option<(u16, u16)>> {
         let (x, y) = (self.side()?, self.side()?);
         if !self.sensor.contains(x, y) {
@@ -213,7 +213,7 @@ impl EsDecoder {
         Ok(Some((x, self.sensor.height - 1 - y)))
     }
 
-    /// Steps over a generic event's length and bytes.
+    /// Skips a generic event's length and bytes.
     fn skip_generic(&mut self, offset: u64) -> Result<()> {
         let mut length = 0_u64;
         for index in 0..LENGTH_BYTES {
@@ -296,7 +296,7 @@ impl Decode for EsDecoder {
     }
 }
 
-/// Writer of Event Stream files of DVS events.
+/// A writer of Event Stream files of DVS events.
 pub struct EsWriter {
     file: Output,
     sensor: Sensor,
@@ -348,7 +348,7 @@ impl EventWriter for EsWriter {
             for _ in 0..step_us / DVS_OVERFLOW_US {
                 self.file.put(&[0xff])?;
             }
-            // Below 127.
+            // The remainder is below 127, so it fits into 7 bits and is not taken for `0xff` or `0xfe`.
             let rest = (step_us % DVS_OVERFLOW_US) as u8;
             let [x0, x1] = event.x.to_le_bytes();
             let [y0, y1] = (self.sensor.height - 1 - event.y).to_le_bytes();
@@ -393,7 +393,7 @@ mod tests {
         }
     }
 
-    /// All events, what was skipped, and the error, if any.
+    /// Returns all events, what was skipped, and the error, if any.
     fn read(bytes: Vec<u8>) -> (Vec<Event>, Vec<(&'static str, u64)>, Option<String>) {
         let mut reader = EsReader::new(Box::new(Cursor::new(bytes)), "test", None).unwrap();
         let mut events = Vec::new();

@@ -1,25 +1,26 @@
-//! Events made to fit a format that cannot hold them all, with an account of what that took.
+//! Makes events fit a format that cannot hold them all, and counts what that loses.
 
 use event_types::{Event, Sensor};
 
 use crate::Limits;
 
-/// What fitting took of a recording; all 0 where nothing was lost.
+/// What fitting changed or left out of a recording; all 0 if nothing was lost.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct Lost {
-    /// Microseconds that were taken off every time.
+    /// Microseconds subtracted from every time.
     pub shifted_us: u64,
-    /// Events left out: their pixel is beyond the format's columns or rows.
+    /// Number of events left out because their pixel is beyond the format's columns or rows.
     pub outside: u64,
-    /// Events left out: their time is beyond the format's, or before the shifted time's 0.
+    /// Number of events left out because their time is beyond the format's range, or before the shifted time 0.
     pub beyond_time: u64,
-    /// Events whose time was raised to the one before, as the format's times cannot step back.
+    /// Number of events whose time was raised to that of the previous one, because the format's times cannot step
+    /// back.
     pub raised: u64,
 }
 
 impl Lost {
-    /// Whether every event was written as it was read.
+    /// Returns whether every event was written as it was read.
     #[must_use]
     pub fn is_none(&self) -> bool {
         *self == Self::default()
@@ -28,17 +29,17 @@ impl Lost {
 
 /// Makes events fit the limits of a format.
 ///
-/// Times are shifted where the first one is beyond the format's largest: then the first becomes 0.
+/// Times are shifted only if the first one is beyond the format's largest time: the first then becomes 0.
 #[derive(Debug, Clone)]
 pub struct Fit {
     limits: Limits,
     lost: Lost,
-    /// Of the last event that was kept, shifted; none before the first event.
+    /// Shifted time of the last event that was kept; `None` before the first.
     last_us: Option<u64>,
 }
 
 impl Fit {
-    /// Fits events to `limits`.
+    /// Creates an adapter to `limits` that has not seen an event yet.
     #[must_use]
     pub fn new(limits: Limits) -> Self {
         Self {
@@ -48,7 +49,7 @@ impl Fit {
         }
     }
 
-    /// What the format holds of a sensor.
+    /// Returns the part of a sensor that the format can hold.
     #[must_use]
     pub fn sensor(limits: Limits, sensor: Sensor) -> Sensor {
         Sensor {
@@ -57,7 +58,7 @@ impl Fit {
         }
     }
 
-    /// The event as the format can hold it, or none.
+    /// Returns the event as the format can hold it, or `None` if it is left out.
     pub fn apply(&mut self, event: Event) -> Option<Event> {
         let Self {
             limits,
@@ -87,14 +88,15 @@ impl Fit {
         Some(Event { t_us, ..event })
     }
 
-    /// What was lost so far.
+    /// Returns what the events so far have lost.
     #[must_use]
     pub const fn lost(&self) -> Lost {
         self.lost
     }
 }
 
-/// What of `event`, the event number `index`, is beyond `limits`; `last_us` is the time of the event before.
+/// Describes what of `event`, event number `index`, is beyond `limits`, if anything; `last_us` is the previous
+/// event's time.
 #[must_use]
 pub fn beyond(limits: Limits, index: u64, event: Event, last_us: Option<u64>) -> Option<String> {
     let Event { t_us, x, y, .. } = event;

@@ -1,4 +1,4 @@
-//! The table of formats: what tells each by its first bytes, and how it is opened and created.
+//! The table of formats: how each is recognised by its first bytes, opened and created.
 
 use std::fs::File;
 use std::io::{self, Cursor};
@@ -33,19 +33,19 @@ use crate::reading::Reading;
 use crate::ros;
 use crate::{EventReader, EventWriter, dat, es, nmnist, text};
 
-/// What the folder of a bag of ROS 2 has beside its files.
+/// File in the folder of a ROS 2 bag that describes the bag's files.
 pub const METADATA: &str = "metadata.yaml";
 
-/// Name of the format of frames.
+/// Name of the format of EECVS frames.
 pub const FRAMES: &str = "eecvs";
 
-/// Ending of files of frames.
+/// Ending of the names of EECVS frame files.
 pub const FRAMES_ENDING: &str = ".eecvs";
 
-/// First bytes of every frame.
+/// First bytes of every EECVS frame.
 pub const FRAMES_SYNC: [u8; 2] = [0xEE, 0xC5];
 
-/// Formats that this build leaves out: their titles, and the features that have them.
+/// Formats that this build leaves out: their titles and the features that add them.
 const LEFT_OUT: &[(&str, &str)] = &[
     #[cfg(not(feature = "aedat4"))]
     ("AEDAT 4", "aedat4"),
@@ -65,10 +65,10 @@ const LEFT_OUT: &[(&str, &str)] = &[
     ("bags of ROS", "ros"),
 ];
 
-/// Bytes that a format is told by.
+/// Number of leading bytes that detection looks at.
 const START_BYTES: usize = 4096;
 
-/// Every format, in the order in which they are tried: text, which nearly anything may be, last.
+/// All formats, in the order in which they are tried; text comes last, since nearly any file may be text.
 pub const FORMATS: &[Format] = &[
     #[cfg(feature = "eecvs")]
     frames::FORMAT,
@@ -108,31 +108,33 @@ pub const FORMATS: &[Format] = &[
     text::CSV_FORMAT,
 ];
 
-/// A format of recordings.
+/// A format of recordings: its names, its abilities and the functions that open and create its files.
 #[derive(Clone, Copy)]
 pub struct Format {
-    /// As `eecvs info` prints it and [`EventReader::format`] returns it.
+    /// Short name, as `eecvs info` prints it and [`EventReader::format`] returns it.
     pub name: &'static str,
-    /// In messages and tables.
+    /// Name in messages and tables.
     pub title: &'static str,
-    /// Endings of its files, in small letters, each with its dot; a recording is created in the format
-    /// that has the longest ending of its name.
+    /// Endings of its files' names, in lower case and with their dot. A recording is created in the format that
+    /// has the longest matching ending.
     pub endings: &'static [&'static str],
-    /// Whether a file that begins so is of this format.
+    /// Returns whether a file that begins with these bytes has this format.
     pub detect: fn(&Start) -> bool,
-    /// Opens a file that [`Format::detect`] has told.
+    /// Opens a file that [`Format::detect`] has recognised.
     pub open: fn(Opening) -> Result<Box<dyn EventReader>>,
-    /// Whether a place in a file can be named behind it, as [`open`] says.
+    /// Whether a path may name a place inside the file after the file's name, as [`open`] describes.
     pub has_places: bool,
-    /// Whether its readers see to the caller's unit, columns, offset and bad events themselves, as tables do.
+    /// Whether its readers themselves apply the caller's unit, columns, offset and choice on bad events, as those
+    /// of tables do.
     pub is_table: bool,
-    /// Whether a file can be read from front to back while it is being written.
+    /// Whether a file can be read from front to back while it is still being written.
     pub grows: bool,
-    /// Whether a file is read, and written where there is a writer, from front to back alone: a pipe will do.
+    /// Whether files are read, and written if there is a writer, strictly from front to back, so that a pipe will
+    /// do.
     pub streams: bool,
-    /// What its files hold of events.
+    /// The events that its files can hold.
     pub limits: Limits,
-    /// Creates a file, where there is a writer.
+    /// Creates a file; `None` if there is no writer.
     pub create: Option<Create>,
 }
 
@@ -142,7 +144,7 @@ impl std::fmt::Debug for Format {
     }
 }
 
-/// What files of a format hold of events; writers refuse what is beyond.
+/// The range of events that a format's files can hold; writers refuse events outside it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
     /// Largest column.
@@ -151,12 +153,12 @@ pub struct Limits {
     pub y_max: u16,
     /// Largest time in microseconds.
     pub t_max_us: u64,
-    /// Whether a time may be before the one of the event before it.
+    /// Whether an event's time may be before that of the previous event.
     pub steps_back: bool,
 }
 
 impl Limits {
-    /// Every event of every sensor, in any order, with times up to 2^60 us.
+    /// The limits of a format that holds every event of every sensor, in any order, with times up to 2^60 us.
     pub const NONE: Self = Self {
         x_max: Sensor::SIDE_MAX - 1,
         y_max: Sensor::SIDE_MAX - 1,
@@ -165,61 +167,63 @@ impl Limits {
     };
 }
 
-/// How a file begins.
+/// The start of a file, from which its format is recognised.
 pub struct Start<'a> {
-    /// Its first bytes, 4,096 of them at the most.
+    /// The file's first bytes, at most 4,096.
     pub bytes: &'a [u8],
-    /// Its name.
+    /// The file's name.
     pub name: &'a str,
-    /// Its length in bytes.
+    /// The file's length in bytes.
     pub length: u64,
-    /// The lines of `% ` that it begins with, if it does.
+    /// The header of `% ` lines, if the file begins with one.
     pub header: Option<RawHeader>,
 }
 
 impl Start<'_> {
-    /// Whether the file begins with `magic`.
+    /// Returns whether the file begins with `magic`.
     #[must_use]
     pub fn begins(&self, magic: &[u8]) -> bool {
         self.bytes.starts_with(magic)
     }
 
-    /// Whether the file begins with a header that announces `words`.
+    /// Returns whether the file begins with a header that announces `words`.
     #[must_use]
     pub fn holds(&self, words: Words) -> bool {
         let header = self.header.as_ref();
         header.is_some_and(|header| header.words == Ok(words))
     }
 
-    /// Whether the file's name ends with `ending`, a dot and small letters.
+    /// Returns whether the file's name ends with `ending`, a dot and lower-case letters; the name's case is
+    /// ignored.
     #[must_use]
     pub fn is_named(&self, ending: &str) -> bool {
         self.name.to_ascii_lowercase().ends_with(ending)
     }
 }
 
-/// A file to be opened.
+/// A file that a format's [`Format::open`] is to open.
 pub struct Opening<'a> {
-    /// Its bytes.
+    /// The file's bytes.
     pub source: Box<dyn ReadSeek>,
-    /// What messages call it.
+    /// The file's name in messages.
     pub name: &'a str,
-    /// Where the file is, unless it is bytes in memory.
+    /// The file's path, unless it is bytes in memory.
     pub path: Option<&'a Path>,
-    /// Where in the file the events are, if that was told: never but where [`Format::has_places`].
+    /// The place inside the file that the caller named, if any; only for formats with [`Format::has_places`].
     pub place: Option<&'a str>,
-    /// What the caller knows of it.
+    /// What the caller knows about the file.
     pub reading: Reading,
 }
 
-/// Opens a recording, its format found by content; `reading` says what the file does not.
+/// Opens a recording, whose format is recognised by its content; `reading` states what the file does not.
 ///
-/// A dataset or group of an HDF5 file is named behind it: `FILE.hdf5/davis/right/events`; so is a topic
-/// of a bag of ROS, a stream of an AEDAT 4 file, an array of an npz file, a recording of a zip file. A folder with a
-/// `metadata.yaml` is a bag of ROS 2, one with `.npy` files a recording.
+/// The path may go on after the file's name to select a dataset or group of an HDF5 file
+/// (`FILE.hdf5/davis/right/events`), a topic of a ROS bag, a stream of an AEDAT 4 file, an array of an npz file,
+/// or a recording of a zip file. A folder with a `metadata.yaml` is opened as a ROS 2 bag, one with `.npy` files
+/// as one recording. A named pipe, and stdin under the name `-`, are read as [`open_pipe`] does.
 ///
 /// # Errors
-/// Unknown format, unreadable file, damaged header.
+/// The format is unknown, the file cannot be read, or its header is damaged.
 pub fn open(path: &Path, reading: impl Into<Reading>) -> Result<Box<dyn EventReader>> {
     let reading = reading.into();
     if is_stream(path) {
@@ -245,7 +249,7 @@ pub fn open(path: &Path, reading: impl Into<Reading>) -> Result<Box<dyn EventRea
     })
 }
 
-/// Opens a bag of ROS 2, or a folder of arrays.
+/// Opens a folder: a ROS 2 bag or a recording of `.npy` arrays.
 fn open_folder(
     folder: &Path,
     place: Option<&str>,
@@ -273,13 +277,13 @@ fn open_folder(
     }
 }
 
-/// The file, or folder of a bag, that holds what a path names.
+/// Returns the part of a path that is a file or a bag's folder, without the place inside it.
 #[must_use]
 pub fn file_of(path: &Path) -> &Path {
     place_inside(path).map_or(path, |(file, _)| file)
 }
 
-/// The file, or folder of a bag, and the rest of a path that leads into it.
+/// Splits a path that leads into a file or a bag's folder; `None` if the path itself exists or leads into neither.
 fn place_inside(path: &Path) -> Option<(&Path, String)> {
     let is_bag = |folder: &Path| folder.join(METADATA).is_file();
     if path.exists() {
@@ -292,10 +296,10 @@ fn place_inside(path: &Path) -> Option<(&Path, String)> {
     Some((file, names?.join("/")))
 }
 
-/// As [`open`], for a file or bytes in memory, which messages call `name`.
+/// Opens a file or bytes in memory as [`open`] does; messages call them `name`.
 ///
 /// # Errors
-/// As [`open`].
+/// Those of [`open`].
 pub fn open_source(
     source: Box<dyn ReadSeek>,
     name: &str,
@@ -310,11 +314,13 @@ pub fn open_source(
     })
 }
 
-/// Opens a recording that comes through a pipe: event by event where its format and size are told by its front
-/// and it is read from front to back alone, and else from a temporary file, when all of it has come.
+/// Opens a recording that comes through a pipe.
+///
+/// The events are returned as they arrive if the pipe's first bytes show the format and the sensor's size, and the
+/// format is read strictly from front to back. Otherwise the pipe is first copied to a temporary file.
 ///
 /// # Errors
-/// As [`open`].
+/// Those of [`open`].
 pub fn open_pipe(mut pipe: Piped, name: &str, reading: &Reading) -> Result<Box<dyn EventReader>> {
     let front = pipe.front(START_BYTES);
     let front = front.with_context(|| format!("{name}: cannot be read"))?;
@@ -329,7 +335,7 @@ pub fn open_pipe(mut pipe: Piped, name: &str, reading: &Reading) -> Result<Box<d
     open_source(source, name, reading.clone())
 }
 
-/// Whether a recording's front is enough to open it, whatever follows.
+/// Returns whether a recording can be opened by its first bytes, and read as a stream, whatever follows them.
 fn is_told_by_front(
     open_front: impl Fn(Reading) -> Result<Box<dyn EventReader>>,
     reading: &Reading,
@@ -339,13 +345,13 @@ fn is_told_by_front(
     };
     let format = FORMATS.iter().find(|format| format.name == reader.format());
     let has_size = || has_size(&open_front, reading, reader.sensor());
-    // Frames have a size each.
+    // Each frame states its own size.
     format.is_some_and(|format| {
         format.streams && (reading.size.is_some() || format.name == FRAMES || has_size())
     })
 }
 
-/// Whether a recording says its size, which is `sensor`; where it does not, any other would do.
+/// Returns whether a recording states its own size, which is `sensor`; one that does not would accept any other.
 pub(super) fn has_size(
     open: impl Fn(Reading) -> Result<Box<dyn EventReader>>,
     reading: &Reading,
@@ -363,7 +369,7 @@ pub(super) fn has_size(
         size: Some(larger),
         ..reading.clone()
     };
-    // Where another size is refused, the file tells its own.
+    // If the reader does not take another size, the file states its own.
     !open(reading).is_ok_and(|reader| reader.sensor() != sensor)
 }
 
@@ -386,13 +392,13 @@ fn open_place(opening: Opening) -> Result<Box<dyn EventReader>> {
     adjusted::adjusted(reader, format, name, &reading)
 }
 
-/// The format of a recording, by its first bytes.
+/// Recognises the format of a recording by its first bytes.
 fn tell(input: &mut Input) -> Result<&'static Format> {
     let name = input.name().to_owned();
     let mut bytes = vec![0; START_BYTES];
     let filled = input.fill(&mut bytes)?;
     bytes.truncate(filled);
-    // Text and N-MNIST have no header: a recording of no events is an empty file.
+    // Text and N-MNIST have no header: an empty file is a recording without events.
     let may_be_empty = |ending| name.to_ascii_lowercase().ends_with(ending);
     if bytes.is_empty() && ![".bin", ".csv", ".txt"].into_iter().any(may_be_empty) {
         bail!(Damaged, "{name}: byte 0: the file is empty");
@@ -413,7 +419,7 @@ fn tell(input: &mut Input) -> Result<&'static Format> {
     format.ok_or_else(|| unknown(&start))
 }
 
-/// What this build leaves out, in brackets; nothing where it has all formats.
+/// Lists the formats that this build leaves out, as the end of a message; empty if it has them all.
 fn left_out() -> String {
     let names: Vec<String> = LEFT_OUT
         .iter()
@@ -425,7 +431,7 @@ fn left_out() -> String {
     }
 }
 
-/// What a file is not, told as well as it can be.
+/// Returns the error for a file of no known format, as specific as possible.
 fn unknown(start: &Start) -> Error {
     let name = start.name;
     let is_left_out = start.begins(b"#!AER-DAT4") && cfg!(not(feature = "aedat4"));
@@ -453,19 +459,21 @@ fn unknown(start: &Start) -> Error {
     )
 }
 
-/// Creates a recording, which has its name when it is finished; the extension names the format.
+/// Creates a recording in the format of its file name's ending; the file gets its name when it is finished.
 ///
 /// # Errors
-/// As [`writable`]; an unwritable file, a sensor that the format cannot hold.
+/// Those of [`writable`]; the file cannot be written; the format cannot hold the sensor.
 pub fn create(path: &Path, sensor: Sensor) -> Result<Box<dyn EventWriter>> {
     create_as(path, writable(path)?.0, sensor)
 }
 
-/// As [`create`], in a format whatever the name. What goes to a pipe goes there event by event where the format is
-/// written from front to back, and else when it is complete.
+/// Creates a recording in `format`, whatever the file's name; otherwise like [`create`].
+///
+/// Output to a pipe is written event by event if the format is written from front to back, and otherwise copied to
+/// the pipe when it is complete.
 ///
 /// # Errors
-/// As [`create`]; a format without a writer.
+/// Those of [`create`]; `format` has no writer.
 pub fn create_as(path: &Path, format: &Format, sensor: Sensor) -> Result<Box<dyn EventWriter>> {
     let create = format
         .create
@@ -486,18 +494,19 @@ pub fn create_as(path: &Path, format: &Format, sensor: Sensor) -> Result<Box<dyn
     Ok(Box::new(Kept { writer, output }))
 }
 
-/// As [`create`], but the file is written under its own name: meant for a name that is temporary.
+/// Creates a recording directly under its own name, for names that are temporary anyway; otherwise like
+/// [`create`].
 ///
 /// # Errors
-/// As [`create`].
+/// Those of [`create`].
 pub fn create_in_place(path: &Path, sensor: Sensor) -> Result<Box<dyn EventWriter>> {
     let (_, create) = writable(path)?;
     create(path, sensor)
 }
 
-/// A recording that has its name when it is complete.
+/// A writer whose file gets its name when it is complete.
 struct Kept {
-    // Closed before the output is removed or renamed.
+    // Declared first, so that the writer is dropped before the output is removed or renamed.
     writer: Box<dyn EventWriter>,
     output: Output,
 }
@@ -520,9 +529,9 @@ impl EventWriter for Kept {
     }
 }
 
-/// A recording that goes to a pipe when it is complete.
+/// A writer to a temporary file that is copied to a pipe when it is complete.
 struct Later {
-    // Closed before the file is read or removed.
+    // Declared first, so that the writer is dropped before the file is removed.
     writer: Box<dyn EventWriter>,
     file: TempPath,
     output: Output,
@@ -548,13 +557,14 @@ impl EventWriter for Later {
     }
 }
 
-/// How a format's files are created.
+/// The function that creates a format's files.
 pub type Create = fn(&Path, Sensor) -> Result<Box<dyn EventWriter>>;
 
-/// The format that a file is written in, told by its longest known ending.
+/// Returns the format of a file to be written, recognised by the longest known ending of its name, and its
+/// function.
 ///
 /// # Errors
-/// An ending of no format that can be written.
+/// No format with a writer has this ending.
 pub fn writable(path: &Path) -> Result<(&'static Format, Create)> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let name = name.to_ascii_lowercase();

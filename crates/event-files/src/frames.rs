@@ -1,13 +1,13 @@
-//! Frames (`.eecvs`) as a recording: their windows, decoded, one after the other.
+//! EECVS frames (`.eecvs`) read as a recording: their windows are decoded one after the other.
 //!
-//! A window's events come in order of time, or in the order in which they came where that was sent
-//! (`--keep-order`); times within a tolerance or a bin, or solved for from coefficients, are as good as
-//! `eecvs decode` makes them. The layout is docs/wire-format.md's. A damaged or missing frame is left out, those
-//! behind it are read, and the end is an error that says what was met; what the encoder left out is counted.
+//! A window's events come in order of time, or in their original order if it was sent (`--keep-order`). Times that
+//! were coded within a tolerance or a bin, or that are solved for from coefficients, are the same as those of
+//! `eecvs decode`. docs/wire-format.md describes the layout. The reader skips a damaged or missing frame, reads
+//! the frames after it, and ends with an error that describes the damage; it counts what the encoder left out.
 //!
-//! Frames are told by their first bytes, or by their name's ending, as damage may hide what they begin with. The
-//! reader holds a window. It does not seek: a frame goes on from those before it. Frames are written by
-//! `eecvs encode` alone, which has much to ask.
+//! Frames are recognised by their first bytes, or by the ending of the file's name, as damage may hide the first
+//! bytes. The reader holds one window. It cannot seek, because a frame may depend on those before it. Only
+//! `eecvs encode` writes frames, since encoding has many options.
 
 use std::io::Read;
 
@@ -26,7 +26,7 @@ use crate::input::{Batch, Decode, ReadSeek, Reader};
 
 const _: () = assert!(FRAMES_SYNC[0] == SYNC[0] && FRAMES_SYNC[1] == SYNC[1]);
 
-/// This format in the table of formats.
+/// This format's entry in the table of formats.
 pub const FORMAT: Format = Format {
     name: FRAMES,
     title: "EECVS frames",
@@ -41,13 +41,13 @@ pub const FORMAT: Format = Format {
     create: None,
 };
 
-/// Events of the windows of frames, a window at a time.
+/// A reader of frames that returns their events window by window.
 pub struct FrameEvents<R> {
     name: String,
     windows: WindowReader<R>,
     events: WindowEvents,
     sensor: Sensor,
-    /// Decoded, to be given next.
+    /// A decoded window that is returned next.
     ahead: Option<DecodedWindow>,
 }
 
@@ -55,7 +55,7 @@ impl<R: Read> FrameEvents<R> {
     /// Reads up to the first window with events.
     ///
     /// # Errors
-    /// I/O; no frame, no window with events.
+    /// I/O; there is no frame, or no window with events.
     pub fn new(source: R, name: &str) -> Result<Self> {
         let mut windows = WindowReader::new(FrameReader::new(source));
         let mut events = WindowEvents::new(Finder::default());
@@ -79,13 +79,13 @@ impl<R: Read> FrameEvents<R> {
         })
     }
 
-    /// Size of the sensor.
+    /// Returns the sensor's size, which is that of the first window.
     #[must_use]
     pub const fn sensor(&self) -> Sensor {
         self.sensor
     }
 
-    /// The events that come next, of one window or none.
+    /// Returns the events of the window that was decoded ahead; empty if there is none.
     #[must_use]
     pub fn ahead(&self) -> &[Event] {
         self.ahead
@@ -93,7 +93,7 @@ impl<R: Read> FrameEvents<R> {
             .map_or(&[], |window| window.events.as_slice())
     }
 
-    /// The next window, with its events, which are some; `None` at the end.
+    /// Returns the next window that has events, or `None` at the end.
     ///
     /// # Errors
     /// I/O.
@@ -113,25 +113,25 @@ impl<R: Read> FrameEvents<R> {
         Ok(Some(window))
     }
 
-    /// Takes a window's memory back, for those to come.
+    /// Takes back a window's memory, to be used for later windows.
     pub fn reuse(&mut self, window: DecodedWindow) {
         self.windows.reuse(window);
     }
 
-    /// What was damaged or lost so far.
+    /// Returns what was damaged or lost so far.
     pub const fn report(&self) -> &LinkReport {
         self.windows.report()
     }
 }
 
-/// Reader of frames.
+/// A reader of EECVS frames.
 pub type FramesReader = Reader<FramesDecoder>;
 
 impl FramesReader {
-    /// Reads `source`, which messages call `name`.
+    /// Reads frames from `source`, which messages call `name`.
     ///
     /// # Errors
-    /// As [`FrameEvents::new`].
+    /// Those of [`FrameEvents::new`].
     pub fn new(mut source: Box<dyn ReadSeek>, name: &str) -> Result<Self> {
         source.rewind().with_context(|| name.to_owned())?;
         Ok(Self::around(FramesDecoder {
@@ -143,18 +143,18 @@ impl FramesReader {
     }
 }
 
-/// State between two batches.
+/// The decoder of [`FramesReader`]: its state between two batches.
 pub struct FramesDecoder {
     frames: FrameEvents<Box<dyn ReadSeek>>,
-    /// Being given.
+    /// The window whose events are being returned.
     window: Option<DecodedWindow>,
-    /// Events of it that were.
+    /// Number of its events that have been returned.
     given: usize,
     skipped: Skipped,
 }
 
 impl FramesDecoder {
-    /// What the encoder left out, and an error where frames were damaged or lost.
+    /// Counts what the encoder left out, and returns an error if frames were damaged or lost.
     fn end(&mut self) -> Result<()> {
         let windows = &self.frames.windows;
         let counts = windows.counts();

@@ -1,4 +1,4 @@
-//! Readers and writers of every format that event cameras' recordings come in.
+//! Reads and writes the file formats of event cameras' recordings.
 //!
 //! ```no_run
 //! use std::path::Path;
@@ -17,28 +17,30 @@
 //! }
 //! ```
 //!
-//! [`open`] finds a file's format by its content; [`Reading`] says what the file itself does not: the sensor's size,
-//! the unit of the times, which columns are which. What was taken to be so is in [`EventReader::assumptions`], and where
-//! two readings fit the error has [`ErrorKind::Undecided`]. Its text names the flag of the command `eecvs` that decides:
-//! `--width` and `--height` are [`Reading::size`], `--time-unit` is [`Reading::time_unit`], and so on. A reader streams:
-//! it holds one batch and its decoder's state, never the file.
+//! [`open`] recognises a file's format by its content. [`Reading`] states what the file itself does not: the
+//! sensor's size, the unit of the times, the meaning of the columns. A reader lists what it assumed in
+//! [`EventReader::assumptions`]; if two interpretations fit, its error is of the kind [`ErrorKind::Undecided`].
+//! Error texts name the flag of the command `eecvs` that decides: `--width` and `--height` are [`Reading::size`],
+//! `--time-unit` is [`Reading::time_unit`], and so on. A reader streams: it holds one batch and its decoder's
+//! state, never the whole file.
 //!
-//! [`create`] writes a recording, whose name's ending is the format; the file has its name when it is complete.
-//! [`convert`](convert::convert) does both. A format that needs other crates is a feature, and every one is on by
-//! default: EVT 2, 2.1, 3 and 4 (`.raw`), DAT, AEDAT 1 to 3, Event Stream, N-MNIST and text need none.
+//! [`create`] writes a recording in the format of its file name's ending; the file gets its name only when it is
+//! complete. [`convert`](convert::convert) reads one recording and writes another. Each format that needs other
+//! crates is a feature, and all features are on by default. EVT 2, 2.1, 3 and 4 (`.raw`), DAT, AEDAT 1 to 3, Event
+//! Stream, N-MNIST and text need no feature.
 //!
 //! | feature | formats |
 //! |---|---|
 //! | `aedat4` | AEDAT 4 |
 //! | `arrow`, `parquet` | Arrow, Feather, Parquet |
-//! | `eecvs` | frames of EECVS, decoded |
-//! | `hdf5` | HDF5 of every data set that is known, Prophesee's ECF among them |
+//! | `eecvs` | decoded EECVS frames |
+//! | `hdf5` | HDF5 with any of the known data sets, including Prophesee's ECF |
 //! | `mat` | MATLAB |
-//! | `npz` | NumPy, and zip files of one recording |
-//! | `ros` | bags of ROS 1 and ROS 2, MCAP among them |
-//! | `serde` | no format: what was found can be serialised |
-//! | `info` | no format: `recording_info`, with hashes |
-// A build without some formats does not use all that they share.
+//! | `npz` | NumPy, and zip files that hold one recording |
+//! | `ros` | ROS 1 and ROS 2 bags, including MCAP |
+//! | `serde` | no format: makes findings and results serialisable |
+//! | `info` | no format: adds `recording_info`, which counts and hashes events |
+// A build without some of the formats does not use all of the code that formats share.
 #![cfg_attr(
     not(all(
         feature = "aedat4",
@@ -51,12 +53,12 @@
     allow(dead_code)
 )]
 
-// What opens and detects.
+// Detection and opening.
 mod format;
 pub mod input;
 pub mod reading;
 
-// A folder or a file for each family of formats.
+// The formats: a folder or a file for each family.
 pub mod aedat;
 #[cfg(feature = "arrow")]
 pub mod arrow;
@@ -80,7 +82,7 @@ pub mod text;
 #[cfg(feature = "npz")]
 mod zipped;
 
-// What families share.
+// Code that several families share.
 #[cfg(any(feature = "aedat4", feature = "arrow"))]
 mod flatbuffer;
 mod table;
@@ -89,7 +91,7 @@ mod unpack;
 mod word_runs;
 mod wrapping;
 
-// What is done with recordings.
+// Operations on recordings.
 #[cfg(feature = "info")]
 pub mod content;
 pub mod convert;
@@ -134,18 +136,18 @@ pub use parquet::ParquetWriter;
 pub use reading::{BadEvents, Columns, Reading, TimeUnit};
 pub use text::writer::TextWriter;
 
-/// Bytes that a file being written holds back.
+/// Size in bytes of an output file's write buffer.
 const BUFFER_BYTES: usize = 1 << 16;
 
-/// Opens `path` for writing; also returns its name for messages.
+/// Opens `path` for writing; also returns the file's name for messages.
 fn create_file(path: &Path) -> Result<(BufWriter<File>, String)> {
     let name = final_path(path).display().to_string();
     let file = create_bytes(path).with_context(|| format!("{name}: cannot be created"))?;
     Ok((BufWriter::with_capacity(BUFFER_BYTES, file), name))
 }
 
-/// Four unnamed temporary files in the folder of `path`, which messages call `name`: columns that wait there
-/// until the last event is known.
+/// Creates four unnamed temporary files in the folder of `path`, one per column, which hold the columns until the
+/// last event is known. Messages call the output `name`.
 fn columns_beside(path: &Path, name: &str) -> Result<[BufWriter<File>; 4]> {
     let folder = path.parent();
     let folder = folder.filter(|folder| !folder.as_os_str().is_empty());
@@ -157,7 +159,7 @@ fn columns_beside(path: &Path, name: &str) -> Result<[BufWriter<File>; 4]> {
     Ok([column()?, column()?, column()?, column()?])
 }
 
-/// Refuses to write event number `index` where it lies outside of the sensor.
+/// Returns an error if `event`, number `index`, lies outside the sensor.
 fn check_inside(name: &str, index: u64, event: &Event, sensor: Sensor) -> Result<()> {
     ensure!(
         sensor.contains(event.x, event.y),
@@ -171,7 +173,7 @@ fn check_inside(name: &str, index: u64, event: &Event, sensor: Sensor) -> Result
     Ok(())
 }
 
-/// An event's time as a format of signed times has it.
+/// Converts an event's time for a format with signed times; fails above 2^63 - 1 us.
 fn signed_us(name: &str, index: u64, t_us: u64) -> Result<i64> {
     i64::try_from(t_us).map_err(|_| {
         error!(
@@ -181,7 +183,7 @@ fn signed_us(name: &str, index: u64, t_us: u64) -> Result<i64> {
     })
 }
 
-/// Message for a time that a format's wrapping field cannot follow.
+/// Returns the message for a time that a format's wrapping counter cannot reach.
 fn time_refused(name: &str, index: u64, t_us: u64, format: &str) -> String {
     format!(
         "{name}: event {index}: {format} cannot step to time {t_us} us (too far back, after too \

@@ -1,20 +1,21 @@
-//! N-MNIST's and N-Caltech101's files (`.bin`): records of 5 bytes and nothing else.
+//! N-MNIST and N-Caltech101 files (`.bin`): 5-byte records and nothing else.
 //!
-//! | bits of a record, the first byte's highest first | content |
+//! | bits of a record, from the first byte's highest on | content |
 //! |---|---|
 //! | 8 | x |
-//! | 8 | y, downwards; 240, a row below the ATIS sensor's last, is no event but 8,192 us that pass |
+//! | 8 | y, downwards; 240, the row below the ATIS sensor's last, marks 8,192 us that pass, not an event |
 //! | 1 | polarity: 1 is on |
-//! | 23 | time in microseconds, the highest byte first |
+//! | 23 | time in microseconds, highest byte first |
 //!
-//! Times are 23 bits, 8.4 s, from the recording's start, and every 240 before them adds 8,192 us. They may step
-//! back, as nothing forbids it. Source: the data sets' page (Orchard, Jayawant, Cohen, Thakor; 2015) and the
-//! reader that it offers, `eventvision.py`, which tonic's is made of. The MATLAB reader beside it takes a 240
-//! for an event; the data sets' own recordings have none.
+//! Times have 23 bits, 8.4 s, and count from the recording's start; every record with y = 240 adds 8,192 us to the
+//! times after it. Times may step back, as nothing forbids it. Source: the data sets' page (Orchard, Jayawant,
+//! Cohen, Thakor; 2015) and the reader offered there, `eventvision.py`, on which tonic's is based. The MATLAB
+//! reader offered with it takes a record with y = 240 for an event; the data sets' own recordings have none.
 //!
-//! The size is the caller's, as the file has none; without it a first pass decides: N-MNIST's 34 x 34 where every
-//! event fits, as not every digit reaches the border, and where there is none; else the largest x and y, plus one, as in `eventvision.py`. Nothing marks the format but the name's ending. There is no index, and a time is the
-//! sum of what stands before it, so that the reader does not seek.
+//! The file does not state the sensor's size. If the caller does not either, a first pass decides: N-MNIST's 34 x
+//! 34 if every event fits or there are none, as not every digit reaches the border; otherwise the largest x and y,
+//! plus one, as in `eventvision.py`. Only the ending of the file's name identifies the format. There is no index,
+//! and each time depends on all records before it, so the reader does not seek.
 
 use std::path::Path;
 
@@ -27,18 +28,18 @@ use crate::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
 use crate::output::sequential::Output;
 use crate::{Assumption, EventWriter, Skipped, check_inside};
 
-/// Row of what lets time pass.
+/// The y of a record that lets time pass instead of being an event.
 const OVERFLOW_Y: u8 = 240;
 
-/// What it lets pass.
+/// Time that such a record lets pass.
 const OVERFLOW_US: u64 = 1 << 13;
 
 const TIME_BITS: u32 = 23;
 
-/// Columns, and rows, of N-MNIST.
+/// Width and height of N-MNIST's recordings.
 const SIDE: u16 = 34;
 
-/// This format in the table of formats.
+/// This format's entry in the table of formats.
 pub const FORMAT: Format = Format {
     name: "nmnist",
     title: "N-MNIST",
@@ -63,11 +64,12 @@ pub const FORMAT: Format = Format {
     create: Some(|path, sensor| Ok(Box::new(NmnistWriter::create(path, sensor)?))),
 };
 
-/// Reader of `.bin` files.
+/// A reader of N-MNIST's `.bin` files.
 pub type NmnistReader = Reader<NmnistDecoder>;
 
 impl NmnistReader {
-    /// Reads `source`, which messages call `name`; without a `size`, all of it is read for the largest one.
+    /// Reads `source`, which messages call `name`; without a `size`, all of it is first searched for the largest x
+    /// and y.
     ///
     /// # Errors
     /// I/O.
@@ -94,11 +96,11 @@ impl NmnistReader {
     }
 }
 
-/// N-MNIST's size, or one that holds every event; the input is at its start again.
+/// Returns N-MNIST's size, or else one that holds every event; leaves the input at its start.
 fn largest(input: &mut Input) -> Result<Sensor> {
     let mut words = Words::<5>::default();
     let (mut width, mut height) = (0, 0);
-    // Damage is for the reader, which returns the events before it.
+    // The reader reports damage later, after the events before it.
     while let Ok(Some([x, y, ..])) = words.next(input) {
         if y != OVERFLOW_Y {
             width = width.max(u16::from(x) + 1);
@@ -112,13 +114,13 @@ fn largest(input: &mut Input) -> Result<Sensor> {
     Sensor::new(width, height).ok_or_else(|| input.error_at(0, "damaged file"))
 }
 
-/// State between two records.
+/// The decoder of [`NmnistReader`]: its state between two records.
 pub struct NmnistDecoder {
     input: Input,
     words: Words<5>,
     sensor: Sensor,
     assumptions: Vec<Assumption>,
-    /// Added to every time that follows.
+    /// Time passed by records with y = 240; added to every time that follows.
     passed_us: u64,
     events: u64,
     skipped: Skipped,
@@ -178,7 +180,8 @@ impl Decode for NmnistDecoder {
     }
 }
 
-/// Writer of `.bin` files; no 240 is written, which not every reader knows, so times end with their 23 bits.
+/// A writer of N-MNIST's `.bin` files. It writes no record with y = 240, which some readers do not know, so times
+/// are limited to 23 bits.
 pub struct NmnistWriter {
     file: Output,
     sensor: Sensor,
@@ -186,7 +189,7 @@ pub struct NmnistWriter {
 }
 
 impl NmnistWriter {
-    /// Creates the file.
+    /// Creates the file, which is empty until events are written.
     ///
     /// # Errors
     /// I/O.
@@ -199,7 +202,7 @@ impl NmnistWriter {
         })
     }
 
-    /// The record of an event, if it has one.
+    /// Returns the record of an event, or `None` if the format cannot hold it.
     fn record(event: &Event) -> Option<[u8; 5]> {
         let [x, y] = [event.x, event.y].map(u8::try_from);
         let time = u32::try_from(event.t_us).ok()?;

@@ -1,20 +1,22 @@
-//! How a recording is read where it does not say so itself, and what a reader took to be so.
+//! What the caller states about a recording, for everything that the file does not state itself.
 
 use event_types::Sensor;
 
-/// What the caller knows of a recording; what the file itself states counts more, but for [`Reading::time_unit`] and
-/// [`Reading::columns`], which are how somebody who knows better corrects it.
+/// What the caller knows about a recording.
+///
+/// What the file states takes precedence, except over [`Reading::time_unit`] and [`Reading::columns`], with which
+/// a caller who knows better corrects the file.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Reading {
     /// The sensor's size.
     pub size: Option<Sensor>,
-    /// The unit of the times, of formats that do not fix it.
+    /// The unit of the times, for formats that do not fix it.
     pub time_unit: Option<TimeUnit>,
-    /// What is added to every time, in microseconds; so times before 0 can be read.
+    /// Microseconds added to every time, so that times before 0 can be read.
     pub time_offset_us: i64,
-    /// Which columns of a table are t, x, y and p.
+    /// The columns of a table that hold t, x, y and p.
     pub columns: Option<Columns>,
-    /// What is done with an event that cannot be one.
+    /// What to do with an invalid event.
     pub bad_events: BadEvents,
 }
 
@@ -33,7 +35,7 @@ impl From<&Self> for Reading {
     }
 }
 
-/// A unit of time.
+/// A unit of a recording's times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TimeUnit {
     /// Seconds.
@@ -47,7 +49,7 @@ pub enum TimeUnit {
 }
 
 impl TimeUnit {
-    /// A time in this unit times 10 to this is in microseconds.
+    /// Returns the power of ten by which a time in this unit is multiplied to get microseconds.
     #[must_use]
     pub const fn shift(self) -> i32 {
         match self {
@@ -58,7 +60,7 @@ impl TimeUnit {
         }
     }
 
-    /// Its name, as the command line has it.
+    /// Returns the unit's name, as used on the command line.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -70,25 +72,26 @@ impl TimeUnit {
     }
 }
 
-/// Which columns of a table are t, x, y and p, in this order.
+/// The columns of a table that hold t, x, y and p, in this order.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Columns {
-    /// Their places, counted from 0, of a table with so many columns.
+    /// Their positions, counted from 0, in a table of exactly this number of columns.
     Places {
-        /// Places of t, x, y and p.
+        /// Positions of t, x, y and p.
         places: [usize; 4],
-        /// Columns in all, those that are left out included.
+        /// Number of columns, including those that are left out.
         columns: usize,
     },
-    /// Their names, as the file has them.
+    /// Their names in the file.
     Names([String; 4]),
 }
 
 impl Columns {
-    /// Parses `xytp`, a letter for each column and `-` for one that is left out, or `t=time,x=col,y=row,p=on`.
+    /// Parses either `xytp`, with one letter per column and `-` for each column to leave out, or
+    /// `t=time,x=col,y=row,p=on`.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// A description of the syntax, if `text` does not follow it.
     pub fn parse(text: &str) -> Result<Self, String> {
         const USAGE: &str = "one letter for each column, t, x, y, p once each and - for one to leave out (as -xytp), \
                              or names (as t=time,x=col,y=row,p=on)";
@@ -133,13 +136,13 @@ impl Columns {
     }
 }
 
-/// What is done with an event that cannot be one: outside of the sensor, with a value missing, of no polarity.
+/// What to do with an invalid event: one outside the sensor, with a missing value, or without a valid polarity.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum BadEvents {
-    /// It ends the recording with an error.
+    /// The event ends the recording with an error.
     #[default]
     Refuse,
-    /// It is left out and counted by its cause in [`crate::EventReader::skipped`].
+    /// The event is left out and counted by its cause in [`crate::EventReader::skipped`].
     LeaveOut,
 }
 

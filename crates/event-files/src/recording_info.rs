@@ -1,4 +1,4 @@
-//! What `eecvs info` says about a recording.
+//! Counts, time range and hashes of a recording: `eecvs info`.
 
 use std::path::Path;
 
@@ -11,55 +11,55 @@ use crate::content::Rereadable;
 use crate::findings::Findings;
 use crate::{EventReader, Intact, Reading};
 
-/// Counts, times and hash of a recording; the fields are the keys of `eecvs info --json`.
+/// Counts, times and hashes of a recording; the fields are the keys of `eecvs info --json`.
 #[derive(Debug, Clone, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize))]
 pub struct RecordingInfo {
-    /// Camera or chip, where the file names it.
+    /// Camera or chip, if the file names it.
     pub sensor: Option<String>,
     /// Format name: `aedat4`, `aedat2`, `evt2`, `evt3`, `text`, `npz`, ...
     pub format: String,
-    /// Columns.
+    /// Number of columns.
     pub width: u16,
-    /// Rows.
+    /// Number of rows.
     pub height: u16,
     /// Number of events.
     pub events: u64,
-    /// Events of polarity On.
+    /// Number of events of polarity On.
     pub on: u64,
-    /// Events of polarity Off.
+    /// Number of events of polarity Off.
     pub off: u64,
-    /// Smallest time in microseconds; none where there is no event.
+    /// Smallest time in microseconds; `None` if there are no events.
     pub t_first_us: Option<u64>,
-    /// Largest time in microseconds.
+    /// Largest time in microseconds; `None` if there are no events.
     pub t_last_us: Option<u64>,
-    /// Events whose time is before that of the event before them.
+    /// Number of events whose time is before that of the previous event.
     pub times_back: u64,
-    /// How far a time is before the latest one so far, at the most, in microseconds.
+    /// Largest distance in microseconds of an event's time behind the latest time so far.
     pub back_max_us: u64,
     /// `t_last_us - t_first_us` in seconds.
     pub duration_s: f64,
-    /// `events / duration_s`; 0 where the duration is 0.
+    /// `events / duration_s`; 0 if the duration is 0.
     pub rate_eps: f64,
     /// Sum of all x.
     pub sum_x: u64,
     /// Sum of all y.
     pub sum_y: u64,
-    /// SHA-256 over the columns t (int64), x, y (uint16), p (uint8, 0 or 1), little-endian, one
-    /// after the other, events in file order; lower-case hex.
+    /// SHA-256 over the columns t (int64), x, y (uint16) and p (uint8, 0 or 1), little-endian, one whole column
+    /// after the other, with the events in file order; in lower-case hex.
     pub sha256_events: String,
-    /// Sum modulo 2^128 over the events of XXH3-128 of t, x, y, p as above, 13 bytes each: the same for the same events
-    /// in any order; lower-case hex.
+    /// Sum modulo 2^128, over all events, of the XXH3-128 of the event's t, x, y and p, encoded as above in 13
+    /// bytes. It does not depend on the order of the events; in lower-case hex.
     pub xxh128_sum_events: String,
-    /// What the file does not say and its reader took to be so, and what it holds besides events.
+    /// What the reader assumed because the file does not state it, and what the file holds besides events.
     #[cfg_attr(feature = "serde", serde(flatten))]
     pub findings: Findings,
-    /// Where and why the recording ended before its end; the rest is of what stands before.
+    /// Where and why the recording broke off; the other fields describe the events before.
     #[cfg_attr(feature = "serde", serde(skip_serializing_if = "Option::is_none"))]
     pub damage: Option<String>,
 }
 
-/// Bytes of one column's value of an event.
+/// Appends the bytes of one column's value of an event.
 type Column = fn(&Event, &mut Vec<u8>);
 
 const COLUMNS: [Column; 4] = [
@@ -69,14 +69,15 @@ const COLUMNS: [Column; 4] = [
     |event, bytes| bytes.push(event.polarity as u8),
 ];
 
-/// Reads a recording; `reading` says what the file does not.
+/// Reads the whole recording and returns its counts, times and hashes; `reading` states what the file does not.
 ///
-/// The hash needs whole columns one after the other: the file is read once per column, so that
-/// memory stays bounded by a batch. `progress` gets the number of events read since its last
-/// call, which comes to four times the recording's events.
+/// SHA-256 needs whole columns one after the other, so the file is read four times, once per column, and memory
+/// stays bounded by a batch. `progress` gets the number of events read since its last call; the numbers add up to
+/// four times the recording's events.
 ///
 /// # Errors
-/// An unknown format, a damaged header. Damage behind it ends the recording, and is told.
+/// The format is unknown, or the header is damaged. Later damage ends the recording and is in
+/// [`RecordingInfo::damage`].
 pub fn info(
     path: &Path,
     reading: &Reading,
@@ -84,7 +85,7 @@ pub fn info(
 ) -> Result<RecordingInfo> {
     let recording = Rereadable::of(path)?;
     let mut reader = Intact::new(recording.open(reading)?);
-    // Later passes need not search for the size again.
+    // Saves later passes from searching for the size again.
     let sensor = reader.sensor();
     let mut info = RecordingInfo {
         sensor: reader.camera().map(str::to_owned),
@@ -159,7 +160,7 @@ pub fn info(
     Ok(info)
 }
 
-/// An event's part of the hash in which order does not matter.
+/// Returns an event's summand in the hash that does not depend on the order.
 fn unordered(event: &Event) -> u128 {
     let mut bytes = [0; 13];
     let (t, rest) = bytes.split_at_mut(8);
@@ -173,7 +174,7 @@ fn unordered(event: &Event) -> u128 {
 }
 
 impl RecordingInfo {
-    /// `before_us` is the time of the event before.
+    /// Counts the events of a batch; `before_us` is the time of the event before them.
     fn count(&mut self, events: &[Event], before_us: &mut u64) {
         for event in events {
             self.events += 1;

@@ -1,7 +1,7 @@
-//! A recording in order of time, by an external merge sort.
+//! Sorts a recording by time with an external merge sort.
 //!
 //! Memory is bounded by [`CHUNK_EVENTS`] events, however long the recording is: chunks are sorted, written to
-//! temporary files without a name, and merged. Events of equal time keep their order.
+//! unnamed temporary files, and merged. Events of equal time keep their order.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -13,28 +13,28 @@ use event_types::{Event, Polarity, Sensor};
 
 use crate::{Assumption, BATCH_EVENTS, EventReader, Skipped};
 
-/// Events that are sorted in memory: 64 MiB.
+/// Number of events that are sorted in memory: 64 MiB.
 pub const CHUNK_EVENTS: usize = 1 << 22;
-/// Files that are merged at a time, which a process may have open.
+/// Number of temporary files that are merged at a time; all of them are open at once.
 const FILES: usize = 128;
-/// Bytes of an event in a file: t, x, y, polarity.
+/// Bytes of an event in a temporary file: t, x, y, polarity.
 const EVENT_BYTES: usize = 13;
-/// Bytes of a file that are read or written at a time.
+/// Size in bytes of a temporary file's buffer.
 const BUFFER_BYTES: usize = 1 << 16;
 
-/// A reader of the events of another one in order of time.
+/// A reader that returns another reader's events in order of time.
 pub struct Sorted {
     reader: Box<dyn EventReader>,
     merge: Merge,
-    /// Why reading ended, told after the events before it.
+    /// The error that ended reading; it is returned after the events before it.
     damage: Option<event_types::stream::Error>,
 }
 
 impl Sorted {
-    /// Reads all of `reader`; `progress` gets the events read since its last call.
+    /// Reads all of `reader` and sorts its events; `progress` gets the number of events read since its last call.
     ///
     /// # Errors
-    /// A temporary file that cannot be written. What `reader` reports comes where its events end.
+    /// A temporary file cannot be written. An error of `reader` is instead returned after the sorted events.
     pub fn new(reader: Box<dyn EventReader>, progress: &mut dyn FnMut(u64)) -> Result<Self> {
         Self::with_chunks(reader, CHUNK_EVENTS, progress)
     }
@@ -61,7 +61,8 @@ impl Sorted {
                 runs.push(Run::spill(&mut chunk.drain(..).map(Ok))?);
             }
             if runs.len() >= FILES {
-                // Of the earlier events, which stay in front of those to come.
+                // The merged run holds the earlier events and comes before the later runs, so that the sort stays
+                // stable.
                 let merge = Merge::new(std::mem::take(&mut runs))?;
                 runs.push(Run::spill(&mut merge.into_events())?);
             }
@@ -111,14 +112,14 @@ impl EventReader for Sorted {
     }
 }
 
-/// Events in order of time.
+/// Events that are in order of time.
 enum Run {
     Memory(std::vec::IntoIter<Event>),
     File { file: BufReader<File>, left: u64 },
 }
 
 impl Run {
-    /// Writes events to a temporary file.
+    /// Writes events to a temporary file, to be read again from its start.
     fn spill(events: &mut dyn Iterator<Item = Result<Event>>) -> Result<Self> {
         const WHY: &str = "a temporary file for sorting (TMPDIR names its folder)";
         let file = tempfile::tempfile().context(WHY)?;
@@ -172,10 +173,10 @@ fn event(bytes: [u8; EVENT_BYTES]) -> Event {
     }
 }
 
-/// Runs as one.
+/// A merge of sorted runs.
 struct Merge {
     runs: Vec<Run>,
-    /// The next event of each run, the earliest first; of equal times that of the earlier run.
+    /// The next event of each run, the earliest first; at equal times that of the earlier run.
     next: BinaryHeap<Reverse<(u64, usize, Event)>>,
 }
 
@@ -228,7 +229,7 @@ mod tests {
             .collect();
         let mut expected = events.clone();
         expected.sort_by_key(|event| event.t_us);
-        // Of one chunk, of some, and of more than are merged at a time.
+        // A single chunk, a few chunks, and more chunks than are merged at a time.
         for chunk in [4000, 500, 10] {
             let reader = Box::new(reader(&events, 10));
             let mut sorted = Sorted::with_chunks(reader, chunk, &mut |_| {}).unwrap();

@@ -1,17 +1,17 @@
-//! Runs of words of a few frequent types, decoded without a branch for each word.
+//! Runs of words of a few frequent types, decoded without a branch per word.
 //!
-//! A camera's words of time, row and column follow each other as the scene has it, which no processor
-//! foretells; a mispredicted branch takes longer than many words. So a decoder tells first which words of a run
-//! are plain, several in one instruction, then takes these one by one: each writes an event where the next one
-//! belongs, and only a word that is one moves that place on. What is not plain goes the way with branches, where
-//! everything is checked and counted.
+//! The order of a camera's time, row and column words depends on the scene and is unpredictable, and a
+//! mispredicted branch costs more than decoding many words. A decoder therefore first determines which words of a
+//! run are plain, several per instruction, and then decodes these one by one: every word writes an event to the
+//! next free slot, but only a word that is an event advances the slot. Other words take the path with branches,
+//! where everything is checked and counted.
 
 use event_types::{Event, Polarity};
 
-/// Words of a run: they and their events are in the processor's first cache.
+/// Number of words in a run: few enough for the words and their events to stay in the first-level cache.
 pub const RUN_WORDS: usize = 256;
 
-/// What stands where no event has been written yet.
+/// Placeholder in a slot to which no event has been written yet.
 pub const NO_EVENT: Event = Event {
     t_us: 0,
     x: 0,
@@ -19,10 +19,10 @@ pub const NO_EVENT: Event = Event {
     polarity: Polarity::Off,
 };
 
-/// Flags that are looked at together.
+/// Number of flags that are tested together.
 const TOGETHER: usize = 16;
 
-/// How many words are plain, up to the first that is not.
+/// Returns the number of plain words before the first that is not plain.
 pub fn plain_words(is_plain: &[bool]) -> usize {
     let (chunks, _) = is_plain.as_chunks::<TOGETHER>();
     let all_plain = |chunk: &&[bool; TOGETHER]| chunk.iter().fold(true, |all, plain| all & plain);

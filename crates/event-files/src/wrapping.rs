@@ -1,13 +1,12 @@
-//! Time fields that are too short for a recording and wrap.
+//! Time counters that are too short for a recording and therefore wrap.
 
-/// Extends a wrapping counter of `bits` bits to 64 bits.
+/// Extends a wrapping counter to 64 bits.
 ///
-/// A value that stands at least half a period below the previous one has wrapped. A value that
-/// stands almost a whole period above it (the last 1/256) belongs to the period before: events
-/// are not always in order, also around a wrap. Everything else is taken as it is, so a large
-/// step forwards stays one.
+/// A value at least half a period below the previous one has wrapped. A value more than 255/256 of a period above
+/// it belongs to the previous period, since events are not always in order, also around a wrap. Every other value
+/// is taken as it is, so a large step forwards stays one.
 ///
-/// Writers hold one too, and ask it what a reader will make of the next value.
+/// Writers use one, too, to find out how a reader will interpret the next value.
 #[derive(Debug, Clone)]
 pub struct Wrapping {
     period: u64,
@@ -16,16 +15,16 @@ pub struct Wrapping {
 }
 
 impl Wrapping {
-    /// Largest start of [`Wrapping::new`]: leaves room for every wrap that a file can hold.
+    /// Largest start that [`Wrapping::new`] takes; it leaves room for every wrap that a file can hold.
     pub const START_MAX: u64 = 1 << 60;
 
-    /// Wraps that [`Wrapping::from_zero`] writes: 19 hours of EVT 3, in 24 kB.
+    /// Largest number of wraps that [`Wrapping::from_zero`] makes a writer write: 19 hours of EVT 3, in 24 kB.
     const WRITTEN_PERIODS_MAX: u64 = 1 << 12;
 
-    /// Periods that [`Wrapping::step`] may cross in one gap; a longer gap is refused.
+    /// Largest number of periods that [`Wrapping::step`] may cross in one gap; a longer gap is refused.
     const GAP_PERIODS_MAX: u64 = 1 << 16;
 
-    /// A counter of `bits` (1 to 32) bits whose first value lies in the period that holds `start`.
+    /// Creates a counter of `bits` (1 to 32) bits whose first value lies in the period that contains `start`.
     pub fn new(bits: u32, start: u64) -> Self {
         let period = 1 << bits;
         let start = start.min(Self::START_MAX);
@@ -36,9 +35,9 @@ impl Wrapping {
         }
     }
 
-    /// A counter that reaches `start` by wraps from 0 where these are few enough to be written,
-    /// so that any reader knows the absolute time; else one whose first period holds `start`,
-    /// which a file's header must tell.
+    /// Creates a writer's counter for times from `start` on. If few enough wraps lead from 0 to `start`, they are
+    /// written, so that any reader gets absolute times; otherwise the first period contains `start`, and a file's
+    /// header must state it.
     pub fn from_zero(bits: u32, start: u64) -> Self {
         let mut counter = Self::new(bits, start);
         if counter.base > 0 && counter.base / counter.period <= Self::WRITTEN_PERIODS_MAX {
@@ -47,22 +46,22 @@ impl Wrapping {
         counter
     }
 
-    /// Start of the period of the latest value.
+    /// Returns the start of the current period.
     pub fn base(&self) -> u64 {
         self.base
     }
 
-    /// The latest extended value.
+    /// Returns the latest extended value; `None` before the first.
     pub fn last(&self) -> Option<u64> {
         self.last
     }
 
-    /// The counter's value as a file holds it.
+    /// Returns the counter's value in the file for an extended value.
     pub fn low(&self, extended: u64) -> u64 {
         extended % self.period
     }
 
-    /// Extends the next value, `low < 2^bits`.
+    /// Extends the counter's next value, which must be below 2^`bits`.
     pub fn extend(&mut self, low: u64) -> u64 {
         let value = self.base + low;
         if let Some(last) = self.last {
@@ -77,10 +76,10 @@ impl Wrapping {
         value
     }
 
-    /// Next value to write on the way to `target`, so that a reader follows; `None` where no way
-    /// leads there (too far back, or a gap of more than 65,536 periods).
+    /// Returns the next value to write on the way to `target` such that a reader follows. Returns `None` if
+    /// `target` cannot be reached: it is too far back, or after a gap of more than 65,536 periods.
     ///
-    /// A wrap is written as the period's last value and then 0, which every known decoder takes.
+    /// A wrap is written as the period's last value followed by 0, which every known decoder accepts.
     pub fn step(&mut self, target: u64) -> Option<u64> {
         let next = match self.last {
             None if target - target % self.period == self.base => target,

@@ -1,6 +1,6 @@
-//! One brightness change of one pixel.
+//! Events, their polarity, and the size of the sensor that they come from.
 
-/// The sign of a brightness change: `On` is +1 and `Off` is -1 in the sums.
+/// The sign of a brightness change: sums over events count `On` as +1 and `Off` as -1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
@@ -12,14 +12,14 @@ pub enum Polarity {
 }
 
 impl Polarity {
-    /// `On` where `bright` is true.
+    /// Returns `On` if `bright` is true, else `Off`.
     #[inline]
     #[must_use]
     pub const fn from_bool(bright: bool) -> Self {
         if bright { Self::On } else { Self::Off }
     }
 
-    /// p of the formulas: +1 or -1.
+    /// Returns the polarity p of the formulas: +1 for `On`, -1 for `Off`.
     #[inline]
     #[must_use]
     pub const fn sign(self) -> i32 {
@@ -30,10 +30,10 @@ impl Polarity {
     }
 }
 
-/// An event (t, x, y, p) as a camera reports it.
+/// One brightness change of one pixel: an event (t, x, y, p) as a camera reports it.
 ///
-/// `t_us` is in unsigned microseconds of any epoch; `x` runs to the right in `0..width`,
-/// `y` downwards in `0..height`.
+/// `t_us` counts unsigned microseconds from any epoch; `x` runs to the right in `0..width`, `y` downwards in
+/// `0..height`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Event {
@@ -47,22 +47,21 @@ pub struct Event {
     pub polarity: Polarity,
 }
 
-/// Size of a sensor in pixels.
+/// The size of a sensor in pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Sensor {
-    /// Columns, 1 to [`Sensor::SIDE_MAX`].
+    /// Number of columns, 1 to [`Sensor::SIDE_MAX`].
     pub width: u16,
-    /// Rows, 1 to [`Sensor::SIDE_MAX`].
+    /// Number of rows, 1 to [`Sensor::SIDE_MAX`].
     pub height: u16,
 }
 
 impl Sensor {
-    /// Largest width and height: an x or a y fits 11 bits.
+    /// Largest width and height: 2048, so that x and y each fit into 11 bits.
     pub const SIDE_MAX: u16 = 2048;
 
-    /// A sensor of `width` x `height` pixels, or `None` where a side is 0 or above
-    /// [`Sensor::SIDE_MAX`].
+    /// Returns a sensor of `width` x `height` pixels, or `None` if a side is 0 or above [`Sensor::SIDE_MAX`].
     #[inline]
     #[must_use]
     pub const fn new(width: u16, height: u16) -> Option<Self> {
@@ -73,28 +72,29 @@ impl Sensor {
         }
     }
 
-    /// Number of pixels, at most 2^22.
+    /// Returns the number of pixels, at most 2^22.
     #[inline]
     #[must_use]
     pub const fn pixels(self) -> u32 {
         self.width as u32 * self.height as u32
     }
 
-    /// Whether the sensor has a pixel (x, y).
+    /// Returns whether the pixel (x, y) lies on the sensor.
     #[inline]
     #[must_use]
     pub const fn contains(self, x: u16, y: u16) -> bool {
         x < self.width && y < self.height
     }
 
-    /// Number of a pixel in raster order, y * width + x.
+    /// Returns a pixel's number in raster order: y * width + x.
     #[inline]
     #[must_use]
     pub const fn number(self, (x, y): (u16, u16)) -> u32 {
         y as u32 * self.width as u32 + x as u32
     }
 
-    /// Column and row of a pixel's number; `None` beyond the last.
+    /// Returns column and row of the pixel with this raster-order number, or `None` if the sensor has no such
+    /// pixel.
     #[inline]
     #[must_use]
     pub const fn pixel(self, number: u32) -> Option<(u16, u16)> {

@@ -1,72 +1,72 @@
-//! EVT 2.0 words to events and back: 32 bits, little-endian, as Prophesee sensors send them.
+//! EVT 2.0: conversion between events and the 32-bit little-endian words that Prophesee's sensors send.
 //!
 //! | bits 31..28 | 27..22 | 21..11 | 10..0 |
 //! |---|---|---|---|
 //! | 0 `CD_OFF`, 1 `CD_ON` | time bits 5..0 | x | y |
 //! | 8 `TIME_HIGH` | time bits 33..6 (28 bits) ||
-//! | others | triggers, padding, vendor words: no events ||
+//! | others | triggers, padding, vendor words: not events ||
 
 use crate::{Event, Polarity};
 
 const CD_ON: u32 = 1;
-/// What is below is an event: `CD_OFF` and `CD_ON` are the lowest types.
+/// Every word below this value is an event, because `CD_OFF` and `CD_ON` are the two lowest types.
 const EVENTS_END: u32 = (CD_ON + 1) << KIND_SHIFT;
-/// Bits that no event has, and every other word has some of.
+/// Mask of the bits that are 0 in every event word; every other word has at least one of them set.
 pub const NO_EVENT: u32 = !(EVENTS_END - 1);
 const _: () = assert!(EVENTS_END.is_power_of_two());
-/// The type, which is the polarity of an event.
+/// Lowest bit of a word's type; an event's type is its polarity (0 `CD_OFF`, 1 `CD_ON`).
 pub const KIND_SHIFT: u32 = 28;
-/// Where the time bits of an event begin.
+/// Lowest bit of the time bits in an event word.
 pub const LOW_SHIFT: u32 = 22;
-/// Where x of an event begins.
+/// Lowest bit of x in an event word.
 pub const X_SHIFT: u32 = 11;
-/// Bits of x, and of y.
+/// Width of x, and of y, in bits.
 pub const SIDE_BITS: u32 = 11;
-/// The bits of y.
+/// Mask of y in an event word.
 pub const SIDE_MASK: u32 = (1 << SIDE_BITS) - 1;
 const TIME_HIGH: u32 = 8;
-/// Time bits of an event's own word.
+/// Number of time bits in an event word.
 pub const LOW_BITS: u32 = 6;
-/// Bits of a `TIME_HIGH`.
+/// Mask of the time bits in a `TIME_HIGH` word.
 const HIGH_MASK: u32 = (1 << 28) - 1;
-/// Period of the format's time: 2^34 us, 4.8 hours.
+/// Period of the format's time counter: 2^34 us, or 4.8 hours.
 const PERIOD_US: u64 = 1 << 34;
-/// Microseconds that share a `TIME_HIGH`.
+/// Time span that one `TIME_HIGH` covers, in microseconds.
 pub const SPAN_US: u32 = 1 << LOW_BITS;
 
-/// What a word was.
+/// What [`Evt2Decoder::decode`] found in a word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Word {
-    /// An event.
+    /// The word is an event.
     Event(Event),
-    /// A time; nothing to do.
+    /// The word is a `TIME_HIGH`; the decoder has stored its time.
     Time,
-    /// An event before the first time: it has none.
+    /// The word is an event that came before the first `TIME_HIGH`, so that its time is unknown.
     Untimed,
-    /// A word of another type.
+    /// The word has another type.
     Other,
 }
 
-/// Whether a word is an event.
+/// Returns whether a word is an event.
 #[inline]
 #[must_use]
 pub const fn is_event(word: u32) -> bool {
     word < EVENTS_END
 }
 
-/// Decodes words; carries the time between them.
+/// A decoder of EVT 2.0 words, which keeps the time from word to word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Evt2Decoder {
-    /// Time of the current `TIME_HIGH`, wraps and base included.
+    /// Time of the current `TIME_HIGH` in microseconds, including the base and all wraps.
     time_us: u64,
-    /// Bits of the current `TIME_HIGH`; none before the first.
+    /// Time bits of the current `TIME_HIGH`; `None` before the first.
     high: Option<u32>,
 }
 
 impl Evt2Decoder {
-    /// A decoder whose times start at `base_us`, which stands for the format's 0.
+    /// Returns a decoder that adds `base_us` to the format's times.
     #[inline]
     #[must_use]
     pub const fn new(base_us: u64) -> Self {
@@ -76,15 +76,15 @@ impl Evt2Decoder {
         }
     }
 
-    /// Whether events have a time: a `TIME_HIGH` has come.
+    /// Returns whether a `TIME_HIGH` has been decoded, so that events have a time.
     #[inline]
     #[must_use]
     pub const fn has_time(&self) -> bool {
         self.high.is_some()
     }
 
-    /// Bits of the current `TIME_HIGH` and its time in microseconds, wraps and base included; none before the
-    /// first.
+    /// Returns the time bits of the current `TIME_HIGH` and its time in microseconds, including the base and all
+    /// wraps; `None` before the first.
     #[inline]
     #[must_use]
     pub const fn time_high(&self) -> Option<(u32, u64)> {
@@ -94,7 +94,8 @@ impl Evt2Decoder {
         }
     }
 
-    /// Time of the current `TIME_HIGH`, to which an event's word adds less than [`SPAN_US`].
+    /// Returns the time of the current `TIME_HIGH` in microseconds, to which an event word adds less than
+    /// [`SPAN_US`]; `None` before the first.
     #[inline]
     #[must_use]
     pub const fn span_us(&self) -> Option<u64> {
@@ -104,14 +105,15 @@ impl Evt2Decoder {
         }
     }
 
-    /// The current `TIME_HIGH`.
+    /// Returns the current `TIME_HIGH` as a word; before the first, the word for time 0.
     #[inline]
     #[must_use]
     pub fn time_word(&self) -> u32 {
         (TIME_HIGH << KIND_SHIFT) | self.high.unwrap_or(0)
     }
 
-    /// The last `TIME_HIGH` that comes within `ahead_us` of the current one and does not wrap.
+    /// Returns the word of the latest `TIME_HIGH` that is at most `ahead_us` after the current one and does not
+    /// wrap.
     #[inline]
     #[must_use]
     pub fn time_word_after(&self, ahead_us: u32) -> u32 {
@@ -119,7 +121,8 @@ impl Evt2Decoder {
         last.min(self.time_word() + (ahead_us >> LOW_BITS))
     }
 
-    /// Takes a `TIME_HIGH` from the current one to any of [`Self::time_word_after`].
+    /// Moves to the `TIME_HIGH` in `word`, which must lie between [`Self::time_word`] and a
+    /// [`Self::time_word_after`].
     #[inline]
     pub fn step_to_word(&mut self, word: u32) {
         let step_us = time_step_us(self.time_word(), word);
@@ -127,11 +130,11 @@ impl Evt2Decoder {
         self.time_us = self.time_us.wrapping_add(u64::from(step_us));
     }
 
-    /// Takes the next word.
+    /// Decodes the next word.
     ///
-    /// A `TIME_HIGH` that falls by half of its range or more has wrapped; one that rises by the last
-    /// 1/256 of its range belongs to the time before a wrap, since events are not always in order.
-    /// Every other step is taken as it is.
+    /// A `TIME_HIGH` that falls by at least half of its range has wrapped. One that rises by more than 255/256 of
+    /// its range belongs to the period before the last wrap, since events are not always in order. Every other
+    /// step is taken as it is.
     #[inline]
     pub fn decode(&mut self, word: u32) -> Word {
         let kind = word >> KIND_SHIFT;
@@ -153,13 +156,13 @@ impl Evt2Decoder {
         Word::Time
     }
 
-    /// Takes the bits of a `TIME_HIGH`.
+    /// Stores the time bits of a `TIME_HIGH`.
     #[inline]
     fn step_to(&mut self, high: u32) {
         let now_us = u64::from(high) << LOW_BITS;
         let before = self.high.replace(high);
         let before_us = u64::from(before.unwrap_or(0)) << LOW_BITS;
-        // Where the format's time was 0 last.
+        // Time at which the format's time counter was last 0.
         let mut zero_us = self.time_us.wrapping_sub(before_us);
         if before.is_some() {
             if before_us >= now_us + PERIOD_US / 2 {
@@ -172,33 +175,33 @@ impl Evt2Decoder {
     }
 }
 
-/// Microseconds from a `TIME_HIGH` to a later one, which are less than 2^32.
+/// Returns the microseconds from one `TIME_HIGH` word to a later one; the step must be below 2^32 us.
 #[inline]
 #[must_use]
 pub const fn time_step_us(from: u32, to: u32) -> u32 {
     (to - from) << LOW_BITS
 }
 
-/// What an event's word adds to its `TIME_HIGH`, below [`SPAN_US`].
+/// Returns the microseconds, below [`SPAN_US`], that an event word adds to its `TIME_HIGH`.
 #[inline]
 #[must_use]
 pub const fn low_us(word: u32) -> u32 {
     (word >> LOW_SHIFT) & (SPAN_US - 1)
 }
 
-/// Encodes events as words, with the `TIME_HIGH` that they need.
+/// An encoder of events as EVT 2.0 words, which inserts the `TIME_HIGH` words that they need.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Evt2Encoder {
     base_us: u64,
-    /// What the receiver's decoder has seen: an event that it would not give back is refused.
+    /// A copy of the receiver's decoder: an event that it would not decode correctly is refused.
     decoder: Evt2Decoder,
-    /// The next event gets a `TIME_HIGH` in any case.
+    /// Whether the next event gets a `TIME_HIGH` even if none is due.
     restates: bool,
 }
 
 impl Evt2Encoder {
-    /// An encoder for times from `base_us` on.
+    /// Returns an encoder of times from `base_us` on.
     #[inline]
     #[must_use]
     pub const fn new(base_us: u64) -> Self {
@@ -209,17 +212,18 @@ impl Evt2Encoder {
         }
     }
 
-    /// Has the next event begin with a `TIME_HIGH`, due or not: the start of a packet, which must
-    /// not depend on one that may be lost.
+    /// Makes the next event start with a `TIME_HIGH` even if none is due: a packet must not depend on an earlier
+    /// one, which may be lost.
     #[inline]
     pub const fn restate_time(&mut self) {
         self.restates = true;
     }
 
-    /// The `TIME_HIGH` to send first, if one is due, and the event's word.
+    /// Returns the `TIME_HIGH` to send first, if one is due, and the event's word.
     ///
-    /// `None` for an event that the format cannot hold: before the base, beyond 2,048 x 2,048, or
-    /// after a step of time that its 4.8-hour wraps do not show.
+    /// Returns `None` for an event that the format cannot hold: one before the base, one outside 2,048 x 2,048
+    /// pixels, or one whose step in time is ambiguous under the 4.8-hour wrap. The encoder's state is then
+    /// unchanged.
     #[inline]
     pub fn encode(&mut self, event: Event) -> Option<(Option<u32>, u32)> {
         let time_us = event.t_us.checked_sub(self.base_us)?;
@@ -314,7 +318,7 @@ mod tests {
             }
             assert_eq!(decoder.decode(word), Word::Event(at(t_us)));
         }
-        // Too far ahead, before the base, beyond the coordinates.
+        // Too far ahead, before the base, outside the coordinate range.
         assert_eq!(encoder.encode(at(1000 + 16 * hour)), None);
         assert_eq!(encoder.encode(at(999)), None);
         assert_eq!(
@@ -351,14 +355,14 @@ mod tests {
                 u64::from(LAST) - 1
             ]
         );
-        // Not beyond 0, and a large step forwards stays one.
+        // No step back below time 0; a large step forwards is taken as it is.
         assert_eq!(times(0, &[0, TOP]), [0, top]);
         assert_eq!(
             times(PERIOD_US, &[0, LAST - 1]),
             [period, period + u64::from(LAST) - 1]
         );
         assert_eq!(times(PERIOD_US, &[TOP]), [period + top]);
-        // Half of the range is a wrap, less is a step back.
+        // A fall by half of the range is a wrap, a smaller one is a step back.
         let half = TOP / 2 + 1;
         assert_eq!(
             times(0, &[half, 0, half + 1, 2]),

@@ -1,4 +1,4 @@
-//! Events of event cameras: the types that an encoder on a microcontroller and a file reader share.
+//! Defines the event types that encoders on microcontrollers and readers of event files share.
 //!
 //! ```
 //! use event_types::{Event, Polarity, Sensor};
@@ -9,10 +9,11 @@
 //! assert_eq!(sensor.number((event.x, event.y)), 2 * 640 + 3);
 //! ```
 //!
-//! [`evt2`] has the words in which Prophesee's sensors send events, and in which they reach an encoder over a link.
+//! [`evt2`] converts between events and the 32-bit words of Prophesee's EVT 2.0 format, which the sensors send and
+//! which an encoder receives over a link.
 //!
-//! The types are `no_std` and need no allocator. Feature `std` adds [`stream`]: the traits of whatever gives events
-//! (files, cameras, emulated scenes, decoded frames) and of whatever takes them.
+//! The types are `no_std` and need no allocator. The feature `std` adds [`stream`]: the traits of event sources
+//! (files, cameras, emulated scenes, decoded frames) and of event sinks.
 #![cfg_attr(not(feature = "std"), no_std)]
 
 mod event;

@@ -1,21 +1,21 @@
-//! Events of tests, and readers of them: for the tests of crates that deal with events, with feature `test-events`.
+//! Events and readers of events for the tests of other crates; needs the feature `test-events`.
 
 use crate::stream::MemoryReader;
 use crate::{Event, Polarity, Sensor};
 
-/// Sensor of the tests: 64 x 48 pixels.
+/// The tests' sensor: 64 x 48 pixels.
 pub const SENSOR: Sensor = match Sensor::new(64, 48) {
     Some(sensor) => sensor,
     None => panic!("a side is out of range"),
 };
 
-/// Reads events of [`SENSOR`], `batch` at a time.
+/// Returns a reader of `events` on [`SENSOR`] that gives `batch` events at a time.
 #[must_use]
 pub fn reader(events: &[Event], batch: usize) -> MemoryReader {
     MemoryReader::new(SENSOR, events.to_vec()).in_batches(batch)
 }
 
-/// An event whose polarity is `On` where `on` is true.
+/// Returns an event whose polarity is `On` if `on` is true.
 #[must_use]
 pub const fn event(t_us: u64, x: u16, y: u16, on: bool) -> Event {
     Event {

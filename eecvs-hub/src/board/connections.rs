@@ -1,7 +1,7 @@
-//! Connections that cannot do harm: a bounded number, none that waits without end.
+//! Connections that cannot do harm: their number is bounded, and none waits without end.
 //!
-//! Whoever connects and says nothing, says it slowly, or does not take its answer is let go of after a while; where
-//! there are too many, at once, those first that never got an answer.
+//! A client that sends nothing, sends slowly, or does not take its answer is disconnected after a while. If there
+//! are too many connections, one is closed at once, those first that never got an answer.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -17,24 +17,24 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::time::{Instant, Sleep, sleep_until};
 
-/// Connections at once.
+/// Maximum number of simultaneous connections.
 pub const CONNECTIONS_MAX: usize = 256;
 
-/// A whole request takes no longer, from the connection's first moment, or the last answer, on.
+/// Time limit for a whole request, from the start of the connection or the request's first byte.
 const ASKING: Duration = Duration::from_secs(10);
 
-/// An answer, and the wait for the next request, take no longer.
+/// Time limit for an answer and the wait for the next request, from the answer's first byte.
 const ANSWERING: Duration = Duration::from_secs(30);
 
-/// After an error of the system's, too many open files above all.
+/// Wait after an error of the system, typically too many open files.
 const RETRY: Duration = Duration::from_millis(100);
 
-/// What is known of a connection beside the task that serves it.
+/// What is known of a connection outside the task that serves it.
 #[derive(Debug)]
 struct Entry {
     is_ended: AtomicBool,
     waker: Mutex<Option<Waker>>,
-    /// Whether it ever got an answer, and since when it does what it does.
+    /// Whether the connection ever got an answer, and since when it is in its present state.
     state: Mutex<(bool, Instant)>,
 }
 
@@ -49,7 +49,7 @@ struct Open {
 }
 
 impl Open {
-    /// A place for a new connection, another's where all are taken.
+    /// Registers a new connection and returns its number. If there are too many, another one is ended to make room.
     fn enter(&mut self, entry: Arc<Entry>) -> u64 {
         while self.entries.len() >= CONNECTIONS_MAX {
             let longest = self
@@ -72,14 +72,14 @@ impl Open {
     }
 }
 
-/// Listens as axum wants it.
+/// A listener for axum with a bounded number of connections.
 pub struct Bounded {
     listener: TcpListener,
     open: Arc<Mutex<Open>>,
 }
 
 impl Bounded {
-    /// Bounds what a listener accepts.
+    /// Bounds the connections that a listener accepts.
     pub fn new(listener: TcpListener) -> Self {
         Self {
             listener,
@@ -96,7 +96,7 @@ impl Listener for Bounded {
         loop {
             match self.listener.accept().await {
                 Ok((stream, address)) => {
-                    // Small answers go at once; without, they only go later.
+                    // Sends small answers at once; a failure only delays them.
                     let _ = stream.set_nodelay(true);
                     return (Connection::new(stream, &self.open), address);
                 }
@@ -138,7 +138,7 @@ impl Connection {
         }
     }
 
-    /// Fails where the connection is to end; wakes its task when it is.
+    /// Returns an error if the connection is to end; otherwise the task will be woken when it is.
     fn check(&mut self, context: &mut Context<'_>) -> io::Result<()> {
         lock(&self.entry.waker).replace(context.waker().clone());
         let is_ended = self.entry.is_ended.load(Ordering::Relaxed);
@@ -148,7 +148,7 @@ impl Connection {
         Ok(())
     }
 
-    /// The other side asks, or is answered: only a change of that begins another deadline, not every byte.
+    /// Switches between request and answer. Only a switch starts another deadline, not every byte.
     fn turn(&mut self, is_answering: bool) {
         if self.is_answering == is_answering {
             return;

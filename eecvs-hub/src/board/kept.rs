@@ -1,35 +1,35 @@
-//! Frames that the next picture of a sensor is made of.
+//! The frames from which a sensor's next picture is made.
 
 use std::sync::Arc;
 
 use eecvs_nostd::Header;
 
-/// Bytes of a sensor's frames, at the most.
+/// Maximum bytes of a sensor's frames.
 pub const KEPT_BYTES_MAX: usize = 4 << 20;
 
-/// Frames one after the other, of which the first decodes by itself.
+/// Consecutive frames that begin with a key frame, which decodes on its own.
 #[derive(Debug, Default)]
 struct Chain {
     frames: Vec<Arc<[u8]>>,
     bytes: usize,
-    /// Windows with events that it has whole.
+    /// Number of whole windows with events in the chain.
     windows: u64,
 }
 
-/// From a frame on that decodes by itself, so that there is a whole window.
+/// The frames since a key frame, enough of them for a whole window.
 #[derive(Debug, Default)]
 pub struct Kept {
     now: Chain,
-    /// Until `now` has a window: the chain before.
+    /// The previous chain, kept until `now` contains a window.
     before: Chain,
-    /// Number of the frame that goes on from the last one; none where the next one has to decode by itself.
+    /// Number of the frame that follows the last one; `None` if a key frame has to come next.
     next: Option<u64>,
-    /// Counts whole windows.
+    /// Number of whole windows so far.
     windows: u64,
 }
 
 impl Kept {
-    /// Takes a frame that has come in its turn, or leaves it.
+    /// Adds a frame that arrived in order, or ignores it if it does not continue the chain.
     pub fn take(&mut self, number: u64, header: &Header, frame: &[u8]) {
         if header.is_key && header.part == 0 {
             let was = std::mem::take(&mut self.now);
@@ -46,7 +46,7 @@ impl Kept {
             self.before = Chain::default();
         }
         if self.now.bytes + frame.len() > KEPT_BYTES_MAX {
-            // Where it has a window, that is shown until the next frame that decodes by itself.
+            // If there is a window, it is shown until the next key frame.
             if self.now.windows == 0 {
                 self.now = Chain::default();
             }
@@ -63,7 +63,7 @@ impl Kept {
         }
     }
 
-    /// Forgets all frames.
+    /// Forgets all frames; the count of windows goes on, so that pictures stay distinguishable.
     pub fn clear(&mut self) {
         *self = Self {
             windows: self.windows,
@@ -71,13 +71,13 @@ impl Kept {
         };
     }
 
-    /// Tells pictures apart; none without a whole window.
+    /// Returns a number that identifies the picture; `None` if there is no whole window.
     #[must_use]
     pub fn picture(&self) -> Option<u64> {
         (self.now.windows + self.before.windows > 0).then_some(self.windows)
     }
 
-    /// The frames to decode, the oldest first.
+    /// Returns the frames to decode, the oldest first.
     #[must_use]
     pub fn frames(&self) -> Vec<Arc<[u8]>> {
         let chain = if self.now.windows > 0 {
@@ -88,7 +88,7 @@ impl Kept {
         chain.frames.clone()
     }
 
-    /// Bytes held.
+    /// Returns the bytes of the frames held.
     #[must_use]
     pub const fn bytes(&self) -> usize {
         self.now.bytes + self.before.bytes

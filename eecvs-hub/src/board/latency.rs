@@ -1,25 +1,25 @@
-//! How long frames take, over the last ten seconds, in bounded memory.
+//! Latencies of frames over the last ten seconds, in bounded memory.
 
 use std::time::Duration;
 
 use serde::Serialize;
 
-/// Time that samples are kept together for.
+/// Duration of a slot of samples, in seconds.
 const SLOT_S: u64 = 2;
 
-/// Slots kept: ten seconds, and a part of one that still grows.
+/// Number of slots: ten seconds, and the slot that is being filled.
 const SLOTS: usize = 6;
 
-/// Samples of a slot, at the most.
+/// Maximum number of samples in a slot.
 const SAMPLES_MAX: usize = 128;
 
-/// How long frames that came in their turn took, in microseconds. Below 0 the sensor's clock is ahead of this computer's, so that these
-/// figures say more of the clocks than of the link.
+/// Latencies of frames that arrived in order, in microseconds. A negative one means that the sensor's clock is
+/// ahead of this computer's; the figures then say more about the clocks than about the link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Latency {
-    /// Half of the frames took no longer.
+    /// Median.
     pub p50_us: i64,
-    /// 99 of 100 took no longer.
+    /// 99th percentile.
     pub p99_us: i64,
 }
 
@@ -27,20 +27,20 @@ pub struct Latency {
 struct Slot {
     number: u64,
     samples: Vec<i64>,
-    /// Every so many frames there is a sample.
+    /// One frame in this many is sampled.
     stride: u64,
     seen: u64,
 }
 
-/// Samples of frames' latencies: all of them where they are few, evenly chosen ones of many. Times are since any
-/// fixed moment.
+/// Samples of the latencies of frames: all of them while they are few, otherwise evenly spaced ones. Times are
+/// relative to any fixed moment.
 #[derive(Debug, Clone, Default)]
 pub struct Latencies {
     slots: [Slot; SLOTS],
 }
 
 impl Latencies {
-    /// Adds a frame's.
+    /// Adds the latency of a frame that arrived at `at`.
     pub fn add(&mut self, at: Duration, latency_us: i64) {
         let number = at.as_secs() / SLOT_S;
         let slot = &mut self.slots[(number % SLOTS as u64) as usize];
@@ -63,13 +63,13 @@ impl Latencies {
                 });
                 slot.stride *= 2;
             }
-            // Also where the stride has just grown: the count is even then.
+            // Also if the stride has just doubled: the number of frames seen is a multiple of the new one too.
             slot.samples.push(latency_us);
         }
         slot.seen += 1;
     }
 
-    /// The last ten seconds'; none where no frame came.
+    /// Returns the latencies of the last ten seconds before `at`; `None` if no frame arrived.
     #[must_use]
     pub fn over(&self, at: Duration) -> Option<Latency> {
         let now = at.as_secs() / SLOT_S;
@@ -80,7 +80,7 @@ impl Latencies {
             .flat_map(|slot| slot.samples.iter().map(|sample| (*sample, slot.stride)))
             .collect();
         all.sort_unstable();
-        // A sample stands for as many frames as its stride.
+        // A sample represents as many frames as its stride.
         let frames: u64 = all.iter().map(|(_, weight)| weight).sum();
         let at_share = |hundredths: u64| {
             let wanted = (frames * hundredths).div_ceil(100);

@@ -12,33 +12,33 @@ use prometheus_client::registry::Registry;
 use super::Overview;
 use super::row::Row;
 
-/// What the names of all metrics begin with.
+/// First part of the names of all metrics.
 const PREFIX: &str = "eecvs";
 
-/// Names of regimes, in the order of a row's windows.
+/// Names of the regimes, in the order of a row's windows.
 const REGIMES: [&str; 3] = ["sparse", "moderate", "dense"];
 
-/// The text of a board.
+/// Returns the text for a board.
 pub(super) fn text(board: Overview) -> String {
     let mut registry = Registry::with_prefix(PREFIX);
     registry.register_collector(Box::new(board));
     let mut text = String::new();
-    // A string takes all text.
+    // Writing to a string does not fail.
     let _ = text::encode(&mut text, &registry);
     text
 }
 
-/// A metric of every sensor, or of several kinds of each.
+/// A metric with one value per sensor, or one per sensor and kind.
 struct Metric {
     name: &'static str,
     help: &'static str,
-    /// Of the kinds, where there are any.
+    /// Label of the kinds; empty if the metric has no kinds.
     label: &'static str,
     kind: MetricType,
     values: fn(&Row) -> Vec<(&'static str, f64)>,
 }
 
-/// One that counts from the sensor's start, or the hub's, on.
+/// Creates a metric that counts from the start of the sensor or the hub.
 const fn counter(
     name: &'static str,
     help: &'static str,
@@ -55,7 +55,7 @@ const fn counter(
     }
 }
 
-/// One that goes up and down.
+/// Creates a metric that goes up and down.
 const fn gauge(
     name: &'static str,
     help: &'static str,
@@ -72,7 +72,7 @@ const fn gauge(
     }
 }
 
-/// A value that has no kinds.
+/// Returns the value of a metric without kinds.
 fn one(value: f64) -> Vec<(&'static str, f64)> {
     vec![("", value)]
 }

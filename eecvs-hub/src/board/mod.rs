@@ -1,8 +1,8 @@
-//! What a hub knows of its sensors: rows, pictures, metrics, and a live page of them.
+//! What a hub knows of its sensors: rows, pictures, metrics, and a live page that shows them.
 //!
-//! Frames are not decoded as they come, only their headers are read; where somebody looks at a sensor's picture, its
-//! frames are kept from one on that decodes by itself, and decoded when the picture is fetched. Memory is bounded, by
-//! sensors and by bytes of each, whatever is published.
+//! Frames are not decoded on arrival; only their headers are read. While somebody looks at a sensor's picture, its
+//! frames are kept from a key frame on, which decodes on its own, and they are decoded when the picture is fetched.
+//! Memory is bounded, by the number of sensors and the bytes of each, whatever is published.
 
 mod connections;
 pub mod kept;
@@ -29,35 +29,35 @@ use sensor::{Arrived, Moment, Sensor};
 use crate::key::Name;
 use crate::message::{Stamp, Status, now_us};
 
-/// Sensors of a board, at the most.
+/// Maximum number of sensors on a board.
 pub const SENSORS_MAX: usize = 10_000;
 
-/// What a hub says of its own links.
+/// Counts of a hub's links.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct HubFigures {
-    /// Other hubs that it has a link to.
+    /// Number of other hubs with a link to this one.
     pub routers: usize,
-    /// Receivers with a link to it, or to another hub that it has a link to.
+    /// Number of receivers with a link to this hub, or to another hub with a link to this one.
     pub receivers: usize,
 }
 
-/// All of a board at a moment.
+/// The state of a board at one moment.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Overview {
-    /// The hub's name.
+    /// Name of the hub.
     pub hub: String,
-    /// Microseconds since 1970, by this computer's clock.
+    /// Time by this computer's clock, in microseconds since 1970.
     pub now_us: u64,
-    /// The hub's links.
+    /// Counts of the hub's links.
     #[serde(flatten)]
     pub figures: HubFigures,
-    /// Sensors that are connected.
+    /// Number of connected sensors.
     pub connected: usize,
     /// Messages of sensors that the board has no room for.
     pub refused: u64,
-    /// Messages that could not be read and belong to no sensor here.
+    /// Unreadable messages that belong to no known sensor.
     pub malformed: u64,
-    /// The sensors, by their names.
+    /// The sensors, sorted by name.
     pub sensors: Vec<Row>,
 }
 
@@ -73,7 +73,7 @@ pub struct Board {
 }
 
 impl Board {
-    /// Of a hub with this name.
+    /// Creates the board of a hub with this name.
     #[must_use]
     pub fn new(hub: &str) -> Self {
         Self {
@@ -93,13 +93,13 @@ impl Board {
         }
     }
 
-    /// A sensor that is known.
+    /// Returns a known sensor.
     fn known(&self, name: &Name) -> Option<Arc<Sensor>> {
         let sensors = self.sensors.read().unwrap_or_else(PoisonError::into_inner);
         sensors.get(name).cloned()
     }
 
-    /// A sensor, known from here on; none where there are too many.
+    /// Returns a sensor, adding it if it is new; `None` if there are too many.
     fn sensor(&self, name: &Name) -> Option<Arc<Sensor>> {
         if let Some(sensor) = self.known(name) {
             return Some(sensor);
@@ -112,13 +112,13 @@ impl Board {
         Some(Arc::clone(sensors.entry(name.clone()).or_default()))
     }
 
-    /// Takes a frame that has come. Its checksums and its header are read; its payload is not.
+    /// Records a frame that has arrived. Its checksums and its header are read; its payload is not.
     pub fn frame(&self, name: &Name, stamp: Stamp, frame: &[u8]) {
         let Some(sensor) = self.sensor(name) else {
             return;
         };
         let parsed = Frame::parse(frame).ok();
-        // Bytes behind a frame are damage too.
+        // Bytes after a frame count as damage too.
         let parsed = parsed.filter(|parsed| parsed.bytes == frame.len());
         let arrived = Arrived {
             stamp,
@@ -128,21 +128,21 @@ impl Board {
         sensor.frame(self.now(), arrived);
     }
 
-    /// Takes what a sensor says of itself.
+    /// Records the latest status that a sensor sent.
     pub fn status(&self, name: &Name, status: Status) {
         if let Some(sensor) = self.sensor(name) {
             sensor.status(self.now(), status);
         }
     }
 
-    /// A sensor's token has come, or gone.
+    /// Records that a sensor's token has appeared or disappeared.
     pub fn alive(&self, name: &Name, is_alive: bool) {
         if let Some(sensor) = self.sensor(name) {
             sensor.alive(is_alive);
         }
     }
 
-    /// Something could not be read; under a sensor's name, where it had one.
+    /// Counts an unreadable message, under a sensor's name if that sensor is known.
     pub fn malformed(&self, name: Option<&Name>) {
         match name.and_then(|name| self.known(name)) {
             Some(sensor) => sensor.malformed(),
@@ -152,23 +152,23 @@ impl Board {
         }
     }
 
-    /// Takes what the hub says of its links.
+    /// Records the counts of the hub's links.
     pub fn hub(&self, figures: HubFigures) {
         *self.figures.lock().unwrap_or_else(PoisonError::into_inner) = figures;
     }
 
-    /// Somebody looks at a sensor: for ten seconds, frames for its picture are kept.
+    /// Notes that somebody looks at a sensor: for ten seconds, frames for its picture are kept.
     pub fn want(&self, name: &Name) {
         if let Some(sensor) = self.known(name) {
             sensor.want(self.now());
         }
     }
 
-    /// What is known of each sensor, by their names.
+    /// Returns what is known of each sensor, sorted by name.
     #[must_use]
     pub fn rows(&self) -> Vec<Row> {
         let sensors = self.sensors.read().unwrap_or_else(PoisonError::into_inner);
-        // What writes waits for readers: these have the sensors and no more.
+        // Writers wait for readers, so hold the lock only to copy the references.
         let sensors: Vec<_> = sensors
             .iter()
             .map(|(name, sensor)| (name.clone(), Arc::clone(sensor)))
@@ -180,7 +180,7 @@ impl Board {
             .collect()
     }
 
-    /// All of the board.
+    /// Returns the state of the whole board.
     #[must_use]
     pub fn overview(&self) -> Overview {
         let sensors = self.rows();
@@ -195,14 +195,14 @@ impl Board {
         }
     }
 
-    /// The board in OpenMetrics' text format, which Prometheus reads.
+    /// Returns the board in OpenMetrics' text format, which Prometheus reads.
     #[must_use]
     pub fn metrics(&self) -> String {
         metrics::text(self.overview())
     }
 
-    /// A sensor's latest whole window as a PNG. The first call asks for frames to be kept, so that there is a picture
-    /// soon after; calls within a second of another get the same one.
+    /// Returns a sensor's latest whole window as a PNG. The first call starts the keeping of frames, so that there
+    /// is a picture soon after; calls within a second of another return the same picture.
     #[must_use]
     pub fn picture(&self, name: &Name) -> Option<Vec<u8>> {
         self.known(name)?.png(self.now())

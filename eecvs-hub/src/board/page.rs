@@ -1,15 +1,15 @@
 //! The board over HTTP: a page, its data, pictures, and metrics.
 //!
 //! ```text
-//! GET /                        the page, whole
-//! GET /sensors.json            an Overview; ?see=NAME&see=NAME says whose pictures are looked at
-//! GET /picture/NAME.png        a sensor's latest window
-//! GET /metrics                 OpenMetrics
+//! GET /                      the page, with its script
+//! GET /sensors.json          an Overview; ?see=NAME&see=NAME names the pictures being looked at
+//! GET /picture/NAME.png      a sensor's latest window
+//! GET /metrics               OpenMetrics
 //! ```
 //!
-//! There is no password: whoever can connect may look, and nobody can change anything. Other pages in a reader's
-//! browser cannot look: nothing is said to other origins, and a request by a host's name is refused, as a stranger's
-//! page may have its name point here.
+//! There is no password: anyone who can connect can read everything, and nobody can change anything. Foreign pages in
+//! a reader's browser cannot read it: no other origin is admitted, and requests addressed to a host name other than
+//! localhost are refused, since a foreign page's host name may resolve to this address.
 
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::net::IpAddr;
@@ -34,40 +34,40 @@ use crate::key::Name;
 /// The page, without its script.
 const PAGE: &str = include_str!("page.html");
 
-/// The script, which goes into the page: it fetches nothing but figures and pictures.
+/// The script, which is inserted into the page; it fetches only figures and pictures.
 const SCRIPT: &str = include_str!("page.js");
 
-/// What stands in [`PAGE`] for the script.
+/// Placeholder in [`PAGE`] for the script.
 const SCRIPT_HERE: &str = "{script}";
 
-/// What stands in [`PAGE`] for the nonce.
+/// Placeholder in [`PAGE`] for the nonce.
 const NONCE: &str = "{nonce}";
 
-/// What was made of the board is told again for so long, whoever asks.
+/// How long a generated answer is reused, for all clients.
 const FRESH: Duration = Duration::from_millis(500);
 
-/// Pictures that one page looks at, at the most.
+/// Maximum number of pictures that one page looks at.
 const SEEN_MAX: usize = 256;
 
-/// How often the wish to stop is looked at.
+/// Interval at which the stop request is checked.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// What requests share.
+/// State shared by requests.
 struct Shared {
     board: Arc<Board>,
     overview: Mutex<Option<(Instant, Bytes)>>,
     metrics: Mutex<Option<(Instant, Bytes)>>,
 }
 
-/// Serves the board's page until it is asked to stop.
+/// Serves the board's page until a stop is requested.
 ///
 /// # Errors
-/// The listener cannot be used. Connections that fail are no error.
+/// The listener cannot be used. Failing connections are not errors.
 pub fn serve(board: Arc<Board>, listener: std::net::TcpListener, stop: Stop) -> Result<()> {
     listener
         .set_nonblocking(true)
         .context("the page's listener")?;
-    // Pictures are decoded beside all else, one at a time: a page full of them takes no more than one core.
+    // Pictures are decoded in a separate thread, one at a time: a page full of them uses at most one core.
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
         .enable_time()
@@ -79,7 +79,7 @@ pub fn serve(board: Arc<Board>, listener: std::net::TcpListener, stop: Stop) -> 
             tokio::net::TcpListener::from_std(listener).context("the page's listener")?;
         let router = router(board);
         tokio::spawn(async move {
-            // It has no end, and so no error.
+            // The server never ends, and so returns no error.
             let _ = axum::serve(Bounded::new(listener), router).await;
         });
         while !stop.is_asked() {
@@ -87,7 +87,7 @@ pub fn serve(board: Arc<Board>, listener: std::net::TcpListener, stop: Stop) -> 
         }
         Ok(())
     });
-    // A picture that is being decoded is not waited for.
+    // Do not wait for a picture that is being decoded.
     runtime.shutdown_background();
     served
 }
@@ -107,14 +107,15 @@ fn router(board: Arc<Board>) -> Router {
         .layer(middleware::from_fn(guard))
 }
 
-/// Whether a request is addressed to this computer, and not to a name that happens to point here.
+/// Returns whether a request is addressed to an IP address or localhost, and not to a name that happens to resolve
+/// to this computer.
 fn is_own(headers: &HeaderMap, uri: &Uri) -> bool {
     let host = headers
         .get(header::HOST)
         .and_then(|host| host.to_str().ok());
     let is_own = |host: &str| {
         let port = host.rfind(':').filter(|_| !host.ends_with(']'));
-        // Without brackets, colons beyond one are those of an address.
+        // A bare IPv6 address has no brackets: its colons do not separate a port.
         let is_bare = host.parse::<IpAddr>().is_ok();
         let name = host.get(..port.filter(|_| !is_bare).unwrap_or(host.len()));
         let name = name.unwrap_or_default();
@@ -149,7 +150,7 @@ async fn guard(request: Request, next: Next) -> Response {
     response
 }
 
-/// A number that nobody foretells: the standard library seeds its hashes by the system's random numbers.
+/// Returns an unpredictable number: the standard library seeds its hashers with the system's random numbers.
 fn nonce() -> String {
     let random = || RandomState::new().build_hasher().finish();
     format!("{:016x}{:016x}", random(), random())
@@ -169,7 +170,7 @@ async fn page() -> Response {
     (headers, page).into_response()
 }
 
-/// What was made a moment ago, or is made now: any number of readers is the work of one.
+/// Returns the recent answer, or makes a new one: any number of readers costs as much as one.
 fn fresh(kept: &Mutex<Option<(Instant, Bytes)>>, make: impl FnOnce() -> Vec<u8>) -> Bytes {
     let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
     match &*kept {
@@ -190,7 +191,7 @@ async fn sensors(State(shared): State<Arc<Shared>>, RawQuery(query): RawQuery) -
     for name in seen.take(SEEN_MAX).filter_map(|name| name.parse().ok()) {
         shared.board.want(&name);
     }
-    // Numbers, names and texts are always JSON.
+    // Numbers, names and texts can always be represented in JSON.
     let make = || serde_json::to_vec(&shared.board.overview()).unwrap_or_default();
     let kind = [(header::CONTENT_TYPE, "application/json")];
     (kind, fresh(&shared.overview, make)).into_response()

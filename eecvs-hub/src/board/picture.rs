@@ -1,4 +1,4 @@
-//! The latest window of a sensor as a PNG.
+//! A sensor's latest window as a PNG.
 
 use std::sync::Arc;
 
@@ -7,31 +7,31 @@ use eecvs::reconstruct::DecodedWindow;
 use eecvs_nostd::{Event, Frame, Polarity, Sensor};
 use event_pictures::frame_picture::{FrameStyle, FrameSums, event_frame};
 
-/// Longest side that is aimed at, in pixels.
+/// Approximate length of the picture's longer side, in pixels.
 const SIDE: usize = 240;
 
-/// Sum of a pixel's polarities, at the most: its colour is the darkest far below.
+/// Limit on a pixel's sum of polarities; its colour saturates far below that.
 const SUM_MAX: u32 = 64;
 
-/// Sensor pixels on the side of a picture's pixel, and how sums become pixels.
+/// Returns how many sensor pixels form the side of a picture's pixel, and the style that turns sums into pixels.
 #[must_use]
 pub fn style(sensor: Sensor) -> (u16, FrameStyle) {
     let longer = usize::from(sensor.width.max(sensor.height)).max(1);
     let nearest = |of: usize, to: usize| ((of + to / 2) / to).max(1);
-    // At most 2048 / 240.
+    // At most 2048 / 240, which fits.
     let shrink = nearest(longer, SIDE) as u16;
     let upscale = nearest(SIDE, longer);
     (shrink, FrameStyle { clip: 4, upscale })
 }
 
-/// The picture of a window's sums.
+/// Returns the picture of a window's sums as a PNG.
 #[must_use]
 pub fn png(sums: &FrameSums) -> Option<Vec<u8>> {
     let (shrink, style) = style(sums.sensor());
     event_frame(&sums.shrunk(shrink), style).png().ok()
 }
 
-/// The sums of the last whole window of some frames, of which the first decodes by itself.
+/// Returns the sums of the last whole window in `frames`, which begin with one that decodes on its own.
 #[must_use]
 pub fn latest(frames: &[Arc<[u8]>]) -> Option<FrameSums> {
     let mut windows = Windows::default();
@@ -53,7 +53,7 @@ pub fn latest(frames: &[Arc<[u8]>]) -> Option<FrameSums> {
 fn sums(window: &DecodedWindow) -> FrameSums {
     let sensor = window.header.sensor;
     let mut sums = FrameSums::new(sensor, &window.events);
-    // Coefficients tell how many events a pixel has; their times are not needed here.
+    // For windows sent as coefficients, use each pixel's event counts; the times are not needed here.
     for pixel in &window.pixels {
         for (polarity, count) in [(Polarity::On, pixel.on), (Polarity::Off, pixel.off)] {
             let other = match polarity {

@@ -1,32 +1,32 @@
-//! What comes in a second, over the last few of them.
+//! Rates per second, averaged over the last few seconds.
 
 use std::time::Duration;
 
 use serde::Serialize;
 
-/// Time that sums are kept for.
+/// Duration of a slot, for which one sum is kept.
 const SLOT: Duration = Duration::from_millis(250);
 
-/// Sums kept, beside the one that still grows: four seconds.
+/// Number of sums kept, besides the one still growing: four seconds.
 const SLOTS: u64 = 16;
 
-/// A rate is not told over less: a first frame would have any.
+/// Shortest time for a rate: over less, a first frame could give any rate.
 const LEAST_S: f64 = 0.5;
 
-/// What a frame adds.
+/// The amounts that a frame adds.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Amount {
-    /// Events in it.
+    /// Events in the frame.
     pub events: u64,
-    /// Its bytes.
+    /// Bytes of the frame.
     pub bytes: u64,
-    /// 1 where a window begins with it.
+    /// 1 if a window begins with the frame, else 0.
     pub windows: u64,
-    /// Events left out of it so that it fits the budget.
+    /// Events left out so that the frame fits the budget.
     pub thinned: u64,
 }
 
-/// What came in a second.
+/// Rates per second.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Rates {
     /// Events.
@@ -37,15 +37,15 @@ pub struct Rates {
     pub windows_per_s: f64,
     /// Events that the sensor left out so that frames fit its budget.
     pub thinned_per_s: f64,
-    /// Bits for each event; none without events.
+    /// Bits per event; `None` if there were no events.
     pub bits_per_event: Option<f64>,
 }
 
-/// Adds up what comes. Times are since any fixed moment.
+/// Sums up amounts over time. Times are relative to any fixed moment.
 #[derive(Debug, Clone, Default)]
 pub struct Rate {
     sums: [Amount; SLOTS as usize + 1],
-    /// Number of the slot that grows.
+    /// Number of the slot that is growing.
     newest: u64,
     first: Option<Duration>,
 }
@@ -55,7 +55,7 @@ const fn slot(at: Duration) -> u64 {
 }
 
 impl Rate {
-    /// Forgets what has become too old; the sum that grows.
+    /// Clears the slots that are too old; returns the sum that is growing.
     fn advance(&mut self, at: Duration) -> &mut Amount {
         let now = slot(at).max(self.newest);
         let steps = (now - self.newest).min(SLOTS + 1);
@@ -66,7 +66,7 @@ impl Rate {
         &mut self.sums[(now % (SLOTS + 1)) as usize]
     }
 
-    /// Adds what came at a moment.
+    /// Adds the amounts of a frame that arrived at `at`.
     pub fn add(&mut self, at: Duration, amount: Amount) {
         self.first.get_or_insert(at);
         let sum = self.advance(at);
@@ -76,7 +76,7 @@ impl Rate {
         sum.thinned += amount.thinned;
     }
 
-    /// The rates of the last four seconds, or since the first came.
+    /// Returns the rates of the last four seconds, or since the first frame if that is less.
     pub fn over(&mut self, at: Duration) -> Rates {
         self.advance(at);
         let Some(first) = self.first else {

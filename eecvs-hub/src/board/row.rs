@@ -1,4 +1,4 @@
-//! What is told of a sensor, as the page and the metrics have it.
+//! What is known of a sensor, in the form that the page and the metrics use.
 
 use eecvs_nostd::{Coder, Fidelity, Header, Hybrid, Mode};
 use serde::Serialize;
@@ -7,48 +7,49 @@ use super::latency::Latency;
 use super::rate::Rates;
 use crate::key::Name;
 
-/// All that is known of one sensor. Times are seconds, and of the hub's own clock.
+/// All that is known of one sensor. Ages are in seconds, by the hub's own clock.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
-    /// What it is called.
+    /// Name of the sensor.
     pub name: Name,
-    /// Whether it has a link to some hub: its token is there or, where none was ever seen, it was heard lately.
+    /// Whether the sensor has a link to some hub: its token exists or, if none was ever seen, the sensor was heard
+    /// recently.
     pub is_connected: bool,
-    /// Columns of the sensor; 0 where nothing has told them.
+    /// Columns of the sensor; 0 if unknown.
     pub columns: u16,
-    /// Rows of the sensor; 0 where nothing has told them.
+    /// Rows of the sensor; 0 if unknown.
     pub rows: u16,
-    /// When it was started, as in [`crate::message::Stamp`]; 0 where nothing has told it.
+    /// Start of the sensor's run, as in [`crate::message::Stamp`]; 0 if unknown.
     pub run: u64,
-    /// Seconds since its last frame came.
+    /// Seconds since the last frame arrived.
     pub frame_age_s: Option<f64>,
-    /// Seconds since its last status came.
+    /// Seconds since the last status arrived.
     pub status_age_s: Option<f64>,
-    /// What came over the last few seconds.
+    /// Rates over the last few seconds.
     pub rate: Rates,
-    /// Frames of the sensor that came here, each once.
+    /// Frames of the sensor that arrived here, each counted once.
     pub frames_received: u64,
-    /// Events in these.
+    /// Events in these frames.
     pub events_received: u64,
-    /// Bytes of these.
+    /// Bytes of these frames.
     pub bytes_received: u64,
-    /// Windows that came here: sparse, moderate, dense.
+    /// Windows that arrived here: sparse, moderate, dense.
     pub windows: [u64; 3],
-    /// The latest window that came.
+    /// The latest window that arrived.
     pub window: Option<Latest>,
-    /// What was lost, by its cause.
+    /// Losses by cause.
     pub losses: Losses,
-    /// From the end of a window to the arrival of its frames here, of the last ten seconds.
+    /// Time from the end of a window to the arrival of its frames here, over the last ten seconds.
     pub latency: Option<Latency>,
-    /// Bytes a second that it is held to.
+    /// Limit on the sensor's rate in bytes per second, if there is one.
     pub budget: Option<u32>,
-    /// Whether it lowers its rate as its link does not take more.
+    /// Whether the sensor lowers its rate because its link cannot take more.
     pub is_congested: bool,
-    /// Bytes of frames that its store has in memory.
+    /// Bytes of frames in memory in the sensor's store.
     pub store_memory_bytes: u64,
-    /// Bytes of frames that its store has on disk.
+    /// Bytes of frames on disk in the sensor's store.
     pub store_disk_bytes: u64,
-    /// Tells pictures apart: another number, another picture. None where there is none.
+    /// Identifies the picture: it changes with the picture. `None` if there is none.
     pub picture: Option<u64>,
 }
 
@@ -59,30 +60,30 @@ pub struct Latest {
     pub regime: &'static str,
     /// Events per pixel and second.
     pub density: f64,
-    /// `dct`, `dtft` or `dwt`; where events themselves are sent, that of the volume made of them.
+    /// `dct`, `dtft` or `dwt`; for a window sent as events, the transform of the volume made from them.
     pub transform: &'static str,
     /// `plain`, `fast` or `dense`.
     pub coder: &'static str,
-    /// What is kept of the times.
+    /// How exact the event times are.
     pub times: Times,
 }
 
-/// What frames keep of the times of events.
+/// How exactly frames represent the times of events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Times {
-    /// All of them.
+    /// Exactly.
     Exact,
-    /// Each within so many microseconds.
+    /// Each within this many microseconds.
     WithinUs(u32),
-    /// Which of so many bins of the window.
+    /// By the bin, of this many in the window.
     Bins(u16),
-    /// So many coefficients of each pixel.
+    /// By this many coefficients per pixel.
     Coefficients(u8),
 }
 
 impl Latest {
-    /// That of a frame's window.
+    /// Describes the window of a frame.
     pub(super) fn of(header: &Header) -> Self {
         let name = |coder| match coder {
             Coder::Fast => "fast",
@@ -115,33 +116,34 @@ impl Latest {
     }
 }
 
-/// What of a sensor was lost, and where. Events and the store are those of its present run, as it says itself.
+/// Losses of a sensor, by cause. Counts of events and of the store are those of the present run, as reported by the
+/// sensor.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Losses {
     /// Events too old for their window.
     pub events_late: u64,
-    /// Events that a filter kept out.
+    /// Events removed by a filter.
     pub events_filtered: u64,
     /// Events lost before or in the encoder.
     pub events_dropped: u64,
     /// Events left out so that the frames fit the budget.
     pub events_thinned: u64,
-    /// Frames that exist and have not come here: of this run and the one before it.
+    /// Frames of this run and the one before it that exist and have not arrived here.
     pub frames_missing: u64,
-    /// The same of all earlier runs.
+    /// The same for all earlier runs.
     pub frames_missing_before: u64,
-    /// Frames that came damaged.
+    /// Frames that arrived damaged.
     pub frames_damaged: u64,
-    /// Frames that came again, which is no loss.
+    /// Frames that arrived again, which is not a loss.
     pub frames_repeated: u64,
-    /// Frames that its store holds no longer.
+    /// Frames made during or near an outage that the sensor's store no longer holds.
     pub frames_let_go: u64,
-    /// Frames that it could not write to disk.
+    /// Frames that the sensor could not write to disk.
     pub disk_failures: u64,
-    /// Messages under its name that could not be read.
+    /// Messages under the sensor's name that could not be read.
     pub malformed: u64,
-    /// Times that it had no link.
+    /// Number of times that the sensor's link failed.
     pub outages: u64,
-    /// Seconds of these, all together.
+    /// Total time without a link, in seconds.
     pub outages_s: f64,
 }

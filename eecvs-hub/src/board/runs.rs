@@ -1,4 +1,4 @@
-//! Which of a sensor's frames have come here, run by run.
+//! Which of a sensor's frames have arrived here, run by run.
 
 use crate::order::Numbers;
 
@@ -6,39 +6,39 @@ use crate::order::Numbers;
 #[derive(Debug, Clone)]
 struct Run {
     run: u64,
-    /// None until a number of it is known.
+    /// `None` until a number of the run is known.
     numbers: Option<Numbers>,
-    /// The highest number that has come.
+    /// The highest number that has arrived.
     newest: Option<u64>,
-    /// Number of the frame that comes next, as the sensor's last status has it.
+    /// Number of the next frame, according to the sensor's last status.
     next: Option<u64>,
 }
 
-/// What a frame is, among those of its sensor.
+/// A frame's place among the frames of its sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Place {
-    /// One of the present run, behind all that have come.
+    /// In the present run, after all that have arrived.
     New,
-    /// One that was missing, of the present run or the one before it.
+    /// In the present run or the one before it, and missing until now.
     Late,
-    /// It has come before.
+    /// It arrived before.
     Again,
-    /// Of a run before these two, which is not accounted for.
+    /// In a run before these two, which is not tracked.
     Old,
 }
 
-/// The present run, the one before it, and what the earlier ones lost.
+/// The present run, the one before it, and the losses of the earlier ones.
 #[derive(Debug, Clone, Default)]
 pub struct Runs {
     now: Option<Run>,
     before: Option<Run>,
-    /// Of the present run, whether a status has named it.
+    /// Whether a status has named the present run.
     is_told: bool,
     lost_before: u64,
 }
 
 impl Run {
-    /// Frames that exist and have not come.
+    /// Returns the number of frames that exist and have not arrived.
     fn missing(&self) -> u64 {
         let numbers = self.numbers.as_ref();
         numbers.map_or(0, |numbers| {
@@ -51,7 +51,7 @@ impl Run {
         if !numbers.take(number) {
             return Place::Again;
         }
-        // Not by what statuses say: these may overtake frames.
+        // Compare with frames only, since statuses may overtake them.
         if self.newest.is_some_and(|newest| number < newest) {
             return Place::Late;
         }
@@ -64,7 +64,7 @@ impl Runs {
     /// Makes a run the present one.
     fn begin(&mut self, run: u64) {
         let known = self.before.take_if(|before| before.run == run);
-        // Of a sensor that was here before, a new run is seen from its first frame on.
+        // If the sensor was known before, a new run is tracked from its first frame on.
         let numbers = self.now.is_some().then(|| Numbers::from(0));
         let began = known.unwrap_or(Run {
             run,
@@ -79,7 +79,7 @@ impl Runs {
         self.is_told = false;
     }
 
-    /// Takes a frame.
+    /// Records a frame, and returns its place.
     pub fn take(&mut self, run: u64, number: u64) -> Place {
         let is_now = self.now.as_ref().is_some_and(|now| now.run == run);
         if !is_now {
@@ -89,7 +89,8 @@ impl Runs {
                     place => place,
                 };
             }
-            // What a sensor says of itself is what it is now. Without, a clock may have been set back.
+            // If a status has named the present run, an earlier run is old. Otherwise the sensor's clock may have
+            // been set back.
             if self.is_told && self.now.as_ref().is_some_and(|now| run < now.run) {
                 return Place::Old;
             }
@@ -99,34 +100,34 @@ impl Runs {
         now.map_or(Place::Old, |now| now.take(number))
     }
 
-    /// Takes what the sensor says: its run, and that all frames below a number exist.
+    /// Records the sensor's report: its run, and that all frames below a number exist.
     pub fn told(&mut self, run: u64, next: u64) {
         if self.now.as_ref().is_none_or(|now| now.run != run) {
             self.begin(run);
         }
         self.is_told = true;
         let Some(now) = &mut self.now else { return };
-        // Frames and statuses come on different ways: what the one before said has had time to come.
+        // Frames and statuses travel separately: use the previous status, whose frames have had time to arrive.
         if let Some(earlier) = now.next.replace(next) {
             let numbers = now.numbers.get_or_insert_with(|| Numbers::from(earlier));
             numbers.until(earlier);
         }
     }
 
-    /// The present run; 0 without one.
+    /// Returns the present run; 0 if there is none.
     #[must_use]
     pub fn run(&self) -> u64 {
         self.now.as_ref().map_or(0, |now| now.run)
     }
 
-    /// Frames that have not come, of the present run and the one before.
+    /// Returns the number of frames that have not arrived, in the present run and the one before.
     #[must_use]
     pub fn missing(&self) -> u64 {
         let both = self.now.iter().chain(&self.before);
         both.fold(0, |sum, run| sum.saturating_add(run.missing()))
     }
 
-    /// Frames that never came, of all earlier runs.
+    /// Returns the number of frames that never arrived, in all earlier runs.
     #[must_use]
     pub const fn missing_before(&self) -> u64 {
         self.lost_before

@@ -1,4 +1,4 @@
-//! What is known of one sensor.
+//! The board's state of one sensor.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -14,32 +14,32 @@ use super::runs::{Place, Runs};
 use crate::key::Name;
 use crate::message::{Stamp, Status};
 
-/// Frames are kept for so long after somebody wanted a picture.
+/// How long frames are kept after a request for a picture.
 const WANTED: Duration = Duration::from_secs(10);
 
-/// From one decoding of a sensor's frames to the next.
+/// Shortest time between two decodings of a sensor's frames.
 const BETWEEN: Duration = Duration::from_secs(1);
 
-/// Where no token was ever seen: heard so lately, a sensor counts as connected.
+/// If no token was ever seen, a sensor heard within this time counts as connected.
 const HEARD: Duration = Duration::from_secs(5);
 
-/// A moment: since the board began, and by this computer's clock.
+/// A moment: time since the board began, and time by this computer's clock.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Moment {
     pub at: Duration,
     pub unix_us: u64,
 }
 
-/// A frame that has come, as far as it was read.
+/// A frame that has arrived, as far as it was read.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Arrived<'f> {
     pub stamp: Stamp,
-    /// None where it is damaged.
+    /// `None` if the frame is damaged.
     pub header: Option<&'f Header>,
     pub bytes: &'f [u8],
 }
 
-/// A sensor, for many threads.
+/// A sensor, shared by threads.
 #[derive(Debug, Default)]
 pub(super) struct Sensor {
     state: Mutex<State>,
@@ -78,7 +78,7 @@ struct Decoded {
     is_busy: bool,
 }
 
-/// What a thread that panicked has left is as good as what it found: counts.
+/// Locks a mutex. Poisoning is ignored: the contents are counts, which a panic leaves usable.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -93,7 +93,7 @@ impl Sensor {
         state.runs.told(status.run, status.next);
         state.size = Size::new(status.width, status.height).or(state.size);
         state.status = status;
-        // Only figures of it are kept.
+        // Only the figures are needed.
         state.status.held = Vec::new();
         state.status_at = Some(now.at);
     }
@@ -106,12 +106,12 @@ impl Sensor {
         lock(&self.state).malformed += 1;
     }
 
-    /// Somebody looks at its picture: frames are kept from here on.
+    /// Notes that somebody looks at the sensor's picture: frames are kept from now on.
     pub(super) fn want(&self, now: Moment) {
         lock(&self.state).wanted_at = Some(now.at);
     }
 
-    /// What was kept for pictures that nobody looks at any more goes.
+    /// Drops what was kept for a picture that nobody looks at any more.
     fn tidy(&self, now: Moment) {
         if !lock(&self.state).tidy(now.at) {
             let mut decoded = lock(&self.picture);
@@ -126,7 +126,7 @@ impl Sensor {
         lock(&self.state).row(name, now)
     }
 
-    /// The picture, decoded here where it is another one, and not too often.
+    /// Returns the picture; decodes it if there is a new one, but not too often.
     pub(super) fn png(&self, now: Moment) -> Option<Vec<u8>> {
         let (of, frames) = {
             let mut state = lock(&self.state);
@@ -188,7 +188,7 @@ impl State {
         if place != Place::New {
             return;
         }
-        // Microseconds since 1970 fit; what a stamp claims beyond does not overflow.
+        // Real times fit; a stamp with an impossible time must not overflow.
         let signed = |us: u64| i64::try_from(us).unwrap_or(i64::MAX);
         let latency_us = signed(now.unix_us).saturating_sub(signed(end_us));
         self.latencies.add(now.at, latency_us);
@@ -203,7 +203,7 @@ impl State {
         }
     }
 
-    /// Whether somebody looks at the picture; if not, nothing is kept for it.
+    /// Returns whether somebody looks at the picture; if not, drops the frames kept for it.
     fn tidy(&mut self, at: Duration) -> bool {
         let is_wanted = self
             .wanted_at

@@ -1,4 +1,4 @@
-//! `eecvs-hub hub`: routes, watches, and shows what it sees.
+//! `eecvs-hub hub`: routes between sensors and receivers, and shows the sensors on a page.
 
 use std::net::TcpListener;
 use std::path::PathBuf;
@@ -17,12 +17,12 @@ use crate::link::{HUB, Links};
 /// Route between sensors and receivers, and show each sensor's rate, losses, delay and picture on a page
 #[derive(Debug, Clone, Args)]
 pub struct Hub {
-    /// What it is called, on its page
+    /// Name of the hub, shown on its page
     #[arg(long, value_name = "NAME", default_value = "hub")]
     name: String,
 
-    /// Where sensors, receivers and other hubs find it: tls/ADDRESS:PORT with --keys; without, tcp/127.0.0.1:PORT, or
-    /// with --anyone another address [default: tcp/127.0.0.1:7447, with --keys tls/[::]:7447]
+    /// Endpoint for sensors, receivers and other hubs: tls/ADDRESS:PORT with --keys; without, tcp/127.0.0.1:PORT,
+    /// or with --anyone another address [default: tcp/127.0.0.1:7447, with --keys tls/[::]:7447]
     #[arg(long, value_name = "ENDPOINT")]
     listen: Vec<String>,
 
@@ -30,39 +30,39 @@ pub struct Hub {
     #[arg(long, value_name = "ENDPOINT")]
     connect: Vec<String>,
 
-    /// The folder that eecvs-hub keys has made for this hub: links are encrypted, and all show who they are
+    /// The folder that eecvs-hub keys has made for this hub: links are encrypted, and both sides authenticate
     #[arg(long, value_name = "FOLDER")]
     keys: Option<PathBuf>,
 
-    /// The folder of access.toml, who may what [default: the one above that of --keys]
+    /// The folder of access.toml, which lists who may do what [default: the parent folder of --keys]
     #[arg(long, value_name = "FOLDER", requires = "keys")]
     access: Option<PathBuf>,
 
-    /// Without --keys: listen at any address, and let anyone in
+    /// Without --keys: listen on any address, and admit anyone
     #[arg(long, conflicts_with = "keys")]
     anyone: bool,
 
-    /// Where its page is; whoever reaches that address sees it
+    /// Address of the page; anyone who can reach it can see the page
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8447")]
     page: String,
 
-    /// No page
+    /// Serve no page
     #[arg(long, conflicts_with = "page")]
     no_page: bool,
 
-    /// Sensors on its page: names, or all of a hall by hall-1/**
+    /// Sensors on the page: names, or hall-1/** for all in a hall
     #[arg(long, value_name = "NAMES", default_value = "**", value_parser = |text: &str| names(text))]
     watch: String,
 
-    /// Route alone: no sensor is watched, and none is told what it may
+    /// Only route: watch no sensors, and send them no budgets
     #[arg(long)]
     no_watch: bool,
 
-    /// What sensors of these names may send, bytes a second each; the first that matches counts
+    /// Maximum bytes per second of each sensor with one of these names; the first match applies
     #[arg(long, value_name = "NAMES=B", value_parser = budget)]
     budget: Vec<(String, u32)>,
 
-    /// What all sensors that are watched may send together, bytes a second: shared evenly among those that want it
+    /// Maximum bytes per second of all watched sensors together: shared evenly among those that need it
     #[arg(long, value_name = "B", value_parser = clap::value_parser!(u32).range(1..))]
     total_budget: Option<u32>,
 }
@@ -81,14 +81,14 @@ fn budget(text: &str) -> Result<(String, u32), String> {
     Ok((names, bytes))
 }
 
-/// How often it looks who is connected.
+/// Interval at which the hub checks its connections.
 const LOOK: Duration = Duration::from_millis(200);
 
 impl Hub {
-    /// Routes until it is to stop.
+    /// Routes until a stop is requested.
     ///
     /// # Errors
-    /// Keys, or an address that cannot be listened at.
+    /// The keys or the access list are invalid, or an address cannot be listened on.
     pub fn run(self, stop: &Stop) -> Result<()> {
         let listen = match (self.listen.is_empty(), &self.keys) {
             (false, _) => self.listen.clone(),

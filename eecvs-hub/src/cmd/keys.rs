@@ -1,4 +1,4 @@
-//! `eecvs-hub keys`: who belongs to a fleet, and its keys.
+//! `eecvs-hub keys`: adds members to a fleet, and makes their keys.
 
 use std::path::PathBuf;
 
@@ -10,15 +10,15 @@ use crate::access::Role;
 use crate::certificate::Authority;
 use crate::key::{Name, names};
 
-/// Make the keys of a hub, a sensor or a receiver, and list who may what; the folder gets an authority first, whose own
-/// key no other machine needs
+/// Make the keys of a hub, a sensor or a receiver, and add it to the list of who may do what; an authority is
+/// created in the folder first, whose own key no other machine needs
 #[derive(Debug, Clone, Args)]
 pub struct Keys {
-    /// The folder of the authority, of the list access.toml, and of a folder for each that has keys
+    /// The folder of the authority, of the list access.toml, and of a folder for each member's keys
     #[arg(value_name = "FOLDER")]
     folder: PathBuf,
 
-    /// Days that certificates are good for
+    /// Days for which certificates are valid
     #[arg(long, value_name = "N", default_value_t = 825, global = true,
           value_parser = clap::value_parser!(u32).range(1..=36_500))]
     days: u32,
@@ -29,26 +29,26 @@ pub struct Keys {
 
 #[derive(Debug, Clone, Subcommand)]
 enum Who {
-    /// A hub, and under which names and addresses it is reached
+    /// A hub, with the names and addresses under which it is reached
     Hub {
-        /// What it is called
+        /// Name of the hub
         name: Name,
 
         /// Host names and addresses that sensors, receivers and other hubs connect to
         #[arg(long, value_name = "HOST", default_values = ["localhost", "127.0.0.1"])]
         host: Vec<String>,
     },
-    /// A sensor, which may speak under its own name alone
+    /// A sensor, which may publish only under its own name
     Sensor {
-        /// What it is called: door, or hall-1/door
+        /// Name of the sensor: door, or hall-1/door
         name: Name,
     },
-    /// A receiver, and which sensors it may hear
+    /// A receiver, with the sensors that it may receive from
     Receiver {
-        /// What it is called
+        /// Name of the receiver
         name: Name,
 
-        /// Sensors: hall-1/door, all of a hall by hall-1/**, all by **
+        /// Sensors: hall-1/door for one, hall-1/** for all in a hall, ** for all
         #[arg(long, value_name = "NAMES", required = true,
               value_parser = |text: &str| names(text))]
         hears: Vec<String>,
@@ -56,10 +56,10 @@ enum Who {
 }
 
 impl Keys {
-    /// Makes and lists them.
+    /// Makes the keys, and lists their owner.
     ///
     /// # Errors
-    /// The folder cannot be written, or has such keys already.
+    /// The folder cannot be written, or the member has keys already.
     pub fn run(self) -> Result<()> {
         let authority = Authority::open(&self.folder, self.days)?;
         let (role, hosts, hears) = match self.who {

@@ -1,4 +1,4 @@
-//! The `eecvs-hub` command: one file for each of its own.
+//! The subcommands of `eecvs-hub`, one file each.
 
 pub mod hub;
 pub mod keys;

@@ -6,20 +6,20 @@ use clap::Args;
 
 use crate::link::{HUB, Links};
 
-/// Where a hub is, and who this is.
+/// The hub to connect to, and the client's keys.
 #[derive(Debug, Clone, Args)]
 pub struct ClientOptions {
-    /// The hub: tls/HOST:PORT with --keys, else tcp/HOST:PORT; of several, the first that answers
+    /// The hub: tls/HOST:PORT with --keys, else tcp/HOST:PORT; if several are given, the first that answers is used
     #[arg(long, value_name = "ENDPOINT", default_value = HUB)]
     connect: Vec<String>,
 
-    /// The folder that eecvs-hub keys has made for this client: links are encrypted, and both sides show who they are
+    /// The folder that eecvs-hub keys has made for this client: links are encrypted, and both sides authenticate
     #[arg(long, value_name = "FOLDER")]
     keys: Option<PathBuf>,
 }
 
 impl ClientOptions {
-    /// As sessions take it.
+    /// Returns the endpoints and keys for a session.
     #[must_use]
     pub fn links(&self) -> Links {
         Links {

@@ -1,4 +1,4 @@
-//! `eecvs-hub receive`: frames of sensors, from a hub into files.
+//! `eecvs-hub receive`: writes the frames of sensors, received from a hub, into files.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
@@ -16,44 +16,43 @@ use super::options::ClientOptions;
 use crate::downlink::{Deliver, Downlink, Options, Report};
 use crate::key::{Name, names};
 
-/// Take sensors' frames from a hub, into a file for each or to see what comes; frames that are missing are asked for
-/// again
+/// Receive sensors' frames from a hub, into one file per sensor or only to show statistics; missing frames are
+/// requested again
 #[derive(Debug, Clone, Args)]
 pub struct Receive {
-    /// Sensors: door, hall-1/door, all of a hall by hall-1/**
+    /// Sensors: door, hall-1/door, or hall-1/** for all in a hall
     #[arg(value_name = "NAMES", default_value = "**", value_parser = |text: &str| names(text))]
     names: Vec<String>,
 
     #[command(flatten)]
     client: ClientOptions,
 
-    /// A folder for files NAME.eecvs, with dots for slashes; what is there already is gone on with
+    /// Folder for files NAME.eecvs, with dots for slashes; existing files are appended to
     #[arg(long, value_name = "FOLDER")]
     to: Option<PathBuf>,
 
-    /// Take frames as they come: those that were missing come behind later ones
+    /// Take frames as they arrive: those that were missing come after later ones
     #[arg(long)]
     as_they_come: bool,
 
-    /// Ask for what sensors still have of before, too
+    /// Also request the frames that sensors still hold from before
     #[arg(long)]
     from_start: bool,
 
-    /// What is missing, and does not come for so many seconds while its sensor is heard, is lost
+    /// Seconds for which a missing frame may fail to arrive, while its sensor is heard, before it is lost
     #[arg(long, value_name = "S", default_value_t = 60)]
     patience_s: u32,
 
-    /// Bytes that wait to be taken, and for others before them, in MiB each
+    /// Maximum size of the queue of arrived messages, and of the frames held until earlier ones arrive, in MiB each
     #[arg(long, value_name = "MIB", default_value_t = 256,
           value_parser = clap::value_parser!(u16).range(1..=16_384))]
     waiting_mib: u16,
 
-    /// End after so many seconds
+    /// End after this many seconds
     #[arg(long, value_name = "S")]
     seconds: Option<u32>,
 
-    /// End after so many seconds without frames, when something is missing after as many more as --patience-s; of none at
-    /// all, never
+    /// End after this many seconds without frames, once there was one; if frames are missing, --patience-s later
     #[arg(long, value_name = "S")]
     idle_s: Option<u32>,
 
@@ -62,15 +61,15 @@ pub struct Receive {
     json: bool,
 }
 
-/// How often it is looked whether to stop, and losses are told.
+/// Intervals at which the stop request is checked, and losses are reported.
 const LOOK: Duration = Duration::from_millis(100);
 const TELL: Duration = Duration::from_secs(5);
 
 impl Receive {
-    /// Receives until it is to stop.
+    /// Receives until a stop is requested, or until the set or the idle time is over.
     ///
     /// # Errors
-    /// Keys, or a folder that cannot be written.
+    /// Keys are invalid, or the folder cannot be written.
     pub fn run(self, stop: &Stop) -> Result<()> {
         let options = Options {
             names: self.names.clone(),
@@ -119,7 +118,7 @@ impl Receive {
     }
 }
 
-/// What was said.
+/// What has been reported so far.
 #[derive(Default)]
 struct Watched {
     told: Option<Instant>,
@@ -129,7 +128,7 @@ struct Watched {
 }
 
 impl Watched {
-    /// One line on stderr where something has changed.
+    /// Prints a line to stderr if something has changed.
     fn tell(&mut self, report: &Report) {
         if report.outages > self.outages {
             eprintln!("eecvs-hub: the hub does not answer; it is tried again");
@@ -148,13 +147,13 @@ impl Watched {
     }
 }
 
-/// A file for each sensor.
+/// One file per sensor.
 struct Files {
     folder: PathBuf,
     open: BTreeMap<Name, BufWriter<File>>,
 }
 
-/// Files that are open at once.
+/// Maximum number of files open at once.
 const OPEN_MAX: usize = 256;
 
 impl Files {
@@ -166,7 +165,7 @@ impl Files {
     }
 
     fn write(&mut self, name: &Name, frame: &[u8]) -> Result<()> {
-        // A name has no dots.
+        // Names contain no dots, so file names are distinct.
         let path = || {
             self.folder
                 .join(format!("{}.eecvs", name.as_str().replace('/', ".")))
@@ -193,7 +192,7 @@ impl Files {
 }
 
 impl Report {
-    /// For people.
+    /// Returns the report as a table for people to read.
     #[must_use]
     pub fn table(&self) -> String {
         let head = [

@@ -1,4 +1,4 @@
-//! `eecvs-hub sensor`: events to a hub.
+//! `eecvs-hub sensor`: encodes events, and sends the frames to a hub.
 
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
@@ -30,10 +30,11 @@ use crate::message::now_us;
 use crate::source::Live;
 use crate::uplink::{Options, Summary, Uplink};
 
-/// Encode what a camera, a recording or a scene gives, and send it to a hub; while there is no link, frames are kept
+/// Encode the events of a camera, a recording or a scene, and send them to a hub; while there is no link, frames
+/// are kept
 #[derive(Debug, Clone, Args)]
 pub struct Sensor {
-    /// What the sensor is called: door, or hall-1/door
+    /// Name of the sensor: door, or hall-1/door
     name: Name,
 
     #[command(flatten)]
@@ -42,12 +43,12 @@ pub struct Sensor {
     #[command(flatten)]
     device: PlaceOptions,
 
-    /// A recording in place of a device
+    /// Recording to send instead of a device's events
     #[arg(long, value_name = "FILE", conflicts_with = "device")]
     recording: Option<PathBuf>,
 
-    /// A scene in place of a device, as `eecvs emulate --list` shows them [default: indoor-flying, without a device and a
-    /// recording]
+    /// Scene to send instead of a device's events, one of those that `eecvs emulate --list` shows [default:
+    /// indoor-flying, if there is no device and no recording]
     #[arg(long, value_parser = preset(), conflicts_with_all = ["device", "recording"])]
     scene: Option<Preset>,
 
@@ -62,40 +63,40 @@ pub struct Sensor {
     #[command(flatten)]
     reading: ReadingOptions,
 
-    /// Pace of a recording or a scene: real (as recorded), max (as fast as possible), N events per second, or Fx (F times
-    /// as fast as recorded)
+    /// Pace of a recording or a scene: real (as recorded), max (as fast as possible), N events per second, or Fx (F
+    /// times as fast as recorded)
     #[arg(long, value_name = "real|max|N|Fx", default_value = "real")]
     rate: Pace,
 
-    /// Begin anew at the end, with times that go on
+    /// Start again at the end, with times that continue
     #[arg(long)]
     repeat: bool,
 
-    /// End after so many seconds
+    /// End after this many seconds
     #[arg(long, value_name = "S")]
     seconds: Option<u32>,
 
-    /// Bytes of the newest frames that are kept in memory, in MiB
+    /// Memory for the newest frames, in MiB
     #[arg(long, value_name = "MIB", default_value_t = 64,
           value_parser = clap::value_parser!(u16).range(1..=16_384))]
     memory_mib: u16,
 
-    /// A folder for what leaves the memory while there is no link, or just before
+    /// Folder for frames that leave the memory and were made while there was no link, or just before
     #[arg(long, value_name = "FOLDER")]
     store: Option<PathBuf>,
 
-    /// Bytes of it, in MiB; beyond, the oldest goes, and is counted
+    /// Size limit of this folder, in MiB; beyond it, the oldest frames are deleted and counted
     #[arg(long, value_name = "MIB", default_value_t = 1024, requires = "store",
           value_parser = clap::value_parser!(u32).range(1..))]
     store_mib: u32,
 
-    /// Bytes of a frame, at the most: a window that needs more takes several
+    /// Maximum bytes of a frame: larger windows are split into several frames
     #[arg(long, value_name = "BYTES", default_value_t = 98_000,
           value_parser = clap::value_parser!(u32)
               .range(eecvs_nostd::OUTPUT_BYTES_MIN as i64..=eecvs_nostd::FRAME_BYTES_MAX as i64))]
     frame_bytes: u32,
 
-    /// At the end, wait so many seconds at the most for those who ask for frames again, or for a link
+    /// At the end, wait at most this many seconds for receivers that request frames again, or for a link
     #[arg(long, value_name = "S", default_value_t = 10)]
     linger_s: u32,
 
@@ -110,7 +111,7 @@ pub struct Sensor {
     codec: CodecOptions,
 }
 
-/// What was sent; the fields are the JSON keys.
+/// Counts of what was sent; the fields are the JSON keys.
 #[derive(Debug, Serialize)]
 struct Sent {
     name: String,
@@ -126,10 +127,11 @@ struct Sent {
 }
 
 impl Sensor {
-    /// Sends until the end, or until it is to stop.
+    /// Sends until the end, or until a stop is requested.
     ///
     /// # Errors
-    /// A source that cannot be read, keys, a folder, or what the encoder is asked for.
+    /// The source cannot be read, keys or a folder cannot be used, or the encoder's options are invalid; also if
+    /// events came too late for any frame and the options make that an error.
     pub fn run(self, stop: &Stop) -> Result<()> {
         let (encoding, summary) = match (self.device.name(), &self.recording, self.scene) {
             (Some(_), ..) => self.device(stop)?,
@@ -192,7 +194,7 @@ impl Sensor {
         Ok((encoding?, summary))
     }
 
-    /// The wish to stop, and the same after the time that was asked for.
+    /// Returns the stop request, which is also triggered after the set time.
     fn timed(&self, stop: &Stop) -> Stop {
         if let Some(seconds) = self.seconds {
             let (stop, until) = (
@@ -230,7 +232,7 @@ impl Sensor {
                     ..EncodeSummary::default()
                 })
             }
-            // When a camera's events were due, nobody knows.
+            // It is unknown when a camera's events were due: use the time of arrival.
             false => self.encode(Box::new(reader), &uplink, &|_| now_us()),
         };
         let (report, unstopped) = session.finish();
@@ -272,7 +274,7 @@ impl Sensor {
     }
 }
 
-/// Bytes that wait between a device and the encoder.
+/// Bytes that may wait between a device and the encoder.
 const QUEUE_BYTES: usize = 64 << 20;
 
 impl Sent {

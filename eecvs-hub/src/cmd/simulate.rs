@@ -10,23 +10,23 @@ use usb_bridge::stop::Stop;
 
 use crate::simulation::{Options, Outcome, simulate};
 
-/// Run many sensors, hubs and receivers in one process, over encrypted links on this computer, stop a hub for a while, and
-/// check every frame that is received
+/// Run many sensors, hubs and receivers in one process, over encrypted links on this computer, stop a hub for a
+/// while, and check every frame that is received
 #[derive(Debug, Clone, Args)]
 pub struct Simulate {
-    /// Sensors
+    /// Number of sensors
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     sensors: u32,
 
-    /// Hubs
+    /// Number of hubs
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1000))]
     hubs: u32,
 
-    /// How long sensors send, in seconds
+    /// How long the sensors send, in seconds
     #[arg(long, value_name = "S", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=86_400))]
     seconds: u32,
 
-    /// How long the last hub is stopped, in seconds, from a third of the time on; 0: not at all
+    /// How long the last hub is stopped, in seconds, after a third of the time; 0: not at all
     #[arg(long, value_name = "S", default_value_t = 5)]
     outage_s: u32,
 
@@ -34,15 +34,15 @@ pub struct Simulate {
     #[arg(long, value_name = "W", default_value_t = 32, value_parser = clap::value_parser!(u16).range(1..=2048))]
     width: u16,
 
-    /// Rows
+    /// Rows of the sensors
     #[arg(long, value_name = "H", default_value_t = 24, value_parser = clap::value_parser!(u16).range(1..=2048))]
     height: u16,
 
-    /// Windows, each a frame, in microseconds
+    /// Duration of a window, which makes one frame, in microseconds
     #[arg(long, value_name = "T", default_value_t = 100_000, value_parser = clap::value_parser!(u32).range(1000..=10_000_000))]
     window_us: u32,
 
-    /// Another seed gives other scenes
+    /// Seed of the scenes
     #[arg(long, default_value_t = 1)]
     seed: u64,
 
@@ -52,10 +52,10 @@ pub struct Simulate {
 }
 
 impl Simulate {
-    /// Simulates, and prints.
+    /// Runs the simulation, and prints the result.
     ///
     /// # Errors
-    /// What cannot be started; a frame that was lost, or was another one.
+    /// Something cannot be started, or a frame was lost or differed from the one sent.
     pub fn run(self, stop: &Stop) -> Result<()> {
         let sensor = Sensor::new(self.width, self.height);
         let Some(sensor) = sensor else {
@@ -102,7 +102,7 @@ impl Simulate {
 }
 
 impl Outcome {
-    /// Whether every frame has come, each once, as it was sent.
+    /// Returns whether every frame was received, once and as it was sent.
     #[must_use]
     pub const fn is_whole(&self) -> bool {
         self.delivered == self.expected && self.wrong == 0 && self.lost == 0

@@ -1,4 +1,4 @@
-//! Asking a sensor for frames once more.
+//! Requests a sensor's frames again.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -13,10 +13,10 @@ use crate::key::{Kind, Name};
 use crate::link::said;
 use crate::message::{Message, Wish};
 
-/// How long answers are listened to.
+/// How long answers are accepted.
 const ANSWERS: Duration = Duration::from_secs(30);
 
-/// Asks a sensor for frames; answers come as everything else does.
+/// Requests frames from a sensor; the answers go into the same inbox as everything else.
 pub(super) fn ask(
     shared: &Arc<Shared>,
     session: &Session,
@@ -34,7 +34,7 @@ pub(super) fn ask(
         .get(key.as_str())
         .payload(wish.to_bytes())
         .consolidation(ConsolidationMode::None)
-        // Answers have what the question has: they make way for what is new.
+        // Answers inherit these settings: they give way to new frames.
         .congestion_control(CongestionControl::Drop)
         .priority(Priority::DataLow)
         .timeout(ANSWERS)
@@ -47,7 +47,7 @@ pub(super) fn ask(
     asked.map_err(said(key))
 }
 
-/// Tells, when it is dropped with the callback of a question, that no further answer comes.
+/// Reports, when it is dropped with the callback of a request, that no further answer will come.
 struct Answered {
     shared: Arc<Shared>,
     name: Name,

@@ -1,8 +1,8 @@
-//! A receiver's side: takes frames of many sensors, asks for those that have not come, and delivers each once.
+//! A receiver's side: takes frames of many sensors, requests those that have not arrived, and delivers each once.
 //!
-//! Zenoh's threads put what comes into a queue that is bounded in bytes; one thread takes it out, keeps the numbers of
-//! each sensor, and delivers. What found no room in the queue, or in memory while others before it are awaited, is asked
-//! for again later: as long as the sensor holds it, nothing is lost.
+//! Zenoh's threads put what arrives into a queue that is bounded in bytes; one thread takes it out, tracks each
+//! sensor's frame numbers, and delivers. Frames that find no room in the queue, or in memory while earlier frames
+//! are awaited, are requested again later: nothing is lost while the sensor still holds it.
 
 mod ask;
 mod sensor;
@@ -29,18 +29,18 @@ use crate::message::{Answer, Message, Stamp, Status, now_us};
 pub(crate) use sensor::ANSWER_MAX;
 use taking::Taking;
 
-/// What a receiver is told.
+/// Options of a receiver.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// Sensors: names, or patterns of them.
+    /// Names of sensors, or patterns of names.
     pub names: Vec<String>,
-    /// Deliver frames as they come, and those that come late behind later ones; else in their order.
+    /// Whether to deliver frames as they arrive, late ones after newer ones; otherwise they are delivered in order.
     pub as_they_come: bool,
-    /// Also ask for what was made before this receiver was there.
+    /// Whether to request frames made before this receiver started, too.
     pub from_start: bool,
-    /// What is missing, and does not come for so long while its sensor is heard, is lost.
+    /// How long a missing frame may fail to arrive, while its sensor is heard, before it is lost.
     pub patience: Duration,
-    /// Bytes that wait to be taken, and bytes that wait for others before them.
+    /// Limit on the bytes in the queue, and also on the bytes of frames held until earlier ones arrive.
     pub waiting_bytes: usize,
 }
 
@@ -56,68 +56,69 @@ impl Default for Options {
     }
 }
 
-/// A frame that is delivered.
+/// A delivered frame.
 #[derive(Debug, Clone, Copy)]
 pub struct Delivered<'f> {
-    /// Whose.
+    /// Name of its sensor.
     pub name: &'f Name,
-    /// Its run, number, and time.
+    /// The frame's run, number and time.
     pub stamp: Stamp,
     /// The frame, undamaged.
     pub frame: &'f [u8],
 }
 
-/// Takes frames.
+/// Callback that takes the delivered frames.
 pub type Deliver = Box<dyn FnMut(Delivered<'_>) -> Result<()> + Send>;
 
-/// Sensors at the most; what others send is counted.
+/// Maximum number of sensors; messages of others are counted only.
 pub const SENSORS_MAX: usize = 10_000;
 
 /// What a receiver knows of a sensor; the fields are the JSON keys.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct SensorReport {
-    /// Its name.
+    /// Name of the sensor.
     pub name: String,
-    /// Frames delivered.
+    /// Frames accepted for delivery.
     pub frames: u64,
-    /// Their bytes.
+    /// Bytes of these frames.
     pub bytes: u64,
-    /// Events in them.
+    /// Events in these frames.
     pub events: u64,
-    /// Frames that came when they were asked for again.
+    /// Frames that arrived because they were requested again.
     pub again: u64,
-    /// Frames that have not come yet.
+    /// Frames that have not arrived yet.
     pub missing: u64,
-    /// Frames that never will.
+    /// Frames that were given up.
     pub lost: u64,
-    /// Frames that came twice, or too late.
+    /// Frames that arrived twice or too late.
     pub needless: u64,
-    /// Frames that were damaged.
+    /// Frames that arrived damaged.
     pub damaged: u64,
-    /// Messages that were none.
+    /// Messages that could not be read.
     pub malformed: u64,
-    /// Times that the sensor was started.
+    /// Number of times that the sensor was started.
     pub runs: u64,
-    /// From a window's end to the arrival of its frame, milliseconds; of frames that were not asked for.
+    /// Median time from a window's end to the arrival of its frame, in milliseconds, for frames that were not
+    /// requested.
     pub delay_p50_ms: f64,
-    /// 99th percentile.
+    /// 99th percentile of the same.
     pub delay_p99_ms: f64,
-    /// The longest.
+    /// Maximum of the same.
     pub delay_max_ms: f64,
 }
 
-/// What a receiver knows.
+/// What a receiver knows of its sensors and its link.
 #[derive(Debug, Clone, Default, Serialize)]
 pub struct Report {
-    /// By name.
+    /// The sensors, by name.
     pub sensors: Vec<SensorReport>,
-    /// Frames, and what was said beside them, that found no room; frames are asked for again.
+    /// Messages that found no room; frames among them are requested again.
     pub no_room: u64,
-    /// Messages of sensors beyond [`SENSORS_MAX`], or of no name.
+    /// Messages of sensors beyond [`SENSORS_MAX`], or without a valid name.
     pub refused: u64,
-    /// Times that there was no link.
+    /// Number of times that the link failed.
     pub outages: u64,
-    /// Delays of all sensors' frames that were not asked for again.
+    /// Delays of all sensors' frames that were not requested again.
     #[serde(skip)]
     pub delays: Latencies,
 }
@@ -131,7 +132,7 @@ pub struct Downlink {
 
 struct Shared {
     options: Options,
-    /// When it was started: runs since then are received from their beginning.
+    /// Time of the start: runs that began later are received from their first frame.
     started_us: u64,
     inbox: Mutex<Inbox>,
     changed: Condvar,
@@ -153,7 +154,7 @@ struct Inbox {
     refused: u64,
 }
 
-/// Something that came.
+/// Something that has arrived.
 enum Came {
     Frame {
         name: Name,
@@ -164,16 +165,16 @@ enum Came {
     },
     Status(Name, Box<Status>),
     Gone(Name, Answer),
-    /// No further answers to a wish come.
+    /// No further answers to the request of this number will arrive.
     Answered(Name, u64),
     Malformed(Name),
 }
 
 impl Downlink {
-    /// Begins to connect to a hub; `deliver` gets the frames on a thread of its own.
+    /// Starts to connect to a hub; `deliver` is called with the frames, on a thread of its own.
     ///
     /// # Errors
-    /// Settings, keys, or names that are none.
+    /// Settings, keys or names are invalid.
     pub fn start(options: Options, links: &Links, deliver: Deliver) -> Result<Self> {
         ensure!(!options.names.is_empty(), "no sensors: give names");
         for pattern in &options.names {
@@ -211,31 +212,31 @@ impl Downlink {
         })
     }
 
-    /// What is known so far; a fifth of a second old at the most.
+    /// Returns what is known so far, at most a fifth of a second old.
     ///
     /// # Errors
-    /// Why there will be no link.
+    /// There will be no link; the error says why.
     pub fn report(&self) -> Result<Report> {
         self.client.check()?;
         Ok(lock(&self.shared.report).clone())
     }
 
-    /// Whether a hub is connected.
+    /// Returns whether a hub is connected.
     #[must_use]
     pub fn is_connected(&self) -> bool {
         self.shared.ends.get().is_some() && self.client.is_connected()
     }
 
-    /// Whether the thread that delivers has ended: what it was given failed.
+    /// Returns whether the thread that delivers has ended, because `deliver` failed.
     #[must_use]
     pub fn has_ended(&self) -> bool {
         self.thread.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
-    /// Ends: what waits is delivered as far as it goes; what is missing is lost.
+    /// Stops receiving: delivers everything that has arrived, and counts missing frames as lost.
     ///
     /// # Errors
-    /// What `deliver` has said.
+    /// The error of `deliver`.
     pub fn finish(mut self) -> Result<Report> {
         self.end()?;
         Ok(lock(&self.shared.report).clone())
@@ -255,7 +256,7 @@ impl Downlink {
 
 impl Drop for Downlink {
     fn drop(&mut self) {
-        // Whoever wants to know calls finish.
+        // Callers that want the error call [`Downlink::finish`].
         let _ = self.end();
     }
 }
@@ -287,7 +288,7 @@ impl Shared {
         Ok(())
     }
 
-    /// Takes what a hub sends.
+    /// Takes a message that a hub has sent.
     fn take(&self, kind: Kind, sample: &Sample) {
         let came = match name_of(sample.key_expr().as_str(), kind) {
             None => return lock(&self.inbox).refused += 1,
@@ -298,7 +299,8 @@ impl Shared {
 
     fn put(&self, came: Came) {
         let mut inbox = lock(&self.inbox);
-        // What finds no room has not come: later numbers tell that it is missing. Of ends there is one for each wish.
+        // A message without room counts as not received: later numbers show that it is missing. `Answered` is
+        // always accepted, since there is only one per request.
         let is_end = matches!(came, Came::Answered(..));
         if !is_end && inbox.bytes + came.bytes() > self.options.waiting_bytes {
             inbox.no_room += 1;
@@ -314,7 +316,7 @@ impl Shared {
     }
 }
 
-/// What a sample is.
+/// Classifies a sample.
 fn came(name: Name, kind: Kind, sample: &Sample) -> Came {
     let payload = sample.payload().to_bytes();
     let stamp = sample
@@ -340,7 +342,7 @@ fn came(name: Name, kind: Kind, sample: &Sample) -> Came {
     }
 }
 
-/// What a message takes beside its own bytes, about.
+/// Approximate size of a message besides its payload.
 const BYTES: usize = 256;
 
 impl Came {

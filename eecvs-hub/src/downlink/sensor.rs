@@ -1,4 +1,4 @@
-//! What a receiver knows of a sensor: its runs, and what it is asked.
+//! What a receiver knows of a sensor: its runs, and the requests to it.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -8,13 +8,13 @@ use crate::latency::Latencies;
 use crate::message::Stamp;
 use crate::order::Numbers;
 
-/// Runs of a sensor of which something may be missing.
+/// Maximum number of a sensor's runs that are tracked.
 pub(super) const RUNS_MAX: usize = 8;
 
-/// How often it is asked who has answered nothing.
+/// Wait before a sensor that has answered nothing is asked again.
 pub(super) const WISH_AGAIN: Duration = Duration::from_millis(250);
 
-/// Answers that do not come for so long have got lost, the next ones after twice that, up to the longest wait.
+/// Time after which answers count as lost; it doubles with every request in vain, up to the longest wait.
 pub(super) const ANSWER: Duration = Duration::from_millis(500);
 
 pub(crate) const ANSWER_MAX: Duration = Duration::from_secs(2);
@@ -25,34 +25,35 @@ pub(super) struct Sensor {
     pub(super) runs: BTreeMap<u64, Run>,
     pub(super) delays: Latencies,
     pub(super) asking: Asking,
-    /// Frames lost of runs that are forgotten.
+    /// Frames lost in runs that are no longer tracked.
     pub(super) lost_before: u64,
-    /// When something has come of it last.
+    /// Time of the sensor's latest message.
     pub(super) heard: Option<Instant>,
-    /// By how much its clock is ahead of the receiver's, as its last message shows; less by what that took.
+    /// How far the sensor's clock is ahead of the receiver's, according to its latest message; too low by the
+    /// message's travel time.
     pub(super) ahead_us: i64,
 }
 
-/// What is asked of a sensor.
+/// The state of the requests to a sensor.
 #[derive(Default)]
 pub(super) struct Asking {
-    /// The wish that is under way.
+    /// Number of the request in progress.
     pub(super) wish: Option<u64>,
-    /// When it was asked last, and when something came of that.
+    /// Time of the latest request, and of the latest answer.
     pub(super) asked: Option<Instant>,
     pub(super) heard: Option<Instant>,
-    /// Wishes in a row of which nothing came.
+    /// Number of consecutive requests without an answer.
     pub(super) in_vain: u32,
 }
 
 impl Asking {
-    /// Something that was asked for has come.
+    /// Records that an answer has arrived.
     pub(super) fn hear(&mut self) {
         self.heard = Some(Instant::now());
         self.in_vain = 0;
     }
 
-    /// Whether to ask now.
+    /// Returns whether to send a request now.
     pub(super) fn is_due(&self) -> bool {
         let Some(latest) = self.asked.max(self.heard) else {
             return true;
@@ -77,37 +78,38 @@ impl Asking {
 
 pub(super) struct Run {
     pub(super) numbers: Numbers,
-    /// In order: frames that wait for others.
+    /// Frames that wait for earlier ones, for delivery in order.
     pub(super) held: BTreeMap<u64, (Stamp, Vec<u8>)>,
-    /// When something that was missing has come last, or has begun to be missing.
+    /// When the latest missing frame arrived, or when frames began to be missing.
     pub(super) progress: Instant,
-    /// How long it was waited for since, while the sensor was heard.
+    /// Time waited since then, while the sensor was heard.
     pub(super) waited: Duration,
 }
 
-/// From where on a run counts.
+/// From where on a receiver wants the frames of a run.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Joined {
     pub(super) from_start: bool,
-    /// When the receiver began, by its own clock.
+    /// When the receiver started, by its own clock.
     pub(super) started_us: u64,
 }
 
 impl Sensor {
-    /// Notes that its clock showed `sensor_us` at `at_us` of the receiver's or shortly before.
+    /// Records that the sensor's clock showed `sensor_us` at `at_us` of the receiver's clock, or shortly before.
     pub(super) fn note_clock(&mut self, sensor_us: u64, at_us: u64) {
         let ahead_us = i128::from(sensor_us) - i128::from(at_us);
         self.ahead_us = ahead_us.clamp(i64::MIN.into(), i64::MAX.into()) as i64;
     }
 
-    /// Whether all of a run is wanted: it began after the receiver. A run is named by the time of its start by
-    /// the sensor's clock, which may be hours off.
+    /// Returns whether all of a run is wanted: always with `from_start`, otherwise if the run began after the
+    /// receiver. A run is identified by its start time on the sensor's clock, which may be hours off.
     pub(super) fn is_whole(&self, run: u64, joined: Joined) -> bool {
         let began_us = i128::from(run) - i128::from(self.ahead_us);
         joined.from_start || began_us >= i128::from(joined.started_us)
     }
 
-    /// A run, of which `number` has come first; none where too many are newer.
+    /// Returns a run, newly tracked if `number` is the first of it to be known; `None` if the run is older than all
+    /// those tracked and there are too many.
     pub(super) fn run(&mut self, run: u64, number: u64, joined: Joined) -> Option<&mut Run> {
         if !self.runs.contains_key(&run) {
             let is_old = self.runs.keys().next().is_some_and(|first| run < *first);
@@ -138,7 +140,7 @@ impl Run {
         self.waited = Duration::ZERO;
     }
 
-    /// Takes a frame; whether it is of use.
+    /// Records a frame; returns whether it is useful.
     pub(super) fn take(&mut self, number: u64) -> bool {
         let missing = self.numbers.missing();
         let is_new = self.numbers.take(number);
@@ -148,7 +150,7 @@ impl Run {
         is_new
     }
 
-    /// All below a number exist.
+    /// Records that all frames below a number exist.
     pub(super) fn until(&mut self, next: u64) {
         if self.numbers.missing() == 0 {
             self.go_on();
@@ -161,8 +163,8 @@ impl Run {
 mod tests {
     use super::*;
 
-    /// What a sensor made before its link came is wanted of a run that began after the receiver, whatever the
-    /// sensor's clock shows; of one that began before, only what comes from now on.
+    /// For a run that began after the receiver, everything is wanted that the sensor made before its link existed,
+    /// whatever its clock shows; for a run that began before, only what arrives from now on.
     #[test]
     fn a_clock_that_is_off_changes_nothing_of_what_is_wanted() {
         const HOUR: i64 = 3_600_000_000;
@@ -180,7 +182,7 @@ mod tests {
                     started_us: now_us - 5_000_000,
                 };
                 let mut sensor = Sensor::default();
-                // Half a millisecond on its way.
+                // The message travelled for half a millisecond.
                 sensor.note_clock(on_sensor(now_us - 500), now_us);
                 let run = on_sensor(began_us);
                 if run == 0 {

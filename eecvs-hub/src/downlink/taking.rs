@@ -1,4 +1,5 @@
-//! The thread that takes what came: it counts, delivers, asks for what is missing, and gives up what does not come.
+//! The thread that takes what arrives: counts it, delivers it, requests what is missing, and gives up what does not
+//! arrive.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::Ordering;
@@ -16,19 +17,19 @@ use crate::latency::Latencies;
 use crate::link::Client;
 use crate::message::{RANGES_MAX, Range, Stamp, Wish, now_us};
 
-/// A sensor of which nothing has come for so long is not heard: it says how it fares twice a second.
+/// A sensor counts as heard if something arrived from it within this time: it sends its status twice a second.
 const HEARD: Duration = Duration::from_secs(3);
 
-/// How often what is missing is asked for.
+/// Interval at which missing frames are looked for and requested.
 const WISH: Duration = Duration::from_millis(50);
 
-/// The thread that takes what came.
+/// The thread that takes what arrives.
 pub(super) struct Taking {
     pub(super) shared: Arc<Shared>,
     pub(super) client: Client,
     pub(super) sensors: BTreeMap<Name, Sensor>,
     pub(super) deliver: Deliver,
-    /// Bytes that wait for others before them.
+    /// Bytes of frames held until earlier ones arrive.
     pub(super) held_bytes: usize,
     pub(super) wishes: u64,
     pub(super) is_down: bool,
@@ -65,7 +66,7 @@ impl Taking {
         }
     }
 
-    /// What has come, a batch of it; nothing for a moment, where nothing has.
+    /// Takes all that has arrived; waits up to [`WISH`] if nothing has.
     fn wait(&self, is_stopped: bool) -> VecDeque<Came> {
         let mut inbox = lock(&self.shared.inbox);
         if inbox.waiting.is_empty() && !is_stopped {
@@ -115,7 +116,7 @@ impl Taking {
                     run.until(status.next);
                 }
                 for (number, range) in status.held {
-                    // Of what was there before this receiver, only where it is asked for.
+                    // Frames from before this receiver are wanted only if the options say so.
                     let is_known = sensor.runs.contains_key(&number);
                     if number < status.run && (is_known || sensor.is_whole(number, joined)) {
                         let from = if joined.from_start { range.from } else { 0 };
@@ -163,14 +164,14 @@ impl Taking {
         let Some(sensor) = self.sensors.get_mut(name) else {
             return Ok(());
         };
-        // A damaged one has not come: it is asked for again.
+        // A damaged frame counts as not received: it is requested again.
         let Ok(parsed) = Frame::parse(&frame) else {
             sensor.report.damaged += 1;
             return Ok(());
         };
         let events = parsed.header.events;
         let is_full = self.held_bytes + frame.len() > options.waiting_bytes;
-        // One that was asked for is older than its way is long.
+        // A frame sent again is too old for its stamp to show the sensor's clock.
         if !is_again {
             sensor.note_clock(stamp.end_us, at_us);
         }
@@ -179,7 +180,8 @@ impl Taking {
             Some(run) => {
                 let is_behind =
                     !options.as_they_come && is_full && stamp.number != run.numbers.settled();
-                // It would have to wait for others, and finds no room: it is asked for when these have come.
+                // The frame would have to wait for earlier ones, and there is no room: it is requested once they
+                // have arrived.
                 if is_behind {
                     run.until(stamp.number.saturating_add(1));
                 }
@@ -217,7 +219,8 @@ impl Taking {
         self.settle(name)
     }
 
-    /// Delivers what waits for nothing any more: what is missing of a run comes before the next one.
+    /// Delivers the held frames that no longer wait for missing ones. A run's missing frames also hold up the next
+    /// run.
     fn settle(&mut self, name: &Name) -> Result<()> {
         let Some(sensor) = self.sensors.get_mut(name) else {
             return Ok(());
@@ -243,14 +246,14 @@ impl Taking {
         Ok(())
     }
 
-    /// Looks whether there is a link.
+    /// Checks the link, and counts its failures.
     fn look(&mut self) {
         let is_down = !self.client.is_connected();
         if is_down && !self.is_down {
             self.outages += 1;
         }
         if is_down {
-            // Answers that are under way do not come.
+            // Answers in progress will not arrive.
             for sensor in self.sensors.values_mut() {
                 sensor.asking = Asking::default();
             }
@@ -258,7 +261,7 @@ impl Taking {
         self.is_down = is_down;
     }
 
-    /// Asks every sensor for what is missing of its oldest run of which something is.
+    /// Requests from every sensor what is missing in its oldest incomplete run.
     fn wish(&mut self) {
         let Some(session) = self.client.session() else {
             return;
@@ -287,15 +290,15 @@ impl Taking {
                 run,
                 ranges,
             };
-            // One that cannot be sent now is sent later.
+            // A request that cannot be sent now is sent later.
             let _ = ask(&self.shared, session, name, self.wishes, &wish);
         }
     }
 
-    /// What does not come for too long is lost.
+    /// Gives up what has not arrived for too long.
     ///
-    /// The time runs only while the sensor is heard: one that is switched off, or behind a link that has failed, may still
-    /// have it.
+    /// Time counts only while the sensor is heard: a sensor that is switched off, or whose link has failed, may
+    /// still hold the frames.
     fn give_up(&mut self, since: Duration) -> Result<()> {
         let patience = self.shared.options.patience;
         let is_down = self.is_down;
@@ -318,7 +321,8 @@ impl Taking {
                     given_up.push(name.clone());
                 }
             }
-            // A run that is over, and of which nothing is missing, is forgotten with the next but one.
+            // If there are too many runs, the oldest is forgotten, provided that none of its frames is missing or
+            // held.
             if many
                 && let Some(mut first) = sensor.runs.first_entry()
                 && Some(*first.key()) != newest
@@ -334,7 +338,7 @@ impl Taking {
         Ok(())
     }
 
-    /// No more comes: what waits for others is delivered without them.
+    /// Nothing more arrives: held frames are delivered without the missing ones.
     fn end(&mut self) -> Result<()> {
         let names: Vec<Name> = self.sensors.keys().cloned().collect();
         for name in names {

@@ -1,13 +1,13 @@
-//! Frames on disk: segments of records, the oldest segment goes where there are too many bytes.
+//! Frames on disk, in segments of records; the oldest segment is deleted when there are too many bytes.
 //!
 //! ```text
-//! RUN-NUMBER.frames   run and first number, in 20 digits each; a segment has frames of one run
+//! RUN-NUMBER.frames     run and first number, in 20 digits each; a segment has frames of one run
 //!
 //! record: length u32 | number u64 | end_us u64 | frame | CRC-32 of all before    little-endian
 //! ```
 //!
-//! A segment whose end was torn off, or damaged, has what stands before. What cannot be written is counted, and nothing
-//! else happens: the link matters more than the disk.
+//! A truncated or damaged segment contributes the records before the damage. Frames that cannot be written are
+//! counted, without further consequences: the link matters more than the disk.
 
 use std::collections::VecDeque;
 use std::fs::{self, File, OpenOptions};
@@ -23,38 +23,38 @@ use crate::message::{Range, Stamp};
 
 const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 
-/// Bytes before a frame and behind it.
+/// Bytes in a record before the frame, and after it.
 const HEAD: usize = 20;
 const TAIL: usize = 4;
 
-/// A store is made of so many segments, about.
+/// Approximate number of segments in a full store.
 const SEGMENTS: u64 = 16;
 
-/// The least that a store on disk may hold.
+/// Smallest allowed size of a store on disk, in bytes.
 pub const BYTES_LEAST: u64 = 1 << 16;
 
 const ENDING: &str = "frames";
 
-/// How it fares.
+/// Counts of a store on disk.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Figures {
     /// Frames on disk.
     pub frames: u64,
-    /// Their bytes, with what is around them.
+    /// Bytes of the records of these frames.
     pub bytes: u64,
-    /// Frames that had to go.
+    /// Frames that were deleted to make room.
     pub let_go: u64,
     /// Frames that could not be written.
     pub failures: u64,
 }
 
-/// A folder of segments.
+/// A store of frames in a folder of segments.
 #[derive(Debug)]
 pub struct Disk {
     folder: PathBuf,
     bytes_max: u64,
     segments: VecDeque<Segment>,
-    /// Whether the last segment is written to.
+    /// Whether the last segment is still written to.
     is_open: bool,
     figures: Figures,
 }
@@ -64,13 +64,14 @@ struct Segment {
     path: PathBuf,
     file: File,
     run: u64,
-    /// Number, place and length of each record, by number.
+    /// Number, position and frame length of each record, sorted by number.
     records: Vec<(u64, u64, u32)>,
     bytes: u64,
 }
 
 impl Disk {
-    /// The frames of a folder, which is made where there is none; of damaged segments what stands before the damage.
+    /// Opens the frames in a folder, and creates the folder if needed. Of damaged segments, the records before the
+    /// damage are used.
     ///
     /// # Errors
     /// The folder cannot be read or written, or the bound is below [`BYTES_LEAST`].
@@ -112,13 +113,13 @@ impl Disk {
         Ok(disk)
     }
 
-    /// Writes a frame behind the others.
+    /// Appends a frame; a failure is counted only.
     pub fn append(&mut self, kept: &Kept) {
         match self.try_append(kept) {
             Ok(()) => self.bound(),
             Err(_) => {
                 self.figures.failures += 1;
-                // What was written of it is no record; the next one stands in a segment of its own.
+                // The part that was written is not a record, so the next frame starts a new segment.
                 self.is_open = false;
             }
         }
@@ -154,7 +155,7 @@ impl Disk {
         Ok(())
     }
 
-    /// Lets the oldest segments go while there is too much; the last one stays.
+    /// Deletes the oldest segments while the store is too large; the last one stays.
     fn bound(&mut self) {
         while self.figures.bytes > self.bytes_max && self.segments.len() > 1 {
             let Some(oldest) = self.segments.pop_front() else {
@@ -169,7 +170,7 @@ impl Disk {
         }
     }
 
-    /// A frame, if it is there and undamaged.
+    /// Returns a frame, if it is held and undamaged.
     pub fn get(&mut self, run: u64, number: u64) -> Option<Kept> {
         let mut of_run = self.segments.iter().filter(|segment| segment.run == run);
         let (segment, at) = of_run.find_map(|segment| {
@@ -184,7 +185,7 @@ impl Disk {
         parse(&record, run).filter(|kept| kept.stamp.number == number)
     }
 
-    /// The lowest number of a run from one on that is there.
+    /// Returns the lowest number, from `from` on, that is held of a run.
     #[must_use]
     pub fn next_held(&self, run: u64, from: u64) -> Option<u64> {
         let of_run = self.segments.iter().filter(|segment| segment.run == run);
@@ -195,7 +196,7 @@ impl Disk {
         numbers.min()
     }
 
-    /// What is there of other runs than one, in so many pieces at the most, the newest.
+    /// Returns which frames of other runs than `but` are held: the newest `most` ranges.
     #[must_use]
     pub fn held(&self, but: u64, most: usize) -> Vec<(u64, Range)> {
         let mut held: Vec<(u64, Range)> = Vec::new();
@@ -218,7 +219,7 @@ impl Disk {
         held.split_off(held.len().saturating_sub(most))
     }
 
-    /// How it fares.
+    /// Returns the counts of the store.
     #[must_use]
     pub const fn figures(&self) -> Figures {
         self.figures
@@ -229,7 +230,7 @@ impl Segment {
     fn create(folder: &Path, run: u64, number: u64) -> io::Result<Self> {
         let path = folder.join(format!("{run:020}-{number:020}.{ENDING}"));
         let mut options = OpenOptions::new();
-        // One of this name is the rest of one that could not be written.
+        // An existing file of this name is left over from a failed write.
         let file = options
             .read(true)
             .write(true)
@@ -245,7 +246,7 @@ impl Segment {
         })
     }
 
-    /// What stands in a segment before its end, or a damage.
+    /// Reads the records of a segment up to its end or the first damage.
     fn read(path: &Path, run: u64, bytes_max: u64) -> io::Result<Self> {
         let file = File::open(path)?;
         let length = file.metadata()?.len();
@@ -258,7 +259,7 @@ impl Segment {
                 break;
             }
             let bytes = u64::from(u32::from_le_bytes(head)) + (HEAD + TAIL) as u64;
-            // No length makes more memory than the file has.
+            // A damaged length must not allocate more memory than the file has bytes.
             if bytes > (length - place).min(bytes_max) {
                 break;
             }
@@ -313,12 +314,12 @@ fn parse(record: &[u8], run: u64) -> Option<Kept> {
         },
         frame: frame.into(),
     };
-    // One behind the highest is a number, too.
+    // The number after the highest one must fit into 64 bits too.
     let is_whole = u32::from_le_bytes(*length) as usize == kept.frame.len();
     (is_whole && kept.stamp.number < u64::MAX).then_some(kept)
 }
 
-/// Run and first number.
+/// Parses the run and the first number from a segment's file name.
 fn name_of(path: &Path) -> Option<(u64, u64)> {
     if path.extension()? != ENDING {
         return None;
@@ -403,9 +404,9 @@ mod tests {
             match damage {
                 0 => bytes.truncate(7 * 124 + 30),
                 1 => bytes[7 * 124 + 60] ^= 1,
-                // A length beyond all.
+                // A length beyond the end of the file.
                 2 => bytes[7 * 124..7 * 124 + 4].fill(255),
-                // The number before comes again.
+                // The previous number is repeated.
                 _ => bytes.copy_within(6 * 124..7 * 124, 7 * 124),
             }
             fs::write(path, &bytes).unwrap();
@@ -416,7 +417,7 @@ mod tests {
                 "{damage}"
             );
             assert_eq!(disk.get(3, 11), Some(kept(3, 11, 100)));
-            // It goes on in another segment.
+            // Writing continues in another segment.
             disk.append(&kept(4, 0, 10));
             assert_eq!(disk.get(4, 0), Some(kept(4, 0, 10)));
             assert_eq!(segments(folder.path()).len(), 2);

@@ -1,8 +1,9 @@
-//! A sensor's frames, kept for a while, so that whoever misses some can have them again.
+//! A sensor's frames, kept for a while, so that receivers that miss some can have them again.
 //!
-//! The newest are in memory, as many as find room. What leaves it goes to disk, where there is one, if it was made while
-//! there was no link, or so shortly before that it may have been lost with it: as long as all is well, nothing is
-//! written. Both are bounded; what has to go, the oldest first, is counted.
+//! The newest frames are in memory, as many as fit. Frames that leave it go to disk, if there is one, provided that
+//! they were made while there was no link, or so shortly before that they may have been lost with it: nothing is
+//! written while all is well. Both places are bounded; frames that have to be dropped, the oldest first, are
+//! counted.
 
 pub mod disk;
 
@@ -13,18 +14,19 @@ use std::time::{Duration, Instant};
 use crate::message::{Range, Stamp, Stored};
 use disk::Disk;
 
-/// A link may have failed so long before that is known, and a receiver's so long after the sensor's.
+/// Margin around an outage: a link may have failed this long before that is noticed, and a receiver's link may come
+/// back this long after the sensor's.
 pub const GRACE: Duration = Duration::from_secs(8);
 
-/// Outages that are remembered.
+/// Number of outages that are remembered.
 const OUTAGES_MAX: usize = 64;
 
-/// A frame and what tells it.
+/// A frame in the store.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Kept {
-    /// Its run, its number, its time.
+    /// The frame's run, number and time.
     pub stamp: Stamp,
-    /// The frame.
+    /// The frame's bytes.
     pub frame: Arc<[u8]>,
 }
 
@@ -34,7 +36,7 @@ struct InMemory {
     made: Instant,
 }
 
-/// Frames of a run, and on disk those of earlier ones.
+/// The frames of a run and, on disk, those of earlier runs.
 #[derive(Debug)]
 pub struct Store {
     run: u64,
@@ -42,15 +44,15 @@ pub struct Store {
     memory_bytes: usize,
     memory_max: usize,
     disk: Option<Disk>,
-    /// Times without a link, the last of which may go on.
+    /// Periods without a link; the last one may be unfinished.
     outages: VecDeque<(Instant, Option<Instant>)>,
     let_go: u64,
-    /// The number behind the latest.
+    /// The number after the latest frame.
     next: u64,
 }
 
 impl Store {
-    /// An empty store of a run, with so much memory at the most.
+    /// Creates an empty store for a run, with at most `memory_max` bytes of frames in memory.
     #[must_use]
     pub const fn new(run: u64, memory_max: usize, disk: Option<Disk>) -> Self {
         Self {
@@ -65,7 +67,7 @@ impl Store {
         }
     }
 
-    /// Whether there is a link, from now on.
+    /// Records whether there is a link from now on.
     pub fn link(&mut self, is_there: bool, now: Instant) {
         match self.outages.back_mut() {
             Some((_, until @ None)) if is_there => *until = Some(now),
@@ -80,7 +82,7 @@ impl Store {
         }
     }
 
-    /// Keeps the next frame of the run, made at `end_us`; returns its number.
+    /// Stores the next frame of the run, whose window ended at `end_us`; returns its number.
     pub fn push(&mut self, frame: Arc<[u8]>, end_us: u64, now: Instant) -> u64 {
         let number = self.next;
         self.next += 1;
@@ -96,14 +98,14 @@ impl Store {
             },
             made: now,
         });
-        // The latest stays, however large it is: it is to be sent.
+        // The latest frame stays, however large it is, since it is still to be sent.
         while self.memory_bytes > self.memory_max && self.memory.len() > 1 {
             self.spill();
         }
         number
     }
 
-    /// Moves the oldest out of the memory.
+    /// Moves the oldest frame out of the memory.
     fn spill(&mut self) {
         let Some(oldest) = self.memory.pop_front() else {
             return;
@@ -118,14 +120,14 @@ impl Store {
         }
     }
 
-    /// Whether somebody may miss what was made then.
+    /// Returns whether a receiver may miss a frame made at this time.
     fn is_wanted(&self, made: Instant) -> bool {
         self.outages.iter().any(|(from, until)| {
             made + GRACE >= *from && until.is_none_or(|until| made <= until + GRACE)
         })
     }
 
-    /// A frame, from wherever it is.
+    /// Returns a frame, from memory or disk.
     pub fn get(&mut self, run: u64, number: u64) -> Option<Kept> {
         if run == self.run
             && let Some(first) = self.memory.front().map(|oldest| oldest.kept.stamp.number)
@@ -137,7 +139,7 @@ impl Store {
         self.disk.as_mut()?.get(run, number)
     }
 
-    /// The lowest number of a run from one on that is held.
+    /// Returns the lowest number, from `from` on, that is held of a run.
     #[must_use]
     pub fn next_held(&self, run: u64, from: u64) -> Option<u64> {
         let on_disk = self
@@ -152,13 +154,13 @@ impl Store {
         }
     }
 
-    /// The number behind the latest: those below it were made.
+    /// Returns the number after the latest frame: all frames below it were made.
     #[must_use]
     pub const fn next(&self) -> u64 {
         self.next
     }
 
-    /// The lowest number in memory.
+    /// Returns the lowest number in memory, or the next number if there is none.
     #[must_use]
     pub fn first_in_memory(&self) -> u64 {
         self.memory
@@ -166,7 +168,7 @@ impl Store {
             .map_or(self.next, |oldest| oldest.kept.stamp.number)
     }
 
-    /// Bytes of the frames in memory from a number on.
+    /// Returns the bytes of the frames in memory from a number on.
     #[must_use]
     pub fn bytes_from(&self, number: u64) -> u64 {
         let first = self.first_in_memory();
@@ -175,14 +177,14 @@ impl Store {
         rest.map(|there| there.kept.frame.len() as u64).sum()
     }
 
-    /// What is held of earlier runs, in so many pieces at the most.
+    /// Returns which frames of earlier runs are held, in at most `most` ranges.
     #[must_use]
     pub fn held(&self, most: usize) -> Vec<(u64, Range)> {
         let disk = self.disk.as_ref();
         disk.map_or_else(Vec::new, |disk| disk.held(self.run, most))
     }
 
-    /// How it fares.
+    /// Returns the counts of the store.
     #[must_use]
     pub fn stored(&self) -> Stored {
         let disk = self.disk.as_ref().map(Disk::figures).unwrap_or_default();
@@ -196,8 +198,8 @@ impl Store {
         }
     }
 
-    /// The run ends: what somebody may still miss goes to disk, for the next one to give it away. Without a disk, it is
-    /// let go of; if all have it, as far as is known, it is not counted.
+    /// Ends the run: frames that a receiver may still miss go to disk, from where the next run can send them.
+    /// Without a disk they are dropped, which is counted unless all receivers have them as far as is known.
     pub fn end(&mut self, all_have_it: bool) {
         if self.disk.is_none() && all_have_it {
             self.memory.clear();
@@ -217,7 +219,7 @@ mod tests {
         vec![number as u8; bytes].into()
     }
 
-    /// Pushes frames of 100 bytes, one each 100 ms, to a number; the time of the last.
+    /// Pushes frames of 100 bytes, one every 100 ms, up to a number; returns the time of the last.
     fn fill(store: &mut Store, start: Instant, to: u64) -> Instant {
         let mut now = start;
         while store.next() < to {
@@ -279,7 +281,7 @@ mod tests {
         now = fill(&mut store, start, 300);
         store.link(true, now);
         fill(&mut store, start, 600);
-        // From 8 s before the outage, but for what had left the memory by then, to 8 s after it.
+        // From 8 s before the outage, except for what had left the memory by then, to 8 s after it.
         let held: Vec<u64> = (0..600)
             .filter(|number| store.get(7, *number).is_some())
             .collect();
@@ -297,7 +299,7 @@ mod tests {
         }
         assert_eq!(store.stored().let_go_frames, 0);
         drop(store);
-        // The next run gives them away.
+        // The next run can send them.
         let disk = Disk::open(folder.path(), 1 << 20).unwrap();
         let mut store = Store::new(8, 1000, Some(disk));
         assert_eq!(store.held(9), [(7, Range { from: 190, to: 380 })]);

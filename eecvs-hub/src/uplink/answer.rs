@@ -1,4 +1,4 @@
-//! A wish that is being met, a frame at a time.
+//! Answers a request, one frame at a time.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -8,10 +8,10 @@ use zenoh::query::Query;
 use crate::message::{Answer, Range, Stamp};
 use crate::store::Store;
 
-/// Bytes sent in answer to one wish, about.
+/// Approximate limit on the bytes sent in answer to one request.
 const ANSWER_BYTES: usize = 512 << 10;
 
-/// A wish that is being met.
+/// A request that is being answered.
 pub(super) struct Answering {
     pub(super) query: Query,
     pub(super) receiver: u64,
@@ -22,11 +22,11 @@ pub(super) struct Answering {
 }
 
 impl Answering {
-    /// The next frame that is asked for and held; what is not is noted.
+    /// Returns the next requested frame that is held, and records those that are not.
     pub(super) fn next(&mut self, store: &mut Store, own_run: u64) -> Option<(Stamp, Arc<[u8]>)> {
         while self.bytes < ANSWER_BYTES {
             let range = self.ranges.front_mut()?;
-            // What was not made yet is not gone.
+            // Frames that have not been made yet are not gone.
             let to = match self.run == own_run {
                 true => range.to.min(store.next()),
                 false => range.to,
@@ -48,7 +48,7 @@ impl Answering {
                     self.bytes += kept.frame.len();
                     return Some((kept.stamp, kept.frame));
                 }
-                // It is there, and cannot be read.
+                // It is held but cannot be read.
                 None => self.answer.gone.push(Range {
                     from: held,
                     to: held + 1,

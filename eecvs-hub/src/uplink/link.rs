@@ -1,4 +1,4 @@
-//! The thread that has the link: what is new goes first, what is asked for again when nothing else waits.
+//! The thread that owns the link: new frames go first, requested ones when nothing else waits.
 
 use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
@@ -14,7 +14,7 @@ use crate::key::Kind;
 use crate::link::Client;
 use crate::message::{Answer, Message, Stamp, Status, Wish};
 
-/// How often the sensor says how it fares, looks at its link, and finds what that takes.
+/// Intervals at which the sensor sends its status, checks its link, and adapts its rate to the link.
 const STATUS: Duration = Duration::from_millis(500);
 const LOOK: Duration = Duration::from_millis(50);
 const STEP: Duration = Duration::from_millis(1000 / Governor::STEPS_HZ as u64);
@@ -22,13 +22,14 @@ const STEP: Duration = Duration::from_millis(1000 / Governor::STEPS_HZ as u64);
 /// Longest sleep of the thread.
 const SLEEP: Duration = Duration::from_millis(200);
 
-/// At the end, so long after the last wish, nobody misses anything: who does, asks again before.
+/// At the end, after this time without a request, no receiver misses anything: one that does would have asked
+/// again.
 const QUIET: Duration = ANSWER_MAX.saturating_mul(2);
 
-/// While something is asked for again, this part of the budget is left to it.
+/// While frames are requested again, one part in this many of the budget is reserved for them.
 const AGAIN_PART: u32 = 8;
 
-/// Bytes that wait for the link at the most: beyond, what is newest goes first.
+/// Maximum bytes that wait for the link: beyond it, the newest frame goes first.
 const WAITING_MAX: u64 = 8 << 20;
 
 /// The thread of the link.
@@ -39,7 +40,7 @@ pub(super) struct Link<'s> {
     looked: Instant,
     stepped: Instant,
     said: Instant,
-    /// Bytes sent and made up to a step.
+    /// Bytes sent and made up to the previous step.
     before: (u64, u64),
 }
 
@@ -102,7 +103,7 @@ impl<'s> Link<'s> {
         }
     }
 
-    /// Looks whether there is a link.
+    /// Checks whether there is a link, and records outages.
     fn look(&mut self, state: &mut State, now: Instant) {
         if now.saturating_duration_since(self.looked) < LOOK {
             return;
@@ -112,13 +113,13 @@ impl<'s> Link<'s> {
             && self.shared.client.get().is_some_and(Client::is_connected);
         match state.down {
             Some(since) if is_there => {
-                // The time before the first connection is no outage.
+                // The time before the first connection is not an outage.
                 if state.outages > 0 {
                     state.outages_us += now.saturating_duration_since(since).as_micros() as u64;
                 }
                 state.down = None;
                 state.store.link(true, now);
-                // Receivers see at once what they miss.
+                // Send a status at once, so that receivers see what they miss.
                 self.said = now - STATUS;
             }
             None if !is_there => {
@@ -130,7 +131,7 @@ impl<'s> Link<'s> {
         }
     }
 
-    /// Finds what the encoder may make.
+    /// Updates the rate that the encoder may use.
     fn step(&mut self, state: &mut State, now: Instant) {
         let since = now.saturating_duration_since(self.stepped);
         if since < STEP {
@@ -144,7 +145,7 @@ impl<'s> Link<'s> {
         );
         self.before = (state.sent_bytes, state.bytes);
         let waiting = match state.down {
-            // Without a link nothing is known of what it takes.
+            // Without a link, its rate is unknown.
             Some(_) => 0,
             None => state.store.bytes_from(state.cursor),
         };
@@ -168,7 +169,7 @@ impl<'s> Link<'s> {
 
     fn next(&mut self, state: &mut State, now: Instant) -> Act {
         if state.down.is_some() {
-            // What is made now is asked for later.
+            // Receivers request what is made now once there is a link.
             state.cursor = state.store.next();
             self.answering = None;
             state.wishes.clear();
@@ -195,7 +196,7 @@ impl<'s> Link<'s> {
             if !wait.is_zero() {
                 return Act::Wait(wait.min(SLEEP));
             }
-            // A later wish of the same receiver takes the place of the one that is being met.
+            // A later request of the same receiver replaces the one that is being answered.
             let is_renewed = self.answering.as_ref().is_some_and(|answering| {
                 let mut waiting = state.wishes.iter();
                 waiting.any(|(_, wish)| wish.receiver == answering.receiver)
@@ -211,7 +212,7 @@ impl<'s> Link<'s> {
             }
         }
         match state.ends {
-            // Who misses something asks within a moment of what was said last.
+            // A receiver that misses something asks for it shortly after the last status.
             Some(Ending { asked, by }) => {
                 let latest = state.wished.map_or(asked, |wished| wished.max(asked));
                 state.is_quiet = now.saturating_duration_since(latest) >= QUIET;
@@ -226,7 +227,7 @@ impl<'s> Link<'s> {
 
     fn say(&self, status: &Status) {
         if let Some(ends) = self.shared.ends.get() {
-            // One that gets lost is followed by another.
+            // A status that gets lost is followed by another.
             let _ = ends.status.put(status.to_bytes()).wait();
         }
     }
@@ -234,7 +235,7 @@ impl<'s> Link<'s> {
     fn send(&mut self, stamp: Stamp, frame: &[u8]) {
         self.bucket.take(frame.len(), Instant::now());
         if let Some(ends) = self.shared.ends.get() {
-            // What does not leave is asked for again.
+            // A frame that does not leave is requested again.
             let _ = ends.frames.put(frame).attachment(stamp.to_bytes()).wait();
         }
     }
@@ -253,7 +254,7 @@ impl<'s> Link<'s> {
         });
     }
 
-    /// Sends one more frame that is asked for, or says what is gone.
+    /// Sends one more requested frame, or at the end the numbers of those that are gone.
     fn go_on(&mut self) {
         let Some(answering) = &mut self.answering else {
             return;
@@ -269,7 +270,7 @@ impl<'s> Link<'s> {
             Some((stamp, frame)) => {
                 self.bucket.take(frame.len(), Instant::now());
                 let reply = answering.query.reply(key, &frame[..]);
-                // What does not leave is asked for once more.
+                // A frame that does not leave is requested once more.
                 let _ = reply.attachment(stamp.to_bytes()).wait();
             }
             None => {

@@ -1,8 +1,8 @@
-//! A sensor's side: frames are numbered, published, and kept; who misses some gets them again.
+//! A sensor's side: frames are numbered, published, and kept; receivers that miss some can have them again.
 //!
-//! One thread has the link. What is made goes first, what is asked for again when nothing else waits. Where the link takes
-//! less than is made, the encoder's budget is lowered; while there is no link, frames are kept, and receivers ask for
-//! them once it is back.
+//! One thread owns the link. New frames go first, and requested ones when nothing else waits. If the link takes
+//! less than is made, the encoder's budget is lowered. While there is no link, frames are kept, and receivers
+//! request them once it is back.
 
 mod answer;
 mod link;
@@ -30,22 +30,22 @@ use crate::store::Store;
 use crate::store::disk::Disk;
 use link::Link;
 
-/// What a sensor is told.
+/// Options of a sensor.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// What it is called.
+    /// Name of the sensor.
     pub name: Name,
-    /// Its size.
+    /// Sensor size in pixels.
     pub sensor: Sensor,
-    /// Bytes of frames in memory.
+    /// Maximum bytes of frames in memory.
     pub memory_bytes: usize,
-    /// A folder for frames, and how many bytes of them.
+    /// Folder for frames, and the maximum bytes in it.
     pub disk: Option<(PathBuf, u64)>,
-    /// Bytes of frames a second, at the most.
+    /// Maximum bytes of frames per second.
     pub bytes_per_second: Option<u32>,
 }
 
-/// Wishes that wait; whoever sends more has to send them again.
+/// Maximum number of waiting requests; further ones are ignored, and have to be sent again.
 const WISHES_MAX: usize = 64;
 
 /// A sensor's link.
@@ -62,11 +62,11 @@ struct Shared {
     ends: OnceLock<Ends>,
     state: Mutex<State>,
     changed: Condvar,
-    /// What the encoder may make a second.
+    /// The encoder's budget per second.
     encoder: Arc<EncoderBudget>,
 }
 
-/// What is declared with a hub.
+/// The sensor's declarations in a session with a hub.
 struct Ends {
     frames: Publisher<'static>,
     status: Publisher<'static>,
@@ -77,11 +77,11 @@ struct Ends {
 
 struct State {
     store: Store,
-    /// The next frame to be sent.
+    /// Number of the next frame to be sent.
     cursor: u64,
-    /// One of each receiver.
+    /// Waiting requests, at most one per receiver.
     wishes: VecDeque<(Query, Wish)>,
-    /// Latest time that something was asked for.
+    /// Time of the latest request.
     wished: Option<Instant>,
     own_budget: Option<u32>,
     hub_budget: Option<u32>,
@@ -91,38 +91,38 @@ struct State {
     bytes: u64,
     sent_bytes: u64,
     again: u64,
-    /// Since when there is no link.
+    /// Since when there is no link; `None` while there is one.
     down: Option<Instant>,
     outages: u64,
     outages_us: u64,
     ends: Option<Ending>,
-    /// At the end: nobody has asked for anything for a while.
+    /// At the end: whether nobody has requested anything for a while.
     is_quiet: bool,
 }
 
-/// Nothing follows.
+/// The end of the stream: no further frame follows.
 #[derive(Debug, Clone, Copy)]
 struct Ending {
-    /// Since when.
+    /// When the end was requested.
     asked: Instant,
-    /// Until when something may still be asked for.
+    /// Until when frames may still be requested.
     by: Instant,
 }
 
-/// How a run went.
+/// Outcome of a run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Summary {
-    /// What the sensor said last.
+    /// The sensor's last status.
     pub status: Status,
-    /// Frames that had not been sent when it ended.
+    /// Frames that had not been sent at the end.
     pub unsent: u64,
 }
 
 impl Uplink {
-    /// Begins to connect to a hub; frames are taken at once.
+    /// Starts to connect to a hub; frames are accepted at once.
     ///
     /// # Errors
-    /// Settings, keys, or a folder that cannot be used.
+    /// Settings or keys are invalid, or the folder for frames cannot be used.
     pub fn start(options: &Options, links: &Links) -> Result<Self> {
         let disk = match &options.disk {
             Some((folder, bytes)) => Some(Disk::open(folder, *bytes)?),
@@ -174,26 +174,26 @@ impl Uplink {
         })
     }
 
-    /// What the encoder may make a second, as it changes.
+    /// Returns the encoder's budget per second, which changes over time.
     #[must_use]
     pub fn budget(&self) -> Arc<EncoderBudget> {
         Arc::clone(&self.shared.encoder)
     }
 
-    /// Takes the next frame, whose window ended at `end_us`.
+    /// Accepts the next frame, whose window ended at `end_us`, in microseconds since 1970.
     ///
     /// # Errors
-    /// Bytes that are no frame; why there will be no link.
+    /// The bytes are not a frame, or there will be no link.
     pub fn send(&self, frame: &[u8], end_us: u64) -> Result<()> {
         let parsed = Frame::parse(frame);
         let header = parsed.map_err(|error| anyhow::anyhow!("{error}"))?.header;
         self.send_parsed(&header, frame, end_us)
     }
 
-    /// Takes the next frame, whose header is known.
+    /// Accepts the next frame, whose header is already parsed; `end_us` as in [`Uplink::send`].
     ///
     /// # Errors
-    /// Why there will be no link.
+    /// There will be no link; the error says why.
     pub fn send_parsed(&self, header: &Header, frame: &[u8], end_us: u64) -> Result<()> {
         if let Some(client) = self.shared.client.get() {
             client.check()?;
@@ -223,20 +223,20 @@ impl Uplink {
         Ok(())
     }
 
-    /// What the sensor says of itself now.
+    /// Returns the sensor's present status.
     #[must_use]
     pub fn status(&self) -> Status {
         self.shared.status(&self.shared.state())
     }
 
-    /// Whether a hub is connected.
+    /// Returns whether a hub is connected.
     #[must_use]
     pub fn is_connected(&self) -> bool {
         self.shared.state().down.is_none()
     }
 
-    /// Nothing follows: what waits is sent, and as long as somebody asks for frames again, these; so long at the most.
-    /// What an outage may have lost goes to disk.
+    /// Ends the stream. For at most the time `most`, waiting frames are sent, and requests are answered as long as
+    /// they arrive. Afterwards, frames that an outage may have lost go to disk.
     #[must_use]
     pub fn finish(mut self, most: Duration) -> Summary {
         self.end(most);
@@ -322,7 +322,7 @@ impl Shared {
         state.wished = Some(Instant::now());
         let mut waiting = state.wishes.iter();
         match waiting.position(|(_, earlier)| earlier.receiver == wish.receiver) {
-            // The earlier query ends with that, and its receiver knows.
+            // This ends the earlier query, which its receiver expects.
             Some(at) => state.wishes[at] = (query, wish),
             None if state.wishes.len() < WISHES_MAX => state.wishes.push_back((query, wish)),
             None => {}
@@ -333,7 +333,7 @@ impl Shared {
 
     fn status(&self, state: &State) -> Status {
         let down_us = match state.down {
-            // The time before the first connection is no outage.
+            // The time before the first connection is not an outage.
             Some(since) if state.outages > 0 => since.elapsed().as_micros() as u64,
             _ => 0,
         };
@@ -362,7 +362,7 @@ impl State {
         least(self.allowed(), self.governor.limit())
     }
 
-    /// By the command line and the hub.
+    /// The limit by the command line and the hub.
     fn allowed(&self) -> Option<u32> {
         least(self.own_budget, self.hub_budget)
     }

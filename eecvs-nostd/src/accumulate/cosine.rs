@@ -1,33 +1,32 @@
-//! cos(2 pi x) and sin(2 pi x): the precise kernel's atoms, and what the recurrence starts from.
+//! cos(2 pi x) and sin(2 pi x): the atoms of the precise kernel, and the start values of the recurrence.
 //!
-//! A table of 1,024 nodes a turn with 30 fractional bits, and the second-order Taylor polynomial
-//! around the nearest node: cos(a + d) = C - S d - C d^2 / 2 with |d| <= pi / 1024. What the third
-//! order leaves is at most d^3 / 6 = 2^-27.6. Measured over 2^22 phases: at most 6.4e-9, 2.2e-9
-//! RMS; `error_is_within_the_bound` enforces 2^-27 and 2.5e-9. Values never leave [-1, 1]: an
-//! oscillator that started outside of it would grow.
+//! A table of 1,024 nodes per turn with 30 fractional bits, with the second-order Taylor polynomial around the
+//! nearest node: cos(a + d) = C - S d - C d^2 / 2, |d| <= pi / 1024. The third order leaves an error of at most d^3
+//! / 6 = 2^-27.6. Measured over 2^22 phases: at most 6.4e-9, 2.2e-9 RMS; `error_is_within_the_bound` enforces 2^-27
+//! and 2.5e-9. Values never leave [-1, 1], because an oscillator that starts outside would grow.
 
 use core::f64::consts::FRAC_PI_2;
 
 use crate::fixed_point::{Atom, Phase, mul_high};
 
-/// log2 of the nodes in a turn.
+/// log2 of the number of nodes per turn.
 const NODES_LOG2: u32 = 10;
 const NODES: usize = 1 << NODES_LOG2;
 const QUARTER: usize = NODES / 4;
 
-/// cos(2 pi i / 1024) for a turn and a quarter: -sin lies a quarter of a turn after the cosine.
+/// cos(2 pi i / 1024) over a turn and a quarter: -sin is the cosine a quarter of a turn later.
 pub static COS: [Atom; NODES + QUARTER] = cos_table();
 
-/// 2 pi 2^38 / 2^(32 + NODES_LOG2 - 32): from a distance in 2^-42 turns to radians with 38 bits
-/// after a product's upper half is taken.
+/// 2 pi 2^38 / 2^(32 + NODES_LOG2 - 32). The upper half of the product with a distance in units of 2^-42 turns is
+/// in radians with 38 fractional bits.
 const RADIANS: i32 = (core::f64::consts::TAU * (1_u64 << 28) as f64 + 0.5) as i32;
 
-/// C, -S, d in radians with 38 fractional bits, d^2 with 44.
+/// Returns C and -S of the nearest node, d in radians with 38 fractional bits, and d^2 with 44.
 #[inline(always)]
 fn nearest_node(turn: Phase) -> (i32, i32, i32, i32) {
     let turn = turn.to_bits();
     let node = (turn.wrapping_add(1 << (31 - NODES_LOG2)) >> (32 - NODES_LOG2)) as usize;
-    // The bits below the node's, as a signed distance to it.
+    // The bits below the node's bits, as a signed distance from the node.
     let d = mul_high((turn << NODES_LOG2) as i32, RADIANS);
     (
         COS[node].to_bits(),
@@ -37,7 +36,7 @@ fn nearest_node(turn: Phase) -> (i32, i32, i32, i32) {
     )
 }
 
-/// cos(2 pi `turn`), |error| <= 2^-27.
+/// Returns cos(2 pi `turn`), |error| <= 2^-27.
 #[inline(always)]
 #[must_use]
 pub fn cos(turn: Phase) -> Atom {
@@ -45,7 +44,7 @@ pub fn cos(turn: Phase) -> Atom {
     Atom::from_bits(cos + ((mul_high(minus_sin, d) - (mul_high(cos, d2) >> 7)) >> 6))
 }
 
-/// cos(2 pi `turn`) and sin(2 pi `turn`), |error| <= 2^-27 each.
+/// Returns cos(2 pi `turn`) and sin(2 pi `turn`), |error| <= 2^-27 each.
 #[inline(always)]
 #[must_use]
 pub fn cos_sin(turn: Phase) -> (Atom, Atom) {
@@ -56,7 +55,7 @@ pub fn cos_sin(turn: Phase) -> (Atom, Atom) {
     )
 }
 
-/// The table in constant evaluation: the same bits on every machine, whatever its libm.
+/// Builds the table in constant evaluation, which gives the same bits on every machine, whatever its libm.
 const fn cos_table() -> [Atom; NODES + QUARTER] {
     let mut table = [Atom::ZERO; NODES + QUARTER];
     let mut i = 0;
@@ -78,7 +77,7 @@ const fn cos_table() -> [Atom; NODES + QUARTER] {
     table
 }
 
-/// cos x for x in [0, pi/2] by its Taylor series: 12 terms leave less than 1e-17.
+/// Returns cos x for x in [0, pi/2] by its Taylor series; 12 terms leave an error below 1e-17.
 pub(crate) const fn cos_first_quarter(x: f64) -> f64 {
     let mut term = 1.0;
     let mut sum = 1.0;
@@ -91,7 +90,7 @@ pub(crate) const fn cos_first_quarter(x: f64) -> f64 {
     if sum < 0.0 { 0.0 } else { sum }
 }
 
-/// cos(pi / 2 `row` / `quarter`), for tables of `quarter` rows to a quarter of a turn.
+/// Returns cos(pi / 2 `row` / `quarter`), for tables of `quarter` rows per quarter turn.
 pub(crate) const fn cos_of_row(row: usize, quarter: usize) -> f64 {
     let within = (row % quarter) as f64 * (FRAC_PI_2 / quarter as f64);
     let rest = FRAC_PI_2 - within;
@@ -103,7 +102,7 @@ pub(crate) const fn cos_of_row(row: usize, quarter: usize) -> f64 {
     }
 }
 
-/// The nearest integer, halves away from 0.
+/// Returns the nearest integer; halves are rounded away from 0.
 pub(crate) const fn round(x: f64) -> i32 {
     (if x < 0.0 { x - 0.5 } else { x + 0.5 }) as i32
 }
@@ -136,7 +135,7 @@ mod tests {
     fn error_is_within_the_bound() {
         let (mut max, mut square_sum) = (0.0_f64, 0.0);
         let count = 1_u32 << 22;
-        // Phases all over the turn, and those next to +1, 0 and -1.
+        // Phases all over the turn, and those next to multiples of an eighth.
         let edges = (0..8_u32).flat_map(|eighth| {
             (0..4096_u32).map(move |i| (eighth << 29).wrapping_add(i).wrapping_sub(2048))
         });

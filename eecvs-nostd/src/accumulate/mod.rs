@@ -1,4 +1,4 @@
-//! Accumulate: c_k = sum_i p_i phi_k(u_i) over a pixel's events, in a kernel for each family of atoms and grids.
+//! Accumulates c_k = sum_i p_i phi_k(u_i) over a pixel's events, with one kernel per family of atoms and grids.
 
 pub mod any_grid;
 pub mod cosine;

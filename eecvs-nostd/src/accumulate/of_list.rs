@@ -1,12 +1,11 @@
-//! The sums over a pixel's list where no assembly keeps them in registers.
+//! Sums over a pixel's list, for targets without the assembly that keeps them in registers.
 
 use crate::fixed_point::Sum;
 use crate::group::impulse::Impulses;
 use crate::transform::phase::PhaseScale;
 
-/// The sums over the first impulses of a pixel's list, in assembly that keeps them in registers; returns the
-/// impulses after those. Where there is no such assembly, or none for `grid`, the sums are what `otherwise`
-/// makes of them, and nothing is returned.
+/// Computes the sums over the first impulses of a pixel's list in assembly, and returns the impulses after those.
+/// If there is no assembly, or none for `grid`, calls `otherwise` to fill `sums` and returns `None`.
 #[inline(always)]
 pub(crate) fn of_list<'s>(
     _: &Impulses<'s>,

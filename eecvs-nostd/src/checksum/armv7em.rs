@@ -1,5 +1,5 @@
-//! The same bits with Thumb-2 instructions, of which a bit's change is one; golden frames have been
-//! checked with both.
+//! The same fold in Thumb-2 instructions, each of which shifts a word and adds it; golden frames were checked with
+//! both.
 
 use core::arch::naked_asm;
 
@@ -9,14 +9,14 @@ pub fn fold(crc: u32, blocks: &[Block]) -> [u32; BLOCK] {
     let mut taken = [0; BLOCK];
     let range = blocks.as_ptr_range();
     if range.start.addr().is_multiple_of(4) && !blocks.is_empty() {
-        // SAFETY: the blocks from `start` to `end` are there, one at the least, and begin at a
-        // multiple of four. This file is built only for cores that have the instructions.
+        // SAFETY: the blocks from `start` to `end` exist, at least one, and begin at a multiple of four. This file
+        // is compiled only for cores that have the instructions.
         unsafe { take_away(crc, range.start, range.end, &mut taken) };
     }
     taken
 }
 
-/// Changes the word in `$word` by those that were four to ten words before it.
+/// Changes the word in `$word` by those four to ten words before it.
 macro_rules! change {
     ($word:literal, $four:literal, $five:literal, $six:literal, $seven:literal, $nine:literal,
         $ten:literal) => {
@@ -81,17 +81,18 @@ macro_rules! change {
     };
 }
 
-// What the registers of `change` take for granted.
+// Assumptions of the registers in `change`.
 const _: () = assert!(
     BLOCK == 12 && LATER[0].0 == 4 && LATER[1].0 == 5 && LATER[2].0 == 6 && LATER[3].0 == 9
 );
 
-/// [`super::fold`] of the blocks from `at` to `end`, one at the least, into `taken`, which is 0.
+/// Clears the blocks from `at` to `end`, at least one, as [`super::fold`] does; their words go to `taken`, which
+/// has to be 0.
 ///
-/// Restores every register that a callee must.
+/// Restores every register that a callee has to.
 ///
 /// # Safety
-/// The blocks can be read, `at` is a multiple of four, and `taken` can be read and written.
+/// The blocks have to be readable, `at` a multiple of four, and `taken` readable and writable.
 #[unsafe(naked)]
 unsafe extern "C" fn take_away(
     crc: u32,

@@ -1,41 +1,41 @@
-//! CRC-32 without tables, for a Cortex-M4: words are added to those a little later, by which they become
-//! zeros, which leave the checksum as it is. The few at the end that are no zeros go through the tables.
+//! CRC-32 without tables, for a Cortex-M4. Words are added to words a little later and so become zeros, which leave
+//! the checksum as it is. The few words at the end that are not zero go through the tables.
 
 #[cfg(test)]
 use core::mem;
 
 use crate::checksum::{by_bytes, by_words};
 
-/// 1 + x^145 + x^183 + x^211 + x^300 is a multiple of the checksum's polynomial, back to front: a
-/// bit may be taken away where those so many places after it are changed. In whole words and bits.
+/// 1 + x^145 + x^183 + x^211 + x^300 is a multiple of the checksum's polynomial, in reversed bit order: a bit may
+/// be cleared if the bits this many places after it are flipped. Given in whole words and bits.
 ///
 /// No other multiple of so few terms is below x^384.
 pub(super) const LATER: [(usize, u32); 4] = [(4, 17), (5, 23), (6, 19), (9, 12)];
 
-/// Words after a word that [`LATER`] changes.
+/// Number of words after a word that [`LATER`] changes.
 const REACH: usize = 10;
 
-/// Words that are taken away at once: as many as a Cortex-M4 has registers for.
+/// Words that are cleared at once: as many as a Cortex-M4 has registers for.
 pub(super) const BLOCK: usize = 12;
 
-/// Blocks from which on that pays.
+/// Fewest blocks for which that pays.
 const BLOCKS_MIN: usize = 8;
 
 pub(super) type Block = [[u8; 4]; BLOCK];
 
-/// The checksum `crc`, not turned over at its end, and `bytes` further, with `fold` to take blocks away.
+/// Continues the checksum `crc`, without its final inversion, over `bytes`; `fold` clears blocks.
 #[inline(always)]
 pub(super) fn folded(
     crc: u32,
     bytes: &[u8],
     fold: impl FnOnce(u32, &[Block]) -> [u32; BLOCK],
 ) -> u32 {
-    // Several words are loaded at once from a multiple of four alone.
+    // Several words at once can only be loaded from a multiple of four.
     let (before, bytes) = bytes.split_at(bytes.as_ptr().align_offset(4).min(bytes.len()));
     let crc = by_bytes(crc, before);
     let (words, rest) = bytes.as_chunks::<4>();
     let (blocks, _) = words.as_chunks::<BLOCK>();
-    // What is taken away last changes the words after it.
+    // Clearing the last words changes the words after them.
     let (blocks, _) = blocks.split_at(blocks.len().saturating_sub(1));
     if blocks.len() < BLOCKS_MIN {
         return by_bytes(by_words(crc, words), rest);
@@ -52,7 +52,7 @@ pub(super) fn folded(
     by_bytes(by_words(crc, after), rest)
 }
 
-/// What those words that were taken away, by their places in their blocks, change the one at `i` by.
+/// Returns what the cleared words, indexed by their places in their blocks, change the word at `i` by.
 #[inline(always)]
 fn later(taken: &[u32; BLOCK], i: usize) -> u32 {
     LATER.iter().fold(0, |change, (words, bits)| {
@@ -61,8 +61,8 @@ fn later(taken: &[u32; BLOCK], i: usize) -> u32 {
     })
 }
 
-/// Takes `blocks` away, of which the checksum before them is `crc`; returns what the words of the
-/// last one were when they were taken away.
+/// Clears `blocks`; the checksum before them is `crc`. Returns the words of the last block as they were when they
+/// were cleared.
 #[cfg(test)]
 fn fold(crc: u32, blocks: &[Block]) -> [u32; BLOCK] {
     let mut taken = [0; BLOCK];
@@ -81,7 +81,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// At any place of a word, with any number of words and bytes at the end.
+        /// From any place within a word, with any number of words and bytes at the end.
         #[test]
         fn blocks_are_bytes(
             bytes in proptest::collection::vec(any::<u8>(), 0..1000),

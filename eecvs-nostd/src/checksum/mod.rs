@@ -1,10 +1,10 @@
-//! The checksums of frames and packets.
+//! Checksums of frames and packets.
 //!
-//! CRC-16 (IBM-3740) of headers and packets is the crc crate's. CRC-32 (ISO-HDLC, as in Ethernet and
-//! zip) of frames is the crate's on a 64-bit host; its fastest way takes 7 instructions a byte on a
-//! Cortex-M4, where four tables of its making, a word at a time, take 3.6, and three of 8, 12 and 12 bits
-//! of a word fewer: the tables' addresses stay in registers, as those of eight or sixteen tables do not.
-//! `fold` takes 2.2, and four tables for what it leaves.
+//! CRC-16 (IBM-3740) of headers and packets is computed by the crc crate. So is CRC-32 (ISO-HDLC, as in Ethernet
+//! and zip) of frames on a 64-bit host. On a Cortex-M4 the crate's fastest way takes 7 instructions per byte; four
+//! of its tables, used a word at a time, take 3.6, and three tables for 8, 12 and 12 bits of a word take fewer, as
+//! the tables' addresses stay in registers, unlike those of eight or sixteen tables. `fold` takes 2.2, and four
+//! tables for what it leaves.
 
 #[cfg(eecvs_dsp)]
 #[allow(unsafe_code)]
@@ -20,13 +20,13 @@ pub(crate) static CRC_16: Crc<u16, Table<1>> = Crc::<u16, Table<1>>::new(&CRC_16
 #[cfg(target_pointer_width = "64")]
 static CRC_32: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISO_HDLC);
 
-/// CRC-32 of `bytes`.
+/// Returns the CRC-32 of `bytes`.
 #[cfg(target_pointer_width = "64")]
 pub(crate) fn crc_32(bytes: &[u8]) -> u32 {
     CRC_32.checksum(bytes)
 }
 
-/// CRC-32 of `bytes`.
+/// Returns the CRC-32 of `bytes`.
 #[cfg(all(not(target_pointer_width = "64"), not(eecvs_dsp)))]
 pub(crate) fn crc_32(bytes: &[u8]) -> u32 {
     let (words, rest) = bytes.as_chunks::<4>();
@@ -38,13 +38,13 @@ pub(crate) fn crc_32(bytes: &[u8]) -> u32 {
     !by_bytes(crc, rest)
 }
 
-/// CRC-32 of `bytes`.
+/// Returns the CRC-32 of `bytes`.
 #[cfg(eecvs_dsp)]
 pub(crate) fn crc_32(bytes: &[u8]) -> u32 {
     !fold::folded(u32::MAX, bytes, armv7em::fold)
 }
 
-/// `TABLES[i][b]` is what a byte b does to the checksum, i bytes later.
+/// `TABLES[i][b]` is what a byte b contributes to the checksum, i bytes later.
 #[cfg(any(test, not(target_pointer_width = "64")))]
 static TABLES: [[u32; 256]; 4] = {
     const CRC: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISO_HDLC);
@@ -52,7 +52,7 @@ static TABLES: [[u32; 256]; 4] = {
     [tables[0], tables[1], tables[2], tables[3]]
 };
 
-/// What the low 8 bits of a word, the 12 above those, and its high 12 do to the checksum.
+/// What the low 8 bits of a word, the 12 above those, and its high 12 contribute to the checksum.
 #[cfg(any(test, all(eecvs_thumb2, not(eecvs_dsp))))]
 static PARTS: ([u32; 1 << 8], [u32; 1 << 12], [u32; 1 << 12]) = (part(0), part(8), part(20));
 
@@ -69,7 +69,7 @@ const fn part<const N: usize>(shift: u32) -> [u32; N] {
     table
 }
 
-/// The checksum `crc`, not turned over at its end, and `words` further: by tables of 33 KiB instead of 4.
+/// Continues the checksum `crc`, without its final inversion, over `words`; by tables of 33 KiB instead of 4.
 #[cfg(any(test, all(eecvs_thumb2, not(eecvs_dsp))))]
 #[inline(always)]
 fn by_parts(mut crc: u32, words: &[[u8; 4]]) -> u32 {
@@ -80,7 +80,7 @@ fn by_parts(mut crc: u32, words: &[[u8; 4]]) -> u32 {
             ^ middle[(word >> 8) as usize % middle.len()]
             ^ high[(word >> 20) as usize]
     };
-    // In rows, for what a loop costs by the word.
+    // Rows save what a loop costs per word.
     let (rows, rest) = words.as_chunks::<16>();
     for row in rows {
         crc = row.iter().fold(crc, step);
@@ -88,7 +88,7 @@ fn by_parts(mut crc: u32, words: &[[u8; 4]]) -> u32 {
     rest.iter().fold(crc, step)
 }
 
-/// The checksum `crc`, not turned over at its end, and `words` further.
+/// Continues the checksum `crc`, without its final inversion, over `words`.
 #[cfg(any(test, eecvs_dsp, not(any(target_pointer_width = "64", eecvs_thumb2))))]
 #[inline(always)]
 pub(crate) fn by_words(mut crc: u32, words: &[[u8; 4]]) -> u32 {
@@ -103,7 +103,7 @@ pub(crate) fn by_words(mut crc: u32, words: &[[u8; 4]]) -> u32 {
     crc
 }
 
-/// The same of bytes.
+/// As [`by_words`], over bytes.
 #[cfg(any(test, not(target_pointer_width = "64")))]
 #[inline(never)]
 pub(crate) fn by_bytes(crc: u32, bytes: &[u8]) -> u32 {

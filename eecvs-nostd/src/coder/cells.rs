@@ -1,24 +1,24 @@
-//! Time in cells: how exactly the times of events are told.
+//! Cells of time, which set how exactly the times of events are coded.
 //!
-//! A window of T microseconds has cells of equal width, and an event's time is the number of its
-//! cell. Lossless: cells of 1 us. Within a tolerance D: cells of 2 D + 1 us, told by their middle, so
-//! that no time is off by more than D. B bins: cell = floor(t B / T), so that the B-bin volume of box
-//! bins is exact and the times inside a bin are free.
+//! A window of T microseconds is divided into cells of equal width, and an event's time is coded as the number of
+//! its cell. Lossless: cells of 1 us. Tolerance D: cells of 2 D + 1 us, decoded as their middle, so that no time is
+//! off by more than D. B bins: cell = floor(t B / T), so that the volume of B box bins is exact, while times inside
+//! a bin are not kept.
 
-/// What fidelity is asked of the times; positions, polarities and counts are always exact.
+/// Fidelity of the decoded times; positions, polarities and counts are always exact.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Fidelity {
-    /// Every microsecond.
+    /// Every time is exact to the microsecond.
     #[default]
     Lossless,
-    /// No decoded time is off by more than so many microseconds.
+    /// No decoded time is off by more than this many microseconds.
     ToleranceUs(u32),
-    /// The volume of so many box bins in time.
+    /// The volume of this many box bins in time is exact.
     Bins(u16),
 }
 
-/// The cells of one window.
+/// The division of one window into cells of time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Cells {
@@ -35,7 +35,7 @@ enum Rule {
 }
 
 impl Cells {
-    /// Cells of a window of `duration_us`, at least 1.
+    /// Divides a window of `duration_us` (0 acts as 1) into cells.
     #[must_use]
     pub const fn new(fidelity: Fidelity, duration_us: u32) -> Self {
         let duration_us = if duration_us == 0 { 1 } else { duration_us };
@@ -54,21 +54,21 @@ impl Cells {
         }
     }
 
-    /// How many there are, at least 1.
+    /// Returns the number of cells, at least 1.
     #[inline]
     #[must_use]
     pub const fn count(self) -> u32 {
         self.count
     }
 
-    /// Whether every cell is a microsecond.
+    /// Returns whether every cell is one microsecond.
     #[inline]
     #[must_use]
     pub const fn is_lossless(self) -> bool {
         matches!(self.rule, Rule::Width(1))
     }
 
-    /// Cell of an offset below the window's duration, below [`Self::count`].
+    /// Returns the cell of an offset below the window's duration; the cell is below [`Self::count`].
     #[inline]
     #[must_use]
     pub const fn of(self, offset_us: u32) -> u32 {
@@ -88,7 +88,7 @@ impl Cells {
         }
     }
 
-    /// The offset that stands for a cell: its middle, within the window.
+    /// Returns the offset that a cell is decoded as: its middle, within the window.
     #[inline]
     #[must_use]
     pub const fn offset_us(self, cell: u32) -> u32 {
@@ -96,8 +96,8 @@ impl Cells {
             Rule::Width(width_us) => cell as u64 * width_us as u64 + width_us as u64 / 2,
             Rule::Bins => {
                 let twice = (2 * cell as u64 + 1) * self.duration_us as u64;
-                // `count` is not 0; where bins are narrower than 1 us the middle may round down out
-                // of its bin, whose first microsecond is the ceiling of its start.
+                // `count` is not 0. Where bins are narrower than 1 us, the middle may round down out of its bin,
+                // whose first microsecond is the ceiling of its start.
                 let bins = self.count as u64;
                 let (middle, start) = (twice / (2 * bins), cell as u64 * self.duration_us as u64);
                 let first = start.div_ceil(bins);
@@ -127,7 +127,7 @@ mod tests {
     }
 
     proptest! {
-        /// The module's promise for any window and fidelity.
+        /// The module's promise, for any window and fidelity.
         #[test]
         fn a_decoded_time_is_as_near_as_was_asked(
             fidelity in fidelities(), duration_us in 1_u32.., at in 0.0_f64..1.0
@@ -150,7 +150,7 @@ mod tests {
             }
         }
 
-        /// Times keep their order.
+        /// Later times never have lower cells.
         #[test]
         fn cells_ascend_with_time(
             fidelity in fidelities(), duration_us in 2_u32.., at in 0.0_f64..1.0

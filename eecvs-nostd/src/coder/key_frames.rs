@@ -1,12 +1,12 @@
-//! Which frames of the dense coder begin anew.
+//! When the dense coder begins anew with a key frame.
 
-/// Windows after which a key frame comes, where nothing else is set.
+/// Default spacing of key frames in windows.
 pub const KEY_WINDOWS: u16 = 128;
-/// Events after which the next window begins with a key frame, however few windows they were: what a
-/// host encodes in one go stays within bounds.
+/// Number of events after which the next window begins with a key frame, however few windows they came in, so that
+/// what a host has to encode in one go stays bounded.
 pub const KEY_EVENTS: u32 = 1 << 20;
 
-/// Windows and events since the last key frame that was due.
+/// Counts windows and events since the last key frame that was due.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Chain {
@@ -15,13 +15,15 @@ pub struct Chain {
 }
 
 impl Chain {
-    /// Before the first window.
+    /// State before the first window, which begins with a key frame.
     pub const START: Self = Self {
         windows: 0,
         events: 0,
     };
 
-    /// Takes a window of `events` events; whether it begins with a key frame.
+    /// Counts a window of `events` events. Returns whether the window begins with a key frame.
+    ///
+    /// The spacing `key_windows` is in windows; 0 acts as 1.
     pub const fn next(&mut self, events: u32, key_windows: u16) -> bool {
         let is_key = self.windows == 0 || self.windows >= key_windows || self.events >= KEY_EVENTS;
         if is_key {
@@ -32,7 +34,7 @@ impl Chain {
         is_key
     }
 
-    /// Whether the window after those taken begins with a key frame.
+    /// Returns whether the next window will begin with a key frame.
     #[must_use]
     pub const fn ends(self, key_windows: u16) -> bool {
         let mut after = self;
@@ -52,7 +54,7 @@ mod tests {
         let mut chain = Chain::START;
         let keys: std::vec::Vec<_> = (0..5).map(|_| chain.next(KEY_EVENTS / 2, 100)).collect();
         assert_eq!(keys, [true, false, true, false, true]);
-        // A spacing of 0 is one of 1.
+        // A spacing of 0 acts as 1.
         let mut chain = Chain::START;
         assert!(chain.next(1, 0) && chain.ends(0) && chain.next(1, 0));
     }

@@ -1,4 +1,4 @@
-//! The events themselves in few bits: what `hybrid` frames hold.
+//! Coders of the events themselves: the payload of `hybrid` frames.
 //!
 //! ```text
 //! group -> cells -> fast or dense -> frame
@@ -24,19 +24,19 @@ pub use cells::{Cells, Fidelity};
 pub use scan::{Axis, Readout, Scans};
 pub use times::Times;
 
-/// How events become bits.
+/// How events are coded into bits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Coder {
-    /// Golomb-like codes that adapt: [`fast`].
+    /// Adaptive Golomb-like codes, the cheaper to compute: [`fast`].
     #[default]
     Fast,
-    /// A range coder with learned contexts: [`dense`].
+    /// A range coder with learned contexts, the fewest bits: [`dense`].
     Dense,
 }
 
 impl Coder {
-    /// Lower-case name.
+    /// Returns the name in lower case: `fast` or `dense`.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -46,12 +46,12 @@ impl Coder {
     }
 }
 
-/// Mode `hybrid`: the events, as exactly as is asked.
+/// Settings of mode `hybrid`, which codes the events themselves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Hybrid {
-    /// How they become bits.
+    /// Coder of the events.
     pub coder: Coder,
-    /// How exactly their times are told.
+    /// Fidelity of the decoded times.
     pub fidelity: Fidelity,
 }

@@ -1,15 +1,14 @@
-//! Times of sensors that scan: what an event's time is beside the grid on which its line is read out.
+//! Times of sensors that scan, coded relative to the grid on which the sensor reads its lines.
 //!
-//! Some sensors read a line (a column or a row) every so many microseconds and stamp what they find
-//! with the time of the reading. Line l is then read at
+//! Some sensors read a line (a column or a row) every fixed number of microseconds and stamp the events they find
+//! with the time of reading. Line l is then read at
 //!
 //! ```text
 //! s(k, l) = round(phase + slope l + k period), k = 0, 1, ...
 //! ```
 //!
-//! and an event's time is told as its scan k, the nearest, and its distance from it, which is 0 but
-//! for jitter. It comes back exactly, whatever the distance. A window where too few times lie on the
-//! grid is sent without it.
+//! An event's time is coded as its nearest scan k and its distance from that scan, which is 0 but for jitter. Times
+//! come back exactly, whatever the distance. A window in which too few times lie on the grid is coded without it.
 
 use core::num::{NonZeroU32, NonZeroU64};
 
@@ -18,24 +17,24 @@ use crate::frame::Mode;
 use crate::window::Window;
 use event_types::Sensor;
 
-/// Bits of a distance from a scan.
+/// Bits of the distance from a scan.
 pub const FINE_BITS: u32 = 8;
-/// The distance 0.
+/// Code of the distance 0.
 const FINE_ZERO: u32 = 1 << (FINE_BITS - 1);
-/// Periods in microseconds: below there is little to win, above a distance has no room in its bits.
+/// Range of periods in microseconds. Shorter ones gain little; with longer ones a distance does not fit its bits.
 const PERIOD_US: (u32, u32) = (16, 250);
-/// Steeper lines would shift a scan by more than a period between neighbours.
+/// With steeper slopes, neighbouring lines would be more than half the longest period apart.
 const SLOPE_US_MAX: u32 = PERIOD_US.1 / 2;
-/// Most scans of a window: those and [`FINE_BITS`] share a word.
+/// Most scans in a window: the scan's number and [`FINE_BITS`] share a word.
 const SCANS_MAX: u64 = 1 << (u32::BITS - FINE_BITS);
-/// Events looked at for a window's phase.
+/// Events sampled to find a window's phase.
 const SAMPLES: u32 = 1024;
-/// A grid takes some 13 bytes of the header: fewer events than this do not earn it.
+/// Fewest events on the grid that are worth the 13 or so bytes it takes in the header.
 const HITS_MIN: u32 = 16;
 /// Bins of the histogram of phases.
 const BINS: usize = 128;
 
-/// Which lines are read out at once.
+/// Direction of the lines that are read out at once.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Axis {
@@ -45,7 +44,7 @@ pub enum Axis {
     Rows,
 }
 
-/// How a sensor scans; of a sensor it hardly changes.
+/// How a sensor scans. For a given sensor this hardly changes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Readout {
@@ -55,8 +54,10 @@ pub struct Readout {
 }
 
 impl Readout {
-    /// Lines of an axis read every `period_q16` / 2^16 us, 16 to 250 us, each `slope_q16` / 2^16 us
-    /// after the one before, at most 125 us either way. `None` beyond that.
+    /// Describes a sensor that reads each line of an axis every `period_q16` / 2^16 us, each line `slope_q16` /
+    /// 2^16 us after the one before it.
+    ///
+    /// Returns `None` unless the period is 16 to 250 us and the slope at most 125 us either way.
     #[must_use]
     pub const fn new(axis: Axis, period_q16: u32, slope_q16: i32) -> Option<Self> {
         let (least, most) = PERIOD_US;
@@ -73,31 +74,31 @@ impl Readout {
         }
     }
 
-    /// Which lines are read at once.
+    /// Returns the axis of the lines.
     #[must_use]
     pub const fn axis(self) -> Axis {
         self.axis
     }
 
-    /// From scan to scan, in 2^-16 us.
+    /// Returns the time from scan to scan, in 2^-16 us.
     #[must_use]
     pub const fn period_q16(self) -> u32 {
         self.period_q16.get()
     }
 
-    /// The same, to divide by.
+    /// Returns the period as a divisor.
     fn period(self) -> NonZeroU64 {
         self.period_q16.into()
     }
 
-    /// From line to line, in 2^-16 us.
+    /// Returns the time from line to line, in 2^-16 us.
     #[must_use]
     pub const fn slope_q16(self) -> i32 {
         self.slope_q16
     }
 
-    /// Whether times are told by scans in a mode: by the dense coder, where all that is told without
-    /// is finer than the scans.
+    /// Returns whether a mode may code times by scans: that of the dense coder, if it is lossless or its tolerance
+    /// is finer than half a period.
     pub(crate) const fn serves(self, mode: Mode) -> bool {
         let Mode::Hybrid(Hybrid {
             coder: Coder::Dense,
@@ -113,7 +114,7 @@ impl Readout {
         }
     }
 
-    /// Line of a pixel.
+    /// Returns the line of a pixel.
     const fn line(self, (x, y): (u16, u16)) -> u16 {
         match self.axis {
             Axis::Columns => x,
@@ -129,20 +130,19 @@ impl Readout {
         self.slope_q16 as i64 * line as i64
     }
 
-    /// A time's distance from the scan before it, in a grid of phase 0.
+    /// Returns the time since the latest scan of the pixel's line on a grid of phase 0, below the period.
     fn within_q16(self, at: (u16, u16), offset_us: u32) -> u64 {
         let since_q16 = (i64::from(offset_us) << 16) - self.lag_q16(self.line(at));
         since_q16.wrapping_add(self.ago_q16()) as u64 % self.period()
     }
 
-    /// A multiple of the period, 2^16 of it, that is longer than any lag: what it is added to is
-    /// positive.
+    /// Returns 2^16 periods: longer than any lag, so that adding it makes every time positive.
     fn ago_q16(self) -> i64 {
         i64::from(self.period_q16()) << 16
     }
 }
 
-/// The scans of one window.
+/// The scans of one window: times at which the sensor reads its lines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Scans {
@@ -153,10 +153,10 @@ pub struct Scans {
 }
 
 impl Scans {
-    /// The scans of a window of `duration_us` whose first one reads line 0 at `phase_q16` / 2^16 us.
+    /// Describes the scans of a window of `duration_us`, of which the first reads line 0 at `phase_q16` / 2^16 us.
     ///
-    /// `None` where a line's first scan would come after the window's start, or there are more scans
-    /// than 2^24.
+    /// Returns `None` if the first scan of any line would come after the window's start, if there are more than
+    /// 2^24 scans, or if the duration is 0.
     #[must_use]
     pub fn new(readout: Readout, phase_q16: i32, sensor: Sensor, duration_us: u32) -> Option<Self> {
         let (first, last) = Self::ends_q16(readout, i64::from(phase_q16), sensor);
@@ -177,13 +177,14 @@ impl Scans {
         })
     }
 
-    /// When the first scan reads the first and the last line.
+    /// Returns when the first scan reads the first and the last line.
     const fn ends_q16(readout: Readout, phase_q16: i64, sensor: Sensor) -> (i64, i64) {
         let last = readout.lines(sensor).saturating_sub(1);
         (phase_q16, phase_q16 + readout.lag_q16(last))
     }
 
-    /// The scans of a closed window, where most of its events lie on them.
+    /// Fits scans to a closed window. Returns `None` unless at least half of the sampled events, and no fewer than
+    /// [`HITS_MIN`], lie on them.
     pub(crate) fn fit(readout: Readout, window: &Window<'_>) -> Option<Self> {
         let closed = window.closed()?;
         let sensor = window.config().sensor;
@@ -192,7 +193,8 @@ impl Scans {
         let mut samples = 0;
         window.sample(SAMPLES, |at, offset_us| {
             let bin = readout.within_q16(at, offset_us) * BINS as u64 / period;
-            // Below the period: there is such a bin. No bin counts beyond the samples.
+            // The remainder is below the period, so the bin exists; a bin counts at most `SAMPLES`, so it does not
+            // overflow.
             if let Some(count) = counts.get_mut(bin as usize) {
                 *count += 1;
             }
@@ -204,11 +206,11 @@ impl Scans {
             beside.map(|at| u32::from(count(at))).iter().sum()
         };
         let best = (0..BINS).max_by_key(|bin| near(*bin))?;
-        // Its mean, over what lies in the best bin and those beside it.
+        // Refine the phase: its mean over the samples in the best bin and its two neighbours.
         let bin = period.get() / BINS as u64;
         let middle = best as u64 * bin + bin / 2;
         let (mut hits, mut sum) = (0, 0);
-        // From half a period before the middle on.
+        // Measured from half a period before the bin's middle, so that the mean does not wrap.
         let start = middle + period.get() / 2;
         window.sample(SAMPLES, |at, offset_us| {
             let since = (readout.within_q16(at, offset_us) + 2 * period.get() - start) % period;
@@ -222,7 +224,8 @@ impl Scans {
         }
         let mean = sum / NonZeroU64::from(NonZeroU32::new(hits)?);
         let phase = (start + mean) as i64;
-        // The latest line's first scan is the last one before the window.
+        // Shift the phase so that the line that is read last has its first scan just before the window, or at its
+        // start.
         let (first, last) = Self::ends_q16(readout, phase, sensor);
         let latest = (first.max(last) + readout.ago_q16()) as u64;
         let scans = (latest + period.get() - 1) / period;
@@ -231,19 +234,19 @@ impl Scans {
         Self::new(readout, phase_q16, sensor, closed.duration_us)
     }
 
-    /// How the sensor scans.
+    /// Returns how the sensor scans, whatever the window.
     #[must_use]
     pub const fn readout(self) -> Readout {
         self.readout
     }
 
-    /// When the first scan reads line 0, in 2^-16 us from the window's start.
+    /// Returns when the first scan reads line 0, in 2^-16 us from the window's start.
     #[must_use]
     pub const fn phase_q16(self) -> i32 {
         self.phase_q16
     }
 
-    /// Scans of the window, 1 to 2^24.
+    /// Returns the number of scans in the window, 1 to 2^24.
     #[must_use]
     pub const fn count(self) -> u32 {
         self.count
@@ -253,26 +256,26 @@ impl Scans {
         self.phase_q16 as i64 + self.readout.lag_q16(self.readout.line(at))
     }
 
-    /// When a scan reads a pixel; before the window's start it is negative.
+    /// Returns when a scan reads a pixel, in microseconds; negative before the window's start.
     const fn time_us(self, at: (u16, u16), scan: u32) -> i64 {
         let time_q16 = self.start_q16(at) + scan as i64 * self.readout.period_q16() as i64;
         (time_q16 + (1 << 15)) >> 16
     }
 
-    /// Scans and distance of a time below the window's duration: the scan in the upper bits,
-    /// [`FINE_BITS`] of distance below. It grows with the time.
+    /// Codes a time below the window's duration: the scan in the upper bits, [`FINE_BITS`] of distance below. The
+    /// code grows with the time.
     #[must_use]
     pub(crate) fn of(self, at: (u16, u16), offset_us: u32) -> u32 {
         let period = self.readout.period();
-        // No line starts after the window does.
+        // No line's first scan is after the window's start.
         let since_q16 = ((i64::from(offset_us) << 16) - self.start_q16(at)) as u64;
         let scan = ((since_q16 + period.get() / 2) / period) as u32;
-        // At most half a period and the rounding.
+        // At most half a period plus the rounding, so it fits its bits.
         let distance = i64::from(offset_us) - self.time_us(at, scan);
         (scan << FINE_BITS) | (distance + i64::from(FINE_ZERO)) as u32
     }
 
-    /// The time that is told so; for what it never does, one within the window.
+    /// Decodes a time. A code that no encoder writes gives the nearest time within the window.
     #[must_use]
     pub const fn offset_us(self, at: (u16, u16), told: u32) -> u32 {
         let distance = (told % (1 << FINE_BITS)) as i64 - FINE_ZERO as i64;
@@ -287,13 +290,13 @@ impl Scans {
     }
 }
 
-/// Whether a distance is 0; its magnitude and its direction.
+/// Splits a coded distance into its magnitude in microseconds and whether the event is before the scan.
 #[must_use]
 pub(crate) const fn fine_parts(fine: u32) -> (u32, bool) {
     (fine.abs_diff(FINE_ZERO), fine < FINE_ZERO)
 }
 
-/// The inverse of [`fine_parts`], of the largest distance there is for what is beyond.
+/// The inverse of [`fine_parts`]; magnitudes that do not fit become the largest that does.
 #[must_use]
 pub(crate) const fn fine_of(magnitude: u32, is_before: bool) -> u32 {
     let magnitude = if magnitude < FINE_ZERO {
@@ -322,7 +325,7 @@ mod tests {
     }
 
     proptest! {
-        /// The module's promise, for any time beside any grid.
+        /// The module's promise, for any time and any grid.
         #[test]
         fn times_come_back(
             readout in readouts(), phase in any::<i32>(), width in 1_u16..=2048, height in 1_u16..=2048,
@@ -342,11 +345,11 @@ mod tests {
             }
         }
 
-        /// Whatever a payload says, the time lies in the window.
+        /// Whatever a payload holds, the decoded time lies in the window.
         #[test]
         fn any_number_is_a_time(readout in readouts(), told: u32, duration_us in 1_u32.., x in 0_u16..64) {
             let sensor = Sensor::new(64, 64).unwrap();
-            // A phase of which it is sure that no line comes after the window's start.
+            // With this phase no line's first scan comes after the window's start.
             let scan = Scans::new(readout, -((63 * 125) << 16), sensor, duration_us);
             prop_assume!(scan.is_some());
             prop_assert!(scan.unwrap().offset_us((x, 5), told) < duration_us);

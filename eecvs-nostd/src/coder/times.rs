@@ -1,20 +1,21 @@
-//! What a time is told as: the number of its cell, or its scan and the distance from it.
+//! Coded form of an event's time: the number of its cell, or its scan and the distance from it.
 
 use super::cells::{Cells, Fidelity};
 use super::scan::{FINE_BITS, Scans};
 
-/// How the times of a frame are told.
+/// How the times of a frame are coded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Times {
-    /// As cells.
+    /// As the numbers of cells.
     Cells(Cells),
-    /// As scans.
+    /// As scans and distances from them.
     Scans(Scans),
 }
 
 impl Times {
-    /// Those of a window of `duration_us`; only lossless ones are told as scans.
+    /// Chooses the coding for a window of `duration_us`: `scans` if there are any, which are lossless whatever
+    /// `fidelity` says, else the cells of `fidelity`.
     #[must_use]
     pub const fn new(fidelity: Fidelity, scans: Option<Scans>, duration_us: u32) -> Self {
         match scans {
@@ -23,7 +24,7 @@ impl Times {
         }
     }
 
-    /// How many cells or scans there are, at least 1.
+    /// Returns the number of cells or scans, at least 1.
     #[inline]
     #[must_use]
     pub const fn count(self) -> u32 {
@@ -33,7 +34,7 @@ impl Times {
         }
     }
 
-    /// Bits below the number of a cell or scan that are told beside it.
+    /// Returns how many low bits of a coded time hold the distance from a scan; 0 for cells.
     #[inline]
     #[must_use]
     pub const fn fine_bits(self) -> u32 {
@@ -43,7 +44,7 @@ impl Times {
         }
     }
 
-    /// Whether every time is told as itself.
+    /// Returns whether the coded time is the offset itself, in microseconds.
     #[inline]
     #[must_use]
     pub const fn are_plain(self) -> bool {
@@ -53,7 +54,7 @@ impl Times {
         }
     }
 
-    /// What an event of a pixel is told as, at an offset below the window's duration.
+    /// Codes the time of an event of pixel `at`; `offset_us` is from the window's start and below its duration.
     #[inline]
     #[must_use]
     pub fn of(self, at: (u16, u16), offset_us: u32) -> u32 {
@@ -63,7 +64,7 @@ impl Times {
         }
     }
 
-    /// The time that is decoded, below the window's duration.
+    /// Decodes a time of pixel `at` to its offset from the window's start, below the window's duration.
     #[inline]
     #[must_use]
     pub const fn offset_us(self, at: (u16, u16), told: u32) -> u32 {

@@ -1,5 +1,4 @@
-//! A window's coefficients to a frame of an adaptive coder: group, accumulate, prune, quantise, and
-//! one of the coders.
+//! Codes a window's coefficients into a frame of an adaptive coder: group, accumulate, prune, quantise, then code.
 
 use crate::coder::coefficients::CoefficientMemory;
 use crate::coder::coefficients::dense::{self, Pixels};
@@ -17,19 +16,19 @@ use crate::quantise::Levels;
 use crate::transform::{Basis, M_MAX, Rule};
 use crate::window::{Slot, Window};
 
-/// What a frame took.
+/// What one frame holds.
 pub(crate) struct TakenCoefficients {
     pub(crate) payload_bytes: usize,
     pub(crate) events: u32,
     pub(crate) pixels: u32,
     pub(crate) saturated: u32,
-    /// The window has no more.
+    /// The window is coded to its end.
     pub(crate) is_last: bool,
-    /// The next frame of the dense coder has to begin anew.
+    /// The output overran, so the next frame of the dense coder must be a key frame.
     pub(crate) overran: bool,
 }
 
-/// Lent memory of a pixel's coefficients.
+/// Lent memory for one pixel's coefficients.
 pub(crate) struct Numbers<'n> {
     pub(crate) sums: &'n mut [Sum],
     pub(crate) totals: &'n mut [WideSum],
@@ -37,18 +36,18 @@ pub(crate) struct Numbers<'n> {
     pub(crate) kept: &'n mut Kept,
 }
 
-/// What is left of a window between frames.
+/// What is kept of a window between frames.
 pub(crate) struct CoefficientEncoder<'e, 'b> {
     pub(crate) group: &'e mut Group,
     pub(crate) window: &'e mut Window<'b>,
     pub(crate) numbers: Numbers<'e>,
     pub(crate) common: Common,
-    /// Events of the window in no frame yet.
+    /// Events of the window that are in no frame yet.
     pub(crate) left: u32,
 }
 
 impl CoefficientEncoder<'_, '_> {
-    /// Codes with [`Fast`] into `out`.
+    /// Codes pixels with [`Fast`] into `out`.
     #[inline(never)]
     pub(crate) fn fast<B: Basis>(
         &mut self,
@@ -85,7 +84,7 @@ impl CoefficientEncoder<'_, '_> {
         taken
     }
 
-    /// Codes with [`Dense`] into `out`.
+    /// Codes pixels with [`Dense`] into `out`.
     #[inline(never)]
     pub(crate) fn dense<B: Basis>(
         &mut self,
@@ -129,8 +128,8 @@ impl CoefficientEncoder<'_, '_> {
 }
 
 impl Numbers<'_> {
-    /// A pixel's coefficients, as the plain payload has them, and its events as cells; returns how many
-    /// levels saturated.
+    /// Computes a pixel's coefficients, the same as in the plain payload, and where it pays its events as cells.
+    /// Returns how many levels saturated.
     fn fill<B: Basis>(
         &mut self,
         common: &Common,
@@ -170,7 +169,7 @@ impl Numbers<'_> {
     }
 }
 
-/// Prunes and quantises.
+/// Prunes and quantises one pixel's sums. Returns how many levels saturated.
 fn finish<B: Basis, C: Coefficient>(
     common: &Common,
     sums: &[C],
@@ -190,15 +189,15 @@ fn finish<B: Basis, C: Coefficient>(
     levels.saturated()
 }
 
-/// The window as the dense coder asks for it.
+/// The window, as the dense coder reads it.
 struct Counted<'c, 'e, 'b, B> {
     encoder: &'c mut CoefficientEncoder<'e, 'b>,
     told: &'c mut Told,
-    /// The pixel at hand, until it is coded.
+    /// The current pixel, until it is coded.
     pixel: Option<Pixel>,
-    /// It has as many ON events as OFF ones, or more.
+    /// Whether the current pixel has at least as many ON events as OFF events.
     on: bool,
-    /// Levels that saturated, and those of the pixel at hand.
+    /// Levels that saturated so far, and those of the current pixel.
     saturated: u32,
     saturates: u32,
     basis: core::marker::PhantomData<B>,
@@ -232,7 +231,7 @@ impl<B: Basis> Content for Counted<'_, '_, '_, B> {
     }
 
     fn columns(&mut self) -> u32 {
-        // `has_segment` has gone to it.
+        // `has_segment` has moved the group to this segment.
         self.encoder.group.columns
     }
 

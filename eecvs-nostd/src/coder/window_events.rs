@@ -1,4 +1,4 @@
-//! A window's events to a hybrid frame: group, cells, and one of the coders.
+//! Codes a window's events into a hybrid frame: group, cells, then one of the coders.
 
 use crate::coder::Times;
 use crate::coder::bits_msb_first::BigWriter;
@@ -12,22 +12,22 @@ use crate::group::{Group, Impulses, Pixel};
 use crate::stage::{Stage, Trace};
 use crate::window::{Slot, Window};
 
-/// What a frame took.
+/// What one frame holds.
 pub(crate) struct TakenEvents {
     pub(crate) payload_bytes: usize,
     pub(crate) events: u32,
-    /// The window has no more.
+    /// The window is coded to its end.
     pub(crate) is_last: bool,
-    /// The next frame of the dense coder has to begin anew.
+    /// The output overran, so the next frame of the dense coder must be a key frame.
     pub(crate) overran: bool,
 }
 
-/// What is left of a window between frames.
+/// What is kept of a window between frames.
 pub(crate) struct EventEncoder<'e, 'w, 'b> {
     group: &'e mut Group,
     window: &'w mut Window<'b>,
     times: Times,
-    /// The next pixel is the rest of one whose times are in order and as they are told.
+    /// The next pixel was put back, so its offsets are replaced by coded times already.
     is_rest: &'e mut bool,
 }
 
@@ -46,7 +46,7 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
         }
     }
 
-    /// Tells a pixel's times as they are to be told, where it is not the rest of one of which that was done.
+    /// Replaces a pixel's offsets by coded times, unless the pixel was put back after that was done.
     #[inline(always)]
     fn tell_times(&mut self, place: (u16, u16), head: u32) {
         if !*self.is_rest && !self.times.are_plain() {
@@ -60,7 +60,7 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
         *self.is_rest = false;
     }
 
-    /// The next pixel, its times as they are told and in order.
+    /// Returns the next pixel, its times coded and its list sorted by them.
     #[inline(always)]
     fn next(&mut self) -> Option<Pixel> {
         let mut pixel = self.group.next(self.window)?;
@@ -71,7 +71,7 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
         Some(pixel)
     }
 
-    /// The same in any order, and not counted.
+    /// Returns the next pixel, its times coded, in the list's order and without ON and OFF counts.
     #[inline(always)]
     fn next_uncounted(&mut self) -> Option<Pixel> {
         let pixel = self.group.next_uncounted(self.window)?;
@@ -79,7 +79,7 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
         Some(pixel)
     }
 
-    /// Keeps what is left of a pixel, from slot `head` on, for the next frame.
+    /// Puts back what is left of a pixel, from slot `head` on, for the next frame.
     fn put_back(&mut self, pixel: Pixel, head: u32) {
         let slots = self.window.slots();
         let mut rest = Pixel {
@@ -96,13 +96,13 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
         *self.is_rest = true;
     }
 
-    /// The same of one that is not counted.
+    /// As [`Self::put_back`], for a pixel from [`Self::next_uncounted`].
     fn put_back_uncounted(&mut self, pixel: Pixel, head: u32) {
         self.group.put_back(Pixel { head, ..pixel });
         *self.is_rest = true;
     }
 
-    /// Codes with [`Fast`] into `out`.
+    /// Codes pixels with [`Fast`] into `out`.
     #[inline(never)]
     pub(crate) fn fast<T: Trace>(
         &mut self,
@@ -120,7 +120,7 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
         };
         loop {
             if walk::IS_THERE && !T::LISTENS && self.times.are_plain() {
-                // All but the pixels that it leaves to what follows.
+                // The walk codes all pixels but those that it leaves to the loop below.
                 *self.is_rest = false;
                 let all = (&mut *self.group, &mut *self.window);
                 taken.events += walk::walk(all, &mut coder, &mut writer);
@@ -139,7 +139,8 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
                 let events = impulses.map(|impulse| (impulse.offset_us, impulse.is_on));
                 match coder.write((pixel.x, pixel.y), events, &mut writer) {
                     Ok(written) => break written,
-                    // They nearly always come in order: to look first would cost more.
+                    // Events nearly always come in order, so checking first would cost more than a rare second
+                    // attempt.
                     Err(Unordered) => pixel.head = ascending(self.window.slots(), pixel.head),
                 }
             };
@@ -156,7 +157,7 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
         taken
     }
 
-    /// Codes with [`Dense`] into `out`, up to `left` events, which the window has.
+    /// Codes pixels with [`Dense`] into `out`; the window has `left` events that are not coded yet.
     #[inline(never)]
     pub(crate) fn dense<T: Trace>(
         &mut self,
@@ -204,18 +205,18 @@ fn nth(slots: &[Slot], mut at: u32, count: u32) -> u32 {
     at
 }
 
-/// The window as the dense coder asks for it.
+/// The window, as the dense coder reads it.
 struct Pixels<'p, 'e, 'w, 'b> {
     encoder: &'p mut EventEncoder<'e, 'w, 'b>,
-    /// The pixel at hand, the slot of its next event, by number and content, and how many are left of
-    /// it.
+    /// The current pixel, the number of its next event's slot, that slot's content, and how many events it has
+    /// left.
     pixel: Option<Pixel>,
     at: u32,
     slot: Slot,
     rest: u32,
-    /// Events left of the window.
+    /// Events of the window that are not coded yet.
     left: u32,
-    /// [`Trace::IS_PORTABLE`]
+    /// [`Trace::IS_PORTABLE`].
     is_portable: bool,
 }
 
@@ -240,12 +241,12 @@ impl Content for Pixels<'_, '_, '_, '_> {
     }
 
     fn columns(&mut self) -> u32 {
-        // `has_segment` has gone to it.
+        // `has_segment` has moved the group to this segment.
         self.encoder.group.columns
     }
 
     fn enter(&mut self, _position: (u16, u16)) -> u32 {
-        // It was asked for: there is one.
+        // The coder enters only pixels that `columns` has reported, so there is one.
         self.pixel = self.encoder.next();
         let (head, events) = self
             .pixel

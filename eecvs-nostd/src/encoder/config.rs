@@ -1,4 +1,4 @@
-//! What an encoder is asked to do, the memory that it is lent, and why it refuses.
+//! Configuration of an encoder, the memory lent to it, and the reasons to refuse either.
 
 use core::num::NonZeroU32;
 
@@ -15,45 +15,45 @@ use crate::transform::{GRID_MAX, M_MAX, Transform};
 use crate::window::WindowConfig;
 use crate::window::filter::Filter;
 
-/// Whether windows can keep the order of their events: without the feature nothing of it is compiled.
+/// Whether windows can keep the order of their events; without the feature none of its code is compiled.
 pub(crate) const HAS_ORDER: bool = cfg!(feature = "order");
 
-/// What the encoder is asked to do. Fixed while it runs.
+/// Configuration of an encoder, fixed while it runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Config {
-    /// Sensor and T.
+    /// Sensor and window duration T.
     pub window: WindowConfig,
-    /// Densities between the regimes.
+    /// Densities that separate the regimes.
     pub thresholds: Thresholds,
     /// One transform for every window, or `None` for the regime's (eq. 3).
     pub transform: Option<Transform>,
-    /// M, 1 to 64.
+    /// Number of coefficients kept, M: 1 to 64.
     pub m: u8,
-    /// K, 1 to 1024, or `None` for the transform's default.
+    /// Size of the grid, K: 1 to 1024; `None` for the transform's default.
     pub grid: Option<u16>,
     /// Quantiser of the coefficients.
     pub quantiser: Quantiser,
-    /// What frames hold. In a hybrid one transform, M, K and quantiser are those of the volume that a
-    /// decoder makes.
+    /// Content of the frames. In a hybrid mode, transform, M, K and quantiser are those of the volume that a
+    /// decoder makes of the events.
     pub mode: Mode,
-    /// Windows after which a frame of the dense coder begins anew, so that a decoder that lost one
-    /// goes on: [`crate::coder::key_frames::KEY_WINDOWS`] is a choice for files and good links.
+    /// Number of windows after which the dense coder begins anew with a key frame, so that a decoder that has lost
+    /// a frame can go on. [`crate::coder::key_frames::KEY_WINDOWS`] suits files and good links.
     pub key_windows: u16,
-    /// How the sensor scans: a window whose times lie on such scans is told by them, by the dense
-    /// coder where it is lossless.
+    /// How the sensor scans. If a window's times lie on these scans, the dense coder codes them by their scans: in
+    /// a lossless mode, and exactly also where the mode's tolerance is below half a period.
     pub readout: Option<Readout>,
-    /// What is kept out of every window, beside the pixels of [`crate::WindowEncoder::add_hot`].
+    /// What is removed from every window, besides the pixels of [`crate::WindowEncoder::add_hot`].
     pub filter: Filter,
-    /// Bytes that the frames of any second take at the most, of a hybrid mode: see `rate.rs`.
+    /// Most bytes that the frames of any second take, in a hybrid mode: see `rate.rs`.
     pub bytes_per_second: Option<NonZeroU32>,
-    /// Events of equal time are decoded in the order in which they came, of a hybrid mode; equal is what a
-    /// decoder is told as the same cell. Under a budget, where there is room for it. It takes
-    /// [`Scratch::order`].
+    /// Whether events of equal time are decoded in the order in which they arrived, in a hybrid mode. Times are
+    /// equal if they are decoded from the same cell. Under a budget the order is kept where there is room for it.
+    /// It needs [`Scratch::order`].
     pub keep_order: bool,
 }
 
-/// Why a configuration cannot run.
+/// Why a configuration is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ConfigError {
@@ -63,15 +63,15 @@ pub enum ConfigError {
     Grid,
     /// [`Scratch`] is smaller than the largest grid needs.
     Scratch,
-    /// [`Scratch::dense`] is missing or smaller than the sensor needs.
+    /// [`Scratch::dense`] is missing or too small for the sensor.
     Dense,
-    /// [`Scratch::coefficients`] is missing, or the feature of that name.
+    /// [`Scratch::coefficients`] or the feature `coefficients` is missing.
     Coefficients,
-    /// A volume of no bins.
+    /// The volume has no bins.
     Bins,
-    /// A budget for coefficients, or of fewer than some 146 bytes a window.
+    /// A budget in mode `transform`, or one of fewer than some 146 bytes per window.
     Rate,
-    /// The order of events of mode transform, without memory for it, or without the feature `order`.
+    /// The order of events in mode `transform`, or without memory for it, or without the feature `order`.
     Order,
 }
 
@@ -79,26 +79,26 @@ pub enum ConfigError {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SetupError {
-    /// [`crate::Window::new`] refuses: the event buffers are empty or too small for the sensor, the sensor
-    /// is out of range, or T is 0.
+    /// [`crate::Window::new`] fails: the event buffers are empty or too small for the sensor, the sensor is out of
+    /// range, or T is 0.
     Window,
-    /// The rest of the configuration.
+    /// The configuration is refused for another reason.
     Config(ConfigError),
 }
 
-/// Why a pixel cannot be kept out.
+/// Why a hot pixel is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum HotError {
-    /// It is not on the sensor.
+    /// The pixel is not on the sensor.
     Outside,
     /// [`Scratch::hot`] is full.
     NoRoom,
 }
 
 impl Config {
-    /// The defaults of everything else: the regime's transform, M = 16, K and quantiser by default, key
-    /// frames as files have them, nothing kept out, no budget, no order of equal times.
+    /// Returns a configuration with defaults for all else: the regime's transform, M = 16, default K and quantiser,
+    /// key frames spaced as for files, no filter, no budget, and no order of equal times.
     #[must_use]
     pub const fn new(window: WindowConfig, thresholds: Thresholds, mode: Mode) -> Self {
         Self {
@@ -117,7 +117,7 @@ impl Config {
         }
     }
 
-    /// The least budget, bytes a second: what the headers of all windows take, and an eighth more.
+    /// Returns the smallest budget in bytes per second: the headers of all windows and a seventh more.
     #[must_use]
     pub const fn budget_min(&self) -> u64 {
         let window_us = match NonZeroU32::new(self.window.window_us) {
@@ -128,7 +128,7 @@ impl Config {
         windows as u64 * WINDOW_BYTES_MIN as u64 * 8 / 7
     }
 
-    /// Whether it can run with the memory.
+    /// Checks that the configuration is valid and can run with the memory.
     pub(crate) const fn check(&self, scratch: &Scratch<'_>) -> Result<(), ConfigError> {
         if self.m == 0 || self.m as usize > M_MAX {
             return Err(ConfigError::M);
@@ -168,7 +168,7 @@ impl Config {
         }
     }
 
-    /// Largest K of any window.
+    /// Returns the largest K of any window.
     const fn grid_max(&self) -> usize {
         let mut most = 0;
         let mut i = 0;
@@ -188,29 +188,28 @@ impl Config {
     }
 }
 
-/// Memory lent for the coefficients of one pixel, zeroed or not: 2K of each number.
+/// Memory lent for the coefficients of one pixel, 2K of each number. It need not be zeroed.
 #[derive(Debug)]
 pub struct Scratch<'b> {
-    /// Sums of a chunk.
+    /// Sums of a chunk of events.
     pub sums: &'b mut [Sum],
-    /// Sums of a pixel of several chunks.
+    /// Sums of a pixel with several chunks of events.
     pub totals: &'b mut [WideSum],
-    /// Magnitudes, and levels once these have told what is kept.
+    /// Magnitudes, and then levels, once the magnitudes have decided which coefficients are kept.
     pub magnitudes: &'b mut [u32],
-    /// What the dense coder of hybrid frames remembers; needed for it alone.
+    /// State of the dense coder; needed for that coder only.
     pub dense: Option<DenseMemory<'b>>,
-    /// Memory of the adaptive coders of coefficients; needed for them alone.
+    /// State of the adaptive coders of coefficients; needed for these coders only.
     pub coefficients: Option<&'b mut CoefficientMemory>,
-    /// A word for each pixel that is never sent: see [`crate::WindowEncoder::add_hot`].
+    /// One word for each pixel that is never sent: see [`crate::WindowEncoder::add_hot`].
     pub hot: &'b mut [u32],
-    /// Words for [`Config::keep_order`], [`crate::coder::arrival_order::words`] of a window's slots,
-    /// and none without it. A window that filled more slots is sent without its order, which its frames
-    /// then do not claim.
+    /// Words for [`Config::keep_order`], [`crate::coder::arrival_order::words`] for a window's slots; empty without
+    /// it. A window that filled more slots is sent without its order, and its frames do not claim one.
     pub order: &'b mut [u32],
 }
 
 impl Scratch<'_> {
-    /// Numbers that every part has room for.
+    /// Returns how many numbers each part has room for.
     const fn numbers(&self) -> usize {
         let mut least = self.sums.len();
         if self.totals.len() < least {

@@ -1,4 +1,4 @@
-//! A window and its encoder: events in, frames out.
+//! Encoder with its window: takes events, returns frames.
 
 pub mod config;
 mod rate;
@@ -13,7 +13,7 @@ use crate::stage::Trace;
 use crate::window::{Push, Window, WindowBuffers};
 use event_types::Event;
 
-/// A window and its encoder: pushes events, returns frames.
+/// A window and its encoder: takes events by [`Self::push`], returns frames by [`Self::next_frame`].
 ///
 /// ```
 /// # use eecvs_nostd::*;
@@ -46,16 +46,16 @@ pub struct Encoder<'b> {
 }
 
 impl<'b> Encoder<'b> {
-    /// Composes a window with an encoder of the same sensor.
+    /// Combines a window with an encoder for the same sensor.
     #[must_use]
     pub const fn new(window: Window<'b>, encoder: WindowEncoder<'b>) -> Self {
         Self { window, encoder }
     }
 
-    /// An encoder over lent memory, zeroed.
+    /// Sets up an encoder in lent memory, which has to be zeroed.
     ///
     /// # Errors
-    /// [`SetupError`].
+    /// [`SetupError`] if the configuration is invalid or the memory does not suffice for it.
     pub const fn set_up(
         config: Config,
         buffers: WindowBuffers<'b>,
@@ -74,29 +74,30 @@ impl<'b> Encoder<'b> {
         }
     }
 
-    /// Adds an event; on [`Push::Closed`] take every frame and push it again.
+    /// Adds an event. On [`Push::Closed`] take every frame of the closed window, then push the event again.
     #[inline]
     pub fn push(&mut self, event: Event) -> Push {
         self.window.push(event)
     }
 
-    /// Closes the open window.
+    /// Closes the open window, so that its frames can be taken.
     pub fn flush(&mut self) {
         self.window.flush();
     }
 
-    /// The next frame of the closed window: see [`WindowEncoder::next_frame`].
+    /// Encodes the next frame of the closed window into `out`; `None` if there is none left. See
+    /// [`WindowEncoder::next_frame`].
     ///
     /// # Errors
-    /// [`NoRoom`].
+    /// [`NoRoom`] if `out` is too short.
     pub fn next_frame(&mut self, out: &mut [u8]) -> Result<Option<Encoded>, NoRoom> {
         self.encoder.next_frame(&mut self.window, out)
     }
 
-    /// As [`Self::next_frame`]: see [`WindowEncoder::next_frame_traced`].
+    /// As [`Self::next_frame`], reporting stages to `trace`. See [`WindowEncoder::next_frame_traced`].
     ///
     /// # Errors
-    /// [`NoRoom`].
+    /// [`NoRoom`] if `out` is too short.
     pub fn next_frame_traced(
         &mut self,
         out: &mut [u8],
@@ -105,15 +106,15 @@ impl<'b> Encoder<'b> {
         self.encoder.next_frame_traced(&mut self.window, out, trace)
     }
 
-    /// [`WindowEncoder::add_hot`].
+    /// Keeps a pixel (column, row) out of all later windows. See [`WindowEncoder::add_hot`].
     ///
     /// # Errors
-    /// [`HotError`].
+    /// [`HotError`] if the pixel is not on the sensor, or there is no room for it.
     pub fn add_hot(&mut self, pixel: (u16, u16)) -> Result<usize, HotError> {
         self.encoder.add_hot(pixel)
     }
 
-    /// The window, to count drops or to look at.
+    /// Returns the window, to count drops or to inspect it.
     pub const fn window(&mut self) -> &mut Window<'b> {
         &mut self.window
     }

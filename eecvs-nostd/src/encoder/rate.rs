@@ -1,21 +1,21 @@
-//! Rate control: every second's frames fit a number of bytes, whatever the scene does.
+//! Rate control: the frames of every second fit a number of bytes, whatever the scene does.
 //!
-//! A bucket of bytes holds a share c of the second's budget B and fills at (1 - c) B a second of the
-//! sensor's time, so that no second's windows take more than B. c is 1/8, and more where windows are so
-//! long that a window's fill would not find room. A window is meant to take a part of what the bucket
-//! holds, as large as keeps a steady flow below its brim and a quarter at the least, so that what a
-//! burst leaves is spread over the windows after it. Where it is estimated to take more, it is
-//! degraded, no further than it has to be, in this order:
+//! A bucket of bytes holds a share c of the second's budget B and fills at (1 - c) B per second of the sensor's
+//! time, so that the windows of no second take more than B. c is 1/8, or more where windows are so long that the
+//! bucket could not hold what one window's time adds. A window is meant to take a part of what is in the bucket: as
+//! large a part as keeps a steady flow below the brim, and at least a quarter, so that what a burst leaves is
+//! spread over the windows after it. A window that is estimated to take more is degraded, no further than needed,
+//! in this order:
 //!
-//! 1. times within a tolerance that doubles from step to step, to a sixteenth of the window;
-//! 2. the volume of 8, 4, 2 bins, of 1;
-//! 3. without events that are alone ([`crate::window::filter`]);
-//! 4. with 7/8 of the events, 7/8 of that, and so on, evenly by when they came.
+//! 1. times within a tolerance that doubles from step to step, up to a sixteenth of the window;
+//! 2. the volume of 8, 4, 2 bins, then 1;
+//! 3. without isolated events ([`crate::window::filter`]);
+//! 4. with 7/8 of the events, 7/8 of that, and so on, spread evenly over the order in which they arrived.
 //!
-//! Every window is decided anew from its own events, so that a quiet one after a flood is exact
-//! again. A window that takes more than the estimate, which learns from it, is cut at the end of the
-//! bytes; what is left out is counted. Every window has a frame, and where there is no room for an
-//! event, one without: some 40 bytes, the only ones that may exceed the bucket.
+//! Every window is decided anew from its own events, so that a quiet one after a flood is exact again. A window
+//! that takes more than the estimate, which learns from it, is cut where its bytes end, and what is left out is
+//! counted. Every window has a frame. If there is no room for an event, the frame has none: some 40 bytes, and only
+//! such frames may overdraw the bucket.
 
 use core::num::NonZeroU32;
 
@@ -23,33 +23,33 @@ use crate::coder::{Cells, Fidelity};
 use crate::window::filter::remove_isolated;
 use crate::window::{Closed, Window};
 
-/// Least share of the budget that the bucket holds, in 2^-16.
+/// Smallest share of the budget that the bucket holds, in 2^-16.
 const SHARE_MIN_Q16: u64 = 1 << 13;
-/// Least part of the bucket that a window is meant to take, in 2^-8.
+/// Smallest part of the bucket that a window is meant to take, in 2^-8.
 const PART_MIN_Q8: u64 = 1 << 6;
-/// Unit of the bucket: the budget of a microsecond is a whole number of them.
+/// Units per byte in the bucket, chosen so that the budget of a microsecond is a whole number of units.
 const PARTS: i64 = 1_000_000;
-/// Bytes of a frame that the estimate does not see: its header and its CRC.
+/// Bytes of a frame that the estimate does not include: its header and its CRC.
 const FRAME_BYTES: u32 = 64;
-/// Bytes that each window has to have at the least, so that headers alone do not fill the link.
+/// Fewest bytes per window, so that headers alone do not fill the link.
 pub(crate) const WINDOW_BYTES_MIN: u32 = 128;
 /// Fewest cells that a tolerance leaves.
 const CELLS_MIN: u32 = 16;
-/// Least share of the events that is sent, in 2^-16.
+/// Smallest share of the events that is sent, in 2^-16.
 const SHARE_EVENTS_MIN_Q16: u32 = 8;
-/// Of fewer events nothing is learned.
+/// Windows of fewer events are not learned from.
 const LEARN_EVENTS_MIN: u32 = 64;
-/// What a window takes of its estimate, before one was: of real scenes the fast coder takes some 0.7.
+/// What a window takes of its estimate before anything was learned; in real scenes the fast coder takes some 0.7.
 const RATIO_START_Q8: u32 = 192;
-/// Bits that a cell's number may have, none among them.
+/// Numbers of bits that a cell's number may have, including 0.
 const RATIOS: usize = u32::BITS as usize + 1;
-/// The ratio is held in these bounds.
+/// Bounds of the ratio.
 const RATIO_Q8: (u32, u32) = (1 << 5, 1 << 10);
 
-/// What is left of the budget, and what was learned.
+/// State of the budget, and what was learned.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Rate {
-    /// Bytes that the bucket holds, times [`PARTS`], and that flow into it in a microsecond.
+    /// Bytes that the bucket holds, times [`PARTS`], and what flows into it per microsecond.
     brim: i64,
     flow: i64,
     part_q8: u64,
@@ -57,16 +57,16 @@ pub(crate) struct Rate {
     bucket: i64,
     /// End of the last window.
     end_us: Option<u64>,
-    /// What windows took of their estimate, by the bits of a cell's number, 0 before one was; first that of
-    /// windows of which events were left out evenly. And what is believed where none was.
+    /// What windows took of their estimate, by the bits of a cell's number, 0 before the first such window. Element
+    /// 0 is for windows from which events were left out evenly. Then the ratio that is used where no window was.
     ratios_q8: [u16; RATIOS],
     untried_q8: u32,
-    /// Bits of a cell's number of the window at hand.
+    /// Bits of a cell's number in the current window.
     cell_bits: usize,
-    /// Estimate of the window at hand, in bits, before the ratio; and its events.
+    /// Estimate for the current window in bits, before the ratio, and its events.
     estimate: u64,
     events: u32,
-    /// Bytes that it may take, and bytes and events of it so far, without what tells their order.
+    /// Bytes that the current window may take, and its bytes and events so far, without the order section.
     planned: u64,
     spent: u64,
     coded: u32,
@@ -75,14 +75,14 @@ pub(crate) struct Rate {
 /// What is done to a window.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Plan {
-    /// How exactly its times are told.
+    /// Fidelity of its times.
     pub(crate) fidelity: Fidelity,
-    /// Events that were left out.
+    /// Number of events left out.
     pub(crate) thinned: u32,
 }
 
 impl Rate {
-    /// A full bucket, for windows of `window_us`.
+    /// Starts with a full bucket, for windows of `window_us`.
     pub(crate) const fn new(budget: NonZeroU32, window_us: u32) -> Self {
         let mut rate = Self {
             brim: 0,
@@ -103,11 +103,11 @@ impl Rate {
         rate
     }
 
-    /// Goes on with another budget: what is in the bucket stays there, as far as it finds room, and so does what was
-    /// learned. A second in which that happens takes no more than the larger of both.
+    /// Changes the budget. What is in the bucket stays there as far as it has room, and so does what was learned. A
+    /// second in which the budget changes takes no more than the larger of both budgets.
     pub(crate) const fn set_budget(&mut self, budget: NonZeroU32, window_us: u32) {
         let window_us = window_us as u64;
-        // c = T / (1 s + T) takes a window's fill, (1 - c) T.
+        // c = T / (1 s + T) holds what flows in during a window, (1 - c) T.
         let share_q16 = max(
             (window_us << 16) / (1_000_000 + window_us) + 1,
             SHARE_MIN_Q16,
@@ -126,27 +126,27 @@ impl Rate {
         }
     }
 
-    /// Bytes that frames may take now.
+    /// Returns the number of bytes that frames may take now.
     pub(crate) fn room(&self) -> usize {
         (self.bucket / PARTS).max(0) as usize
     }
 
-    /// Bytes that the order may take beside a payload of so many: what the window was meant to take, no
-    /// more, so that it does not cost the times of those after it.
+    /// Returns the number of bytes that the order section may take beside a payload of `payload_bytes`: what the
+    /// window was meant to take and no more, so that the order does not coarsen the times of later windows.
     pub(crate) fn order_room(&self, payload_bytes: usize) -> usize {
         let taken = self.spent + payload_bytes as u64;
         self.planned.saturating_sub(taken).min(self.room() as u64) as usize
     }
 
-    /// Takes a frame from the bucket, of which so many bytes tell the order.
+    /// Takes a frame out of the bucket; `order_bytes` of its bytes are the order section.
     pub(crate) fn spend(&mut self, bytes: usize, order_bytes: usize, events: u32) {
         self.bucket -= bytes as i64 * PARTS;
         self.spent += bytes.saturating_sub(order_bytes) as u64;
         self.coded += events;
     }
 
-    /// Fills the bucket for a window that ends at a time. Where a run begins the time since the window
-    /// before is not known, and nothing is gained.
+    /// Fills the bucket for a window that ends at `end_us`. If it begins a run, the time since the window before is
+    /// not known, and nothing is added.
     fn fill(&mut self, end_us: u64, begins_run: bool) {
         if begins_run {
             self.end_us = None;
@@ -155,7 +155,7 @@ impl Rate {
             Some(before_us) => end_us.saturating_sub(before_us).min(1_000_000),
             None => 0,
         };
-        // Of a clock that goes back nothing is gained.
+        // A clock that goes back adds nothing.
         self.end_us = Some(
             self.end_us
                 .map_or(end_us, |before_us| before_us.max(end_us)),
@@ -163,7 +163,7 @@ impl Rate {
         self.bucket = (self.bucket + self.flow * since_us as i64).min(self.brim);
     }
 
-    /// The window before is complete.
+    /// Learns from the window before, which is complete.
     fn learn(&mut self) {
         let bits = self.estimate.min(u64::from(u32::MAX)) as u32;
         let Some(bits) = NonZeroU32::new(bits) else {
@@ -175,7 +175,7 @@ impl Rate {
         if self.events < LEARN_EVENTS_MIN {
             return;
         }
-        // Of a window that was cut, as if all of it were.
+        // A window that was cut counts as if all of it had been coded.
         let spent = self.spent * 8 * u64::from(self.events) / u64::from(coded.get());
         let (least, most) = RATIO_Q8;
         let ratio = (spent << 8) / u64::from(bits.get());
@@ -184,7 +184,7 @@ impl Rate {
         if self.cell_bits > 0 {
             self.untried_q8 = ratio;
         } else {
-            // All events in the coarsest cells would have been better: what is known of them gets old.
+            // All events in the coarsest cells might have been better: let what is known of these age.
             self.untried_q8 -= self.untried_q8 / 8;
             if let Some(coarsest) = self.ratios_q8.get_mut(1) {
                 *coarsest -= *coarsest / 16;
@@ -202,7 +202,7 @@ impl Rate {
         }
     }
 
-    /// Decides on a closed window, after the user's filter, and leaves out of it what does not fit.
+    /// Decides on a closed window, after the user's filter, and removes from it what does not fit.
     #[inline(never)]
     pub(crate) fn plan(
         &mut self,
@@ -228,7 +228,7 @@ impl Rate {
             let cells = Cells::new(fidelity, duration_us).count();
             let events = ((u64::from(window.events()) * u64::from(share_q16)) >> 16) as u32;
             let estimate = estimate_bits(pixels, active.min(events), events, cells);
-            // An eighth more than it should be.
+            // Plan for an eighth more than the estimate.
             let cell_bits = if share_q16 == 1 << 16 {
                 (u32::BITS - cells.leading_zeros()) as usize
             } else {
@@ -261,7 +261,7 @@ const fn max(a: u64, b: u64) -> u64 {
     if a > b { a } else { b }
 }
 
-/// Pixels with events.
+/// Returns the number of pixels with events.
 fn active(window: &Window<'_>) -> u32 {
     let (mut pixels, mut from) = (0, 0);
     while let Some(segment) = window.next_used(from) {
@@ -271,7 +271,7 @@ fn active(window: &Window<'_>) -> u32 {
     pixels
 }
 
-/// The next step after a fidelity; `None` after the last.
+/// Returns the next coarser fidelity; `None` after the last.
 fn coarser(fidelity: Fidelity, duration_us: u32) -> Option<Fidelity> {
     let tolerance_us = match fidelity {
         Fidelity::Lossless => 1,
@@ -283,7 +283,7 @@ fn coarser(fidelity: Fidelity, duration_us: u32) -> Option<Fidelity> {
     Some(if is_fine { next } else { Fidelity::Bins(8) })
 }
 
-/// log2 in sixteenths, of at least 1; at most a sixteenth and a half below.
+/// Returns log2 of `value` (at least 1) in sixteenths, by at most two and a half of them too low.
 const fn log2_q4(value: u64) -> u64 {
     let Some(whole) = value.checked_ilog2() else {
         return 0;
@@ -292,9 +292,9 @@ const fn log2_q4(value: u64) -> u64 {
     whole as u64 * 16 + fraction
 }
 
-/// About what `events` events in `active` pixels of a sensor of `pixels` take, in bits: of a pixel its
-/// gap, and the cell of its first event among all; of each further event the distance, among those
-/// of its pixel; and some for polarities and ends.
+/// Estimates what `events` events in `active` pixels of a sensor of `pixels` take, in bits: for each pixel its gap
+/// and its first event's cell among all cells, for each further event its distance, by the number of events per
+/// pixel, and something for polarities and ends.
 fn estimate_bits(pixels: u32, active: u32, events: u32, cells: u32) -> u64 {
     let (Some(active), Some(events)) = (NonZeroU32::new(active), NonZeroU32::new(events)) else {
         return 0;
@@ -314,7 +314,7 @@ mod tests {
     use super::*;
 
     proptest! {
-        /// Steps end, each with no more cells than the one before.
+        /// The steps end, and none has more cells than the one before.
         #[test]
         fn every_fidelity_has_an_end(
             duration_us in 1_u32..,
@@ -345,7 +345,7 @@ mod tests {
         }
 
         /// No second takes more than the largest of the budgets that it had, whatever windows come and whatever
-        /// they spend of what they are offered.
+        /// part they spend of what they are offered.
         #[test]
         fn no_second_exceeds_the_budget(
             budget in 1_u32.., window_us in 1_u32..,
@@ -357,7 +357,7 @@ mod tests {
             let mut now = budget;
             for (since_us, share, shift, change) in windows {
                 let before = now;
-                // Now and then a part of the first one, down to a thousandth.
+                // Now and then change the budget, down to a thousandth of the first one.
                 if change < 10 {
                     now = (budget >> change).max(1);
                     rate.set_budget(NonZeroU32::new(now).unwrap(), window_us);

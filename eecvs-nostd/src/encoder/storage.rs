@@ -1,4 +1,4 @@
-//! Static memory of an encoder.
+//! Static memory for an encoder.
 
 use crate::coder::dense::DenseMemory;
 use crate::encoder::Encoder;
@@ -6,11 +6,14 @@ use crate::encoder::config::{Config, Scratch, SetupError};
 use crate::fixed_point::{Sum, WideSum};
 use crate::window::{Head, Slot, WindowBuffers};
 
-/// Every buffer of an encoder, zeroed, for `.bss`.
+/// All buffers of an encoder, zeroed, for `.bss`.
 ///
-/// `EVENTS` of a window: 8 bytes each. `SEGMENTS` = [`crate::segments`] of the sensor: 2 bytes
-/// each on a microcontroller, 4 on a host. `BITMAP` = [`crate::bitmap_words`] of them: 4 bytes
-/// each. `NUMBERS` = 2K for the largest K in use: 16 bytes each.
+/// | parameter | value | bytes each |
+/// |---|---|---|
+/// | `EVENTS` | events of a window | 8 |
+/// | `SEGMENTS` | [`crate::segments`] of the sensor | 2 on a microcontroller, 4 on a host |
+/// | `BITMAP` | [`crate::bitmap_words`] of `SEGMENTS` | 4 |
+/// | `NUMBERS` | 2K for the largest K in use | 16 |
 #[derive(Debug)]
 pub struct Storage<
     const EVENTS: usize,
@@ -29,7 +32,7 @@ pub struct Storage<
 impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMBERS: usize>
     Storage<EVENTS, SEGMENTS, BITMAP, NUMBERS>
 {
-    /// Zeroed buffers.
+    /// Returns zeroed buffers, for a static in `.bss`.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -42,10 +45,10 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
         }
     }
 
-    /// An encoder over these buffers, which are cleared.
+    /// Sets up an encoder in these buffers, which are cleared.
     ///
     /// # Errors
-    /// [`SetupError`].
+    /// [`SetupError`] if the configuration is invalid or the buffers are too small for it.
     pub fn encoder(&mut self, config: Config) -> Result<Encoder<'_>, SetupError> {
         self.encoder_with(config, None)
     }
@@ -53,7 +56,7 @@ impl<const EVENTS: usize, const SEGMENTS: usize, const BITMAP: usize, const NUMB
     /// As [`Self::encoder`], with memory for the dense coder of hybrid frames.
     ///
     /// # Errors
-    /// [`SetupError`].
+    /// [`SetupError`] if the configuration is invalid or the buffers are too small for it.
     pub fn encoder_with<'b>(
         &'b mut self,
         config: Config,
@@ -125,7 +128,7 @@ mod tests {
         keep_order: false,
     };
 
-    /// Anything but zeros would move the buffers from .bss to .data, into flash.
+    /// Anything but zeros would move the buffers from .bss to .data, and so into flash.
     #[test]
     fn a_static_is_all_zero_and_serves_an_encoder() {
         let mut storage = STORAGE.lock().unwrap();
@@ -201,7 +204,7 @@ mod tests {
         assert_eq!(error(|c| c.grid = Some(0)), config(ConfigError::Grid));
         assert_eq!(error(|c| c.grid = Some(1025)), config(ConfigError::Grid));
         assert_eq!(error(|c| c.grid = Some(33)), config(ConfigError::Scratch));
-        // Room enough, but no reader takes a frame of this sensor.
+        // The buffers suffice, but no reader accepts a frame of this sensor.
         let mut storage = Storage::<1, 4096, 4096, 64>::new();
         let mut config = CONFIG;
         config.window.sensor = Sensor {

@@ -1,4 +1,4 @@
-//! The stages composed: a closed window in, its frames out.
+//! Composes the stages: takes a closed window, returns its frames.
 
 use core::num::NonZeroU32;
 use core::ops::Range;
@@ -30,10 +30,10 @@ use crate::transform::{Basis, Dct, Dtft, Dwt, Transform};
 use crate::window::hot_pixels::HotPixels;
 use crate::window::{Closed, Window, WindowConfig};
 
-/// Smallest output that always takes a frame with at least one pixel.
+/// Size in bytes of the smallest output in which any frame has room for at least one pixel.
 pub const OUTPUT_BYTES_MIN: usize = HEADER_BYTES_MAX + PIXEL_BYTES_MAX + CRC_BYTES + 8;
 
-/// The rate control of a configuration, at its start.
+/// Returns the rate control of a configuration, in its initial state.
 const fn rate(config: &Config) -> Option<Rate> {
     match config.bytes_per_second {
         Some(budget) => Some(Rate::new(budget, config.window.window_us)),
@@ -41,32 +41,32 @@ const fn rate(config: &Config) -> Option<Rate> {
     }
 }
 
-/// A budget that has less left sends no event: the longest header, an event, and what is told before it.
+/// With fewer bytes left, a budget sends no event: the longest header, an event, and what is coded before it.
 const FRAME_BYTES_LEAST: usize = HEADER_BYTES_MAX + CRC_BYTES + EVENT_BYTES_MAX + 24;
 
-/// The window being encoded.
+/// State of the window being encoded.
 #[derive(Debug, Clone, Copy)]
 struct Task {
     header: Header,
     scale: PhaseScale,
-    /// Events of the window in no frame yet.
+    /// Events of the window that are in no frame yet.
     left: u32,
-    /// The next pixel is the rest of one that is partly in a frame.
+    /// The next pixel was put back, and its times are coded already.
     is_rest: bool,
 }
 
-/// A frame in the output.
+/// An encoded frame in the output.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Encoded {
-    /// Its header.
+    /// The frame's header.
     pub header: Header,
-    /// Where it lies in the output.
+    /// The frame's range in the output.
     pub range: Range<usize>,
 }
 
-/// Turns closed windows into frames. Apart from [`Window`], so that one window can be received
-/// while another is encoded.
+/// Encodes closed windows into frames. It is separate from [`Window`], so that one window can be filled while
+/// another is encoded.
 #[derive(Debug)]
 pub struct WindowEncoder<'b> {
     config: Config,
@@ -77,18 +77,18 @@ pub struct WindowEncoder<'b> {
     task: Option<Task>,
     sequence: u32,
     chain: Chain,
-    /// Whatever the chain says, the next frame begins anew.
+    /// The next frame is a key frame, whatever the chain says.
     breaks: bool,
     rate: Option<Rate>,
-    /// How much of the window's order is told, where it is to be.
+    /// Progress of the order section, in windows that have one.
     order: Option<arrival_order::Progress>,
 }
 
 impl<'b> WindowEncoder<'b> {
-    /// An encoder over lent scratch memory.
+    /// Returns an encoder in lent memory.
     ///
     /// # Errors
-    /// [`ConfigError`].
+    /// [`ConfigError`] if the configuration is invalid or the memory does not suffice for it.
     pub const fn new(config: Config, scratch: Scratch<'b>) -> Result<Self, ConfigError> {
         if let Err(error) = config.check(&scratch) {
             return Err(error);
@@ -125,11 +125,11 @@ impl<'b> WindowEncoder<'b> {
         })
     }
 
-    /// Starts anew with another configuration; on an error the one before stays. A window that was
-    /// being encoded is forgotten, and so are the pixels of [`Self::add_hot`].
+    /// Starts anew with another configuration. A window that was being encoded is discarded, and so are the pixels
+    /// of [`Self::add_hot`].
     ///
     /// # Errors
-    /// [`ConfigError`].
+    /// [`ConfigError`] if the configuration is refused; the one before then stays in force.
     pub fn set_up(&mut self, config: Config) -> Result<(), ConfigError> {
         config.check(&self.scratch)?;
         self.config = config;
@@ -141,18 +141,19 @@ impl<'b> WindowEncoder<'b> {
         Ok(())
     }
 
-    /// Begins a chain of the dense coder's frames anew with the next window.
+    /// Makes the dense coder begin the next window with a key frame.
     pub const fn restart(&mut self) {
         self.chain = Chain::START;
         self.breaks = false;
     }
 
-    /// Goes on with another [`Config::bytes_per_second`], or without, from the next window on. A budget that the
-    /// windows' headers alone would exceed is raised to what they take. What was learned of the scene stays, and a second
-    /// in which the budget changes takes no more than the larger of both.
+    /// Changes [`Config::bytes_per_second`], from the next window on; `None` for no budget.
+    ///
+    /// A budget that the windows' headers alone would exceed is raised to what they take. What was learned of the
+    /// scene stays, and a second in which the budget changes takes no more than the larger of both budgets.
     ///
     /// # Errors
-    /// [`ConfigError::Rate`] of a mode that has no budget; the one before stays.
+    /// [`ConfigError::Rate`] in a mode that has no budget; the one before then stays in force.
     pub fn set_budget(&mut self, budget: Option<NonZeroU32>) -> Result<(), ConfigError> {
         let Some(budget) = budget else {
             self.config.bytes_per_second = None;
@@ -173,17 +174,17 @@ impl<'b> WindowEncoder<'b> {
         Ok(())
     }
 
-    /// Lends other memory for the dense coder, or none: before a [`Self::set_up`], as what was learned
-    /// lies in the one before.
+    /// Replaces the memory lent to the dense coder. Call [`Self::set_up`] afterwards, as what was learned is in the
+    /// memory before.
     pub const fn lend_dense(&mut self, memory: Option<DenseMemory<'b>>) {
         self.scratch.dense = memory;
     }
 
-    /// Keeps a pixel, column and row, out of every window from the next one on that is encoded; returns
-    /// how many there are.
+    /// Keeps a pixel (column, row) out of every window that is encoded from now on. Returns how many pixels are
+    /// kept out.
     ///
     /// # Errors
-    /// [`HotError`]; those before it stay.
+    /// [`HotError`] if the pixel is not on the sensor, or there is no room for it; pixels added before stay.
     pub fn add_hot(&mut self, (x, y): (u16, u16)) -> Result<usize, HotError> {
         let sensor = self.config.window.sensor;
         if !sensor.contains(x, y) {
@@ -195,26 +196,26 @@ impl<'b> WindowEncoder<'b> {
         }
     }
 
-    /// How many pixels are kept out.
+    /// Returns how many pixels are kept out.
     #[must_use]
     pub const fn hot_count(&self) -> usize {
         self.hot.count()
     }
 
-    /// The configuration.
+    /// Returns the configuration with which the encoder runs.
     #[must_use]
     pub const fn config(&self) -> &Config {
         &self.config
     }
 
-    /// Encodes the next frame of a closed window into `out`, or returns `None` when there is none
-    /// left, which opens the window again.
+    /// Encodes the next frame of a closed window into `out`. Returns `None` if no frame is left, which opens the
+    /// window again.
     ///
-    /// A window takes one frame where `out` has room for it, and else as many as it takes, each of
-    /// which decodes by itself. Cost follows the window's events.
+    /// A window takes one frame if `out` has room for it, else as many as needed. Each of these decodes by itself,
+    /// except for those of the dense coder. Cost grows with the number of events in the window.
     ///
     /// # Errors
-    /// [`NoRoom`] where `out` is shorter than [`OUTPUT_BYTES_MIN`]; nothing is lost.
+    /// [`NoRoom`] if `out` is shorter than [`OUTPUT_BYTES_MIN`]; nothing is lost.
     pub fn next_frame(
         &mut self,
         window: &mut Window<'_>,
@@ -223,10 +224,10 @@ impl<'b> WindowEncoder<'b> {
         self.next_frame_traced(window, out, &mut ())
     }
 
-    /// As [`Self::next_frame`], telling `trace` which stage is at work.
+    /// As [`Self::next_frame`], reporting to `trace` which stage is at work.
     ///
     /// # Errors
-    /// [`NoRoom`], as there.
+    /// [`NoRoom`], as for [`Self::next_frame`].
     pub fn next_frame_traced<T: Trace>(
         &mut self,
         window: &mut Window<'_>,
@@ -236,11 +237,11 @@ impl<'b> WindowEncoder<'b> {
         self.next_frame_of::<Dct, Dtft, T>(window, out, trace)
     }
 
-    /// As [`Self::next_frame`], with the coefficients of another kernel than the encoder's own; a
-    /// single event still travels as the cell of its time. For a host: see [`WithKernel`].
+    /// As [`Self::next_frame`], with coefficients from another kernel than the encoder's own; a single event is
+    /// still coded by the cell of its time. For a host: see [`WithKernel`].
     ///
     /// # Errors
-    /// [`NoRoom`], as there.
+    /// [`NoRoom`], as for [`Self::next_frame`].
     pub fn next_frame_with<A: Accumulate<Dct> + Accumulate<Dtft>>(
         &mut self,
         window: &mut Window<'_>,
@@ -249,7 +250,7 @@ impl<'b> WindowEncoder<'b> {
         self.next_frame_of::<WithKernel<Dct, A>, WithKernel<Dtft, A>, ()>(window, out, &mut ())
     }
 
-    /// With `C` for the DCT and `F` for the DTFT.
+    /// Does what [`Self::next_frame`] does, with `C` for the DCT and `F` for the DTFT.
     #[inline(always)]
     fn next_frame_of<C: Basis, F: Basis, T: Trace>(
         &mut self,
@@ -282,7 +283,7 @@ impl<'b> WindowEncoder<'b> {
         header.order = None;
 
         let (end, is_spent) = self.payload_end(out.len());
-        // There is that much.
+        // `out` is at least that long.
         let payload = out.get_mut(HEADER_BYTES_MAX..end).unwrap_or_default();
         let mut payload_bytes = if is_spent {
             self.leave_out(window, &mut task)
@@ -299,14 +300,14 @@ impl<'b> WindowEncoder<'b> {
         Ok(Some(encoded))
     }
 
-    /// Where a frame's payload ends at the latest in an output of so many bytes, and whether the budget has
-    /// no room for a frame.
+    /// Returns where a frame's payload has to end in an output of `out_bytes`, and whether the budget has no room
+    /// for a frame.
     #[inline(always)]
     fn payload_end(&self, out_bytes: usize) -> (usize, bool) {
         let end = out_bytes.min(FRAME_BYTES_MAX) - CRC_BYTES;
         match &self.rate {
             Some(rate) => {
-                // The header lies where it is longest: what it does not take the payload may.
+                // The header has room for the longest one: what it does not take, the payload may.
                 let room = rate.room().saturating_sub(HEADER_BYTES_MAX + CRC_BYTES);
                 let is_spent = rate.room() < FRAME_BYTES_LEAST;
                 (end.min(HEADER_BYTES_MAX + room), is_spent)
@@ -315,8 +316,7 @@ impl<'b> WindowEncoder<'b> {
         }
     }
 
-    /// Codes what is left of the window, or as much of it as there is room for; returns the bytes that it
-    /// took.
+    /// Codes what is left of the window, or as much as there is room for. Returns the payload's bytes.
     #[inline(always)]
     fn encode_payload<C: Basis, F: Basis, T: Trace>(
         &mut self,
@@ -339,7 +339,7 @@ impl<'b> WindowEncoder<'b> {
                     None => self.encode_plain::<C, F, T>(window, task, payload, trace),
                 }
             }
-            // What there is left to code is the order.
+            // Only the order is left to code.
             Mode::Hybrid(_) if HAS_ORDER && task.left == 0 && header.part > 0 => {
                 header.events = 0;
                 header.last = true;
@@ -350,8 +350,8 @@ impl<'b> WindowEncoder<'b> {
         }
     }
 
-    /// Leaves out, and counts, what the budget has no room for: what was estimated was too low, or there was
-    /// no room for a single event. Returns the payload's bytes.
+    /// Leaves out, and counts, what the budget has no room for: the estimate was too low, or there was no room for
+    /// a single event. Returns the payload's bytes.
     #[inline(always)]
     fn leave_out(&mut self, window: &mut Window<'_>, task: &mut Task) -> usize {
         let header = &mut task.header;
@@ -359,7 +359,7 @@ impl<'b> WindowEncoder<'b> {
         header.last = true;
         header.thinned = header.thinned.saturating_add(task.left);
         while self.group.next(window).is_some() {}
-        // Nothing is learned from it, and nothing goes on from it.
+        // The frame neither depends on others nor is learned from.
         if let Mode::Hybrid(hybrid) = &mut header.mode {
             hybrid.coder = Coder::Fast;
         }
@@ -369,7 +369,7 @@ impl<'b> WindowEncoder<'b> {
         0
     }
 
-    /// Makes a frame of its payload in `out`; the task is then the next frame's.
+    /// Completes a frame around its payload in `out`, and prepares the task for the next frame.
     #[inline(always)]
     fn seal_frame(
         &mut self,
@@ -393,14 +393,14 @@ impl<'b> WindowEncoder<'b> {
         header.is_key &= !header.mode.is_dense();
         if header.mode.is_transform() {
             task.left = task.left.saturating_sub(header.events);
-            // Whatever this frame had room for.
+            // The next frame tries the configured mode again, whatever this one had room for.
             header.mode = self.config.mode;
         }
         Ok(encoded)
     }
 
-    /// What a closed window's frames have in common: its filter, regime, transform and mode, and what its
-    /// budget leaves of it.
+    /// Decides what a closed window's frames have in common: applies the filter, chooses regime, transform and
+    /// mode, and removes what the budget has no room for.
     fn plan(&mut self, closed: Closed, window: &mut Window<'_>) -> Task {
         let WindowConfig { sensor, .. } = window.config();
         let used = window.events();
@@ -429,7 +429,7 @@ impl<'b> WindowEncoder<'b> {
             .filter(|readout| is_dense_here && readout.serves(mode));
         let scans = scans.and_then(|readout| Scans::fit(readout, window));
         let mode = match (mode, scans) {
-            // Exact times then cost less than those within a tolerance.
+            // Exact times then cost less than times within a tolerance.
             (Mode::Hybrid(hybrid), Some(_)) => Mode::Hybrid(Hybrid {
                 fidelity: Fidelity::Lossless,
                 ..hybrid
@@ -479,8 +479,8 @@ impl<'b> WindowEncoder<'b> {
         }
     }
 
-    /// Codes the window's pixels with plain codes up to the last, or as far as there is room; returns
-    /// the bytes they took.
+    /// Codes the window's pixels with plain codes, up to the last or as far as there is room. Returns the payload's
+    /// bytes.
     #[inline(always)]
     fn encode_plain<C: Basis, F: Basis, T: Trace>(
         &mut self,
@@ -503,9 +503,9 @@ impl<'b> WindowEncoder<'b> {
         writer.finish()
     }
 
-    /// Codes the window's coefficients up to the last pixel, or as far as there is room; returns the
-    /// bytes they took. `None` where there is no room for a pixel, or no memory for the sensor: then
-    /// the frame is to be packed plain, and says so.
+    /// Codes the window's coefficients with an adaptive coder, up to the last pixel or as far as there is room.
+    /// Returns the payload's bytes; `None` if there is no room for a pixel or no memory for the sensor. The frame
+    /// then has to be packed plain, and its header says so.
     #[cfg(feature = "coefficients")]
     #[inline(never)]
     fn encode_coefficients<B: Basis>(
@@ -544,7 +544,7 @@ impl<'b> WindowEncoder<'b> {
                 header.is_key = true;
                 return Some(encoder.fast::<B>(memory, payload));
             }
-            // What is told before the first pixel takes some bytes too.
+            // What is coded before the first pixel takes some bytes too.
             let least = dense::pixel_bytes_max(&common) + FRAME_BYTES_LEAST;
             let dense_memory = dense_memory.as_mut().filter(|_| payload.len() >= least)?;
             header.has_previous = dense_memory.has_previous(sensor);
@@ -571,8 +571,7 @@ impl<'b> WindowEncoder<'b> {
         Some(taken.payload_bytes)
     }
 
-    /// Codes the window's events up to the last, or as far as there is room; returns the bytes they
-    /// took.
+    /// Codes the window's events, up to the last or as far as there is room. Returns the payload's bytes.
     #[inline(never)]
     fn encode_events<T: Trace>(
         &mut self,
@@ -603,7 +602,7 @@ impl<'b> WindowEncoder<'b> {
                 encoder.dense(&mut dense, task.left, payload, trace)
             }
             None => {
-                // Also where the memory, enough for the configured sensor, is not for this window's.
+                // Also reached if the memory suffices for the configured sensor but not for this window's.
                 let coder = Coder::Fast;
                 header.mode = Mode::Hybrid(Hybrid { coder, ..hybrid });
                 header.is_key = true;
@@ -617,8 +616,8 @@ impl<'b> WindowEncoder<'b> {
         taken.payload_bytes
     }
 
-    /// Tells the window's order, or as much of it as there is room for, behind a payload of so many bytes;
-    /// returns the bytes it took.
+    /// Codes the window's order, or as much of it as there is room for, after a payload of `payload_bytes`. Returns
+    /// the bytes that it took.
     #[inline(never)]
     fn encode_order(
         &mut self,
@@ -639,7 +638,7 @@ impl<'b> WindowEncoder<'b> {
         let told = arrival_order::tell(self.scratch.order, progress, room);
         let is_complete = progress.is_complete();
         if !is_complete && self.rate.is_some() {
-            // Not worth a frame of its own.
+            // It is not worth a frame of its own.
             self.order = None;
             return 0;
         }
@@ -654,8 +653,8 @@ impl<'b> WindowEncoder<'b> {
         told.bytes
     }
 
-    /// Encodes pixels up to the last, or up to the first that finds no room; returns whether that
-    /// was the last.
+    /// Encodes pixels up to the last, or up to the first for which there is no room. Returns whether all were
+    /// encoded.
     #[inline(never)]
     fn encode_pixels<B: Basis, T: Trace>(
         &mut self,
@@ -700,8 +699,7 @@ impl<'b> WindowEncoder<'b> {
         is_last
     }
 
-    /// Numbers the next frame `sequence`, for encoders that take turns at the windows of one
-    /// stream.
+    /// Gives the next frame the number `sequence`, for encoders that take turns at the windows of one stream.
     pub const fn follow(&mut self, sequence: u32) {
         self.sequence = sequence;
     }

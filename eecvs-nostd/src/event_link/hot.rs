@@ -1,11 +1,11 @@
-//! Pixels that are never sent, as a packet's body: each one's number y * width + x, less the one before,
-//! at first 0, as a varint of postcard's. Some 200 pixels fill a packet.
+//! Pixels that are never sent, as a packet's body: of each one its number, y * width + x, minus the number before
+//! (at first 0), as a varint of postcard's. Some 200 pixels fill a packet.
 
 use postcard::take_from_bytes;
 
 use super::BODY_BYTES_MAX;
 
-/// Numbers of pixels, ascending, to and from a body.
+/// Writes or reads a body's pixel numbers, which ascend.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct HotNumbers {
@@ -16,16 +16,16 @@ pub struct HotNumbers {
 }
 
 impl HotNumbers {
-    /// At the start of a body.
+    /// State at the start of a body.
     pub const START: Self = Self { bytes: 0, last: 0 };
 
-    /// Bytes of the body so far.
+    /// Returns the number of bytes written or read so far.
     #[must_use]
     pub const fn bytes(&self) -> usize {
         self.bytes
     }
 
-    /// Writes a number behind those before it; `false` where it is below them or there is no room.
+    /// Appends a number; returns `false` if it is below the one before or there is no room.
     pub fn write(&mut self, number: u32, body: &mut [u8; BODY_BYTES_MAX]) -> bool {
         let Some(step) = number.checked_sub(self.last) else {
             return false;
@@ -41,7 +41,7 @@ impl HotNumbers {
         true
     }
 
-    /// The next number of a body; `None` at its end, and where what follows is none.
+    /// Reads the next number of a body; `None` at its end, and if what follows is not a number.
     pub fn read(&mut self, body: &[u8]) -> Option<u32> {
         let rest = body.get(self.bytes..)?;
         let (step, after) = take_from_bytes::<u32>(rest).ok()?;

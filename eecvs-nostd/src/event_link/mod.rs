@@ -1,16 +1,16 @@
-//! Events on their way to an encoder: the packets that a host or a camera sends to the MCU, and
-//! the status that it answers with.
+//! Link on which events reach an encoder: the packets that a host or a camera sends to the microcontroller, and the
+//! status with which that answers.
 //!
-//! | file | what |
+//! | file | content |
 //! |---|---|
 //! | `packet.rs` | one packet |
-//! | `receiver.rs` | packets in received bytes |
+//! | `receiver.rs` | finds packets in received bytes |
 //! | `hot.rs` | pixels that are never sent |
-//! | `setup.rs` | what an encoder is set to |
-//! | `status.rs` | what it says of itself |
+//! | `setup.rs` | configuration of an encoder |
+//! | `status.rs` | state of an encoder |
 //!
-//! docs/wire-format.md, "Event link", has the layout. Every packet says how many events were sent
-//! before it, so the receiver knows exactly how many a lost packet held.
+//! docs/wire-format.md, "Event link", has the layout. Every packet says how many events were sent before it, so the
+//! receiver knows exactly how many events a lost packet held.
 
 mod hot;
 mod packet;
@@ -26,7 +26,7 @@ pub use status::{Refusal, Status};
 
 use serde::{Deserialize, Serialize};
 
-/// Longest body of a setup and of a status.
+/// Size in bytes of the longest body of a setup or a status.
 pub const FIELDS_BYTES_MAX: usize = 112;
 
 fn write_body(fields: &impl Serialize, out: &mut [u8]) -> Result<usize, TooLong> {
@@ -35,7 +35,7 @@ fn write_body(fields: &impl Serialize, out: &mut [u8]) -> Result<usize, TooLong>
         .map_err(|_| TooLong)
 }
 
-/// `None` where bytes are left, too: another layout.
+/// Parses a whole body; also `None` if bytes are left, as then it has another layout.
 fn parse_body<'b, T: Deserialize<'b>>(body: &'b [u8]) -> Option<T> {
     let (fields, rest) = postcard::take_from_bytes(body).ok()?;
     rest.is_empty().then_some(fields)

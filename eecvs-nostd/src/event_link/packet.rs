@@ -4,29 +4,29 @@ use crate::checksum::CRC_16;
 
 /// First two bytes of a packet.
 pub const SYNC: [u8; 2] = [0xEE, 0xC6];
-/// Largest body.
+/// Size of the largest body in bytes.
 pub const BODY_BYTES_MAX: usize = 512;
-/// Largest packet.
+/// Size of the largest packet in bytes.
 pub const PACKET_BYTES_MAX: usize = HEAD_BYTES + BODY_BYTES_MAX + CRC_BYTES;
 
-/// Sync, kind, body length, position.
+/// Size of sync, kind, body length and position.
 pub(super) const HEAD_BYTES: usize = 9;
 pub(super) const CRC_BYTES: usize = 2;
 
-/// What a packet is.
+/// Kind of a packet, with its code on the link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
 pub enum Kind {
-    /// A [`Setup`](super::Setup); the encoder starts anew.
+    /// A [`Setup`](super::Setup), with which the encoder starts anew.
     Setup = 1,
     /// EVT 2.0 words, little-endian.
     Words = 2,
-    /// The stream has ended: the open window is to be closed and sent.
+    /// The end of the stream: the open window has to be closed and sent.
     Flush = 3,
-    /// A [`Status`](super::Status), from the encoder: its answer to each of the others but words.
+    /// A [`Status`](super::Status) from the encoder, its answer to every kind but words.
     Status = 4,
-    /// Pixels that are never sent, of the sensor of the setup before: [`HotNumbers`](super::HotNumbers).
+    /// Pixels that are never sent, on the sensor of the setup before: [`HotNumbers`](super::HotNumbers).
     Hot = 5,
 }
 
@@ -43,28 +43,28 @@ impl Kind {
     }
 }
 
-/// One packet.
+/// One packet of the event link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Packet<'p> {
-    /// What it is.
+    /// What the body holds.
     pub kind: Kind,
-    /// Events sent before it since the setup; wraps.
+    /// Number of events sent before it since the setup; wraps.
     pub position: u32,
-    /// Its content, at most [`BODY_BYTES_MAX`].
+    /// Content of at most [`BODY_BYTES_MAX`] bytes.
     pub body: &'p [u8],
 }
 
-/// The packet does not fit.
+/// Error: the packet does not fit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TooLong;
 
 impl Packet<'_> {
-    /// Writes the packet to the start of `out` and returns its length.
+    /// Writes the packet to the start of `out` and returns its length in bytes.
     ///
     /// # Errors
-    /// [`TooLong`]: the body is above its maximum, or `out` is too short.
+    /// [`TooLong`] if the body exceeds [`BODY_BYTES_MAX`], or `out` is too short.
     pub fn write(&self, out: &mut [u8]) -> Result<usize, TooLong> {
         let crc_at = HEAD_BYTES + self.body.len();
         let end = crc_at + CRC_BYTES;

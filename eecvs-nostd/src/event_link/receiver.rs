@@ -1,4 +1,4 @@
-//! Packets in received bytes.
+//! Finds packets in received bytes.
 
 use heapless::Vec;
 
@@ -10,15 +10,15 @@ use crate::frame::stream::next_sync;
 #[derive(Debug, Clone)]
 pub struct Receiver {
     buffer: Vec<u8, PACKET_BYTES_MAX>,
-    /// Length of the packet that was handed out and is still in the buffer.
+    /// Length of the packet that was returned and is still in the buffer.
     taken: usize,
-    /// Bytes in the buffer from which on there is something new to see.
+    /// Number of bytes in the buffer from which on looking again is worthwhile.
     awaited: usize,
     damaged_bytes: u32,
 }
 
 impl Receiver {
-    /// A receiver before its first byte.
+    /// Returns a receiver without any bytes.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -29,30 +29,30 @@ impl Receiver {
         }
     }
 
-    /// Bytes that belonged to no packet.
+    /// Returns how many bytes belonged to no packet; wraps.
     #[must_use]
     pub const fn damaged_bytes(&self) -> u32 {
         self.damaged_bytes
     }
 
-    /// Takes the next byte; returns the packet that it completes.
+    /// Takes the next byte and returns the packet that it completes.
     ///
-    /// After damage the search goes on at the next sync bytes within what was received. A byte may
-    /// so complete several packets: [`Receiver::next_packet`] has the others.
+    /// After damage the search goes on at the next sync bytes within what was received, so that a byte may complete
+    /// several packets: [`Receiver::next_packet`] returns the others.
     pub fn push(&mut self, byte: u8) -> Option<Packet<'_>> {
         self.release();
         self.put(byte);
         self.next_packet()
     }
 
-    /// Takes the next byte and looks at nothing. All packets before it must have been taken.
+    /// Takes the next byte without looking for a packet. All packets before it must have been taken.
     #[inline]
     pub fn put(&mut self, byte: u8) {
-        // Never full: whatever can be a packet is shorter, and all else is discarded.
+        // Never full: whatever can be a packet is shorter, and everything else is discarded.
         let _ = self.buffer.push(byte);
     }
 
-    /// Takes bytes until there is something new to see; `false` where they end before.
+    /// Takes bytes until looking for a packet is worthwhile; returns `false` if `next_byte` ends before that.
     #[inline]
     pub fn fill(&mut self, mut next_byte: impl FnMut() -> Option<u8>) -> bool {
         while self.buffer.len() < self.awaited {
@@ -64,7 +64,7 @@ impl Receiver {
         true
     }
 
-    /// The next packet of what was received, if it is whole.
+    /// Returns the next packet in what was received, if it is complete.
     #[inline]
     pub fn next_packet(&mut self) -> Option<Packet<'_>> {
         self.release();
@@ -75,7 +75,7 @@ impl Receiver {
         self.packet()
     }
 
-    /// The packet that was returned last, until the next one is asked for.
+    /// Returns the packet that was returned last, until the next one is asked for.
     #[inline]
     #[must_use]
     pub fn packet(&self) -> Option<Packet<'_>> {
@@ -89,7 +89,7 @@ impl Receiver {
         })
     }
 
-    /// The little-endian words of that packet's body from offset `at` on.
+    /// Returns the little-endian words of that packet's body, from offset `at` on.
     #[inline]
     #[must_use]
     pub fn words(&self, at: usize) -> &[[u8; 4]] {
@@ -98,8 +98,8 @@ impl Receiver {
         bytes.map_or(&[], |bytes| bytes.as_chunks().0)
     }
 
-    /// Gives up what was received: its rest will not come. Bytes that are not of a packet that was returned
-    /// count as damaged.
+    /// Discards what was received, as the rest of it will not come. Bytes that belong to no packet that was
+    /// returned count as damaged.
     pub fn restart(&mut self) {
         self.release();
         let left = self.buffer.len();
@@ -107,7 +107,7 @@ impl Receiver {
         self.discard(left);
     }
 
-    /// Gives up the packet that was returned last.
+    /// Discards the packet that was returned last.
     fn release(&mut self) {
         if self.taken > 0 {
             let taken = core::mem::take(&mut self.taken);
@@ -145,10 +145,10 @@ impl Receiver {
 }
 
 enum Look {
-    /// This many bytes are needed to see more.
+    /// This many bytes have to be there for more to be seen.
     More(usize),
     Damage,
-    /// A whole packet of this length.
+    /// A complete packet of this length.
     Packet(usize),
 }
 
@@ -258,7 +258,7 @@ mod tests {
             for packet in &after {
                 stream.extend(bytes(packet));
             }
-            // Whatever the damage claims to be ends within the longest packet.
+            // Whatever the damaged bytes claim to be ends within the longest packet.
             stream.extend([0; PACKET_BYTES_MAX]);
             let mut receiver = Receiver::new();
             let found = receive(&mut receiver, &stream);

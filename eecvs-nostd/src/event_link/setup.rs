@@ -1,4 +1,4 @@
-//! What an encoder is set to.
+//! Configuration of an encoder, as a packet's body.
 
 use core::num::NonZeroU32;
 
@@ -15,61 +15,62 @@ use crate::window::WindowConfig;
 use crate::window::filter::{Filter, Region};
 use event_types::Sensor;
 
-/// What the encoder is set to by a [`super::Kind::Setup`] packet; postcard writes it.
+/// Configuration that a [`super::Kind::Setup`] packet carries, written by postcard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Setup {
-    /// Columns.
+    /// Columns of the sensor.
     pub width: u16,
-    /// Rows.
+    /// Rows of the sensor.
     pub height: u16,
-    /// T in microseconds.
+    /// Duration T of a window in microseconds.
     pub window_us: u32,
-    /// tau_low in 10^-12 events per pixel per second.
+    /// tau_low, in 10^-12 events per pixel per second.
     pub tau_low_pico: u64,
     /// tau_high in the same unit.
     pub tau_high_pico: u64,
-    /// Code of the transform, 255 for the regime's.
+    /// Code of the transform; 255 for the regime's.
     pub transform: u8,
-    /// M.
+    /// Number of coefficients kept: M.
     pub m: u8,
-    /// K, 0 for the transform's default.
+    /// Size of the grid, K; 0 for the transform's default.
     pub grid: u16,
     /// log2 of the quantiser's step.
     pub step_log2: i8,
-    /// What frames hold, as the low four bits of a frame's mode.
+    /// Mode of the frames, as the low four bits of a frame's mode byte.
     pub mode: u8,
-    /// Microseconds of a tolerance, or bins; else 0.
+    /// Tolerance in microseconds, or number of bins; 0 for other modes.
     pub fidelity: u32,
-    /// Windows after which a frame of the dense coder begins anew.
+    /// Number of windows after which the dense coder begins anew.
     pub key_windows: u16,
-    /// First column, first row, columns and rows of the region that is sent; no columns for all.
+    /// First column, first row, columns and rows of the region that is sent; 0 columns for all.
     pub region: [u16; 4],
-    /// 1 where events that are alone are not sent.
+    /// 1 if isolated events are not sent, else 0.
     pub isolated: u8,
-    /// Bytes that the frames of any second take at the most; 0 for any.
+    /// Most bytes that the frames of any second take; 0 for no limit.
     pub bytes_per_second: u32,
     /// Period of the readout in 2^-16 us; 0 for a sensor that does not scan.
     pub scan_period_q16: u32,
-    /// From line to line, in 2^-16 us.
+    /// Time from line to line of the readout, in 2^-16 us.
     pub scan_slope_q16: i32,
-    /// What is read at once: 0 columns, 1 rows.
+    /// Lines that are read at once: 0 columns, 1 rows.
     pub scan_axis: u8,
-    /// Time that the words' 0 stands for, in microseconds.
+    /// Time in microseconds that time 0 of the words stands for.
     pub time_base_us: u64,
-    /// What to do with events while no window is free: 0 wait, so that the link's flow control
-    /// holds the sender; 1 drop and count them, as for a sensor that cannot be held.
+    /// What happens to events while no window is free: 0 they wait, so that the link's flow control holds the
+    /// sender; 1 they are dropped and counted, as for a sensor that cannot be held.
     pub when_full: u8,
 }
 
 impl Setup {
     const AUTO: u8 = 255;
-    /// [`Setup::when_full`]: wait.
+    /// [`Setup::when_full`]: events wait.
     pub const WAIT: u8 = 0;
-    /// [`Setup::when_full`]: drop and count.
+    /// [`Setup::when_full`]: events are dropped and counted.
     pub const DROP: u8 = 1;
 
-    /// The setup of a configuration, for words from `time_base_us` on; waits when full.
+    /// Returns the setup of a configuration, for words whose times count from `time_base_us`; events wait when no
+    /// window is free.
     #[must_use]
     pub fn new(config: &Config, time_base_us: u64) -> Self {
         let (mode, fidelity) = config.mode.code();
@@ -104,24 +105,24 @@ impl Setup {
         }
     }
 
-    /// Writes it as a packet's body to the start of `out` and returns its length.
+    /// Writes the setup as a packet's body to the start of `out` and returns its length in bytes.
     ///
     /// # Errors
-    /// [`TooLong`]: `out` is too short; [`super::FIELDS_BYTES_MAX`] are enough.
+    /// [`TooLong`] if `out` is too short; [`super::FIELDS_BYTES_MAX`] bytes suffice.
     pub fn write(&self, out: &mut [u8]) -> Result<usize, TooLong> {
         write_body(self, out)
     }
 
-    /// Reads a packet's body; `None` where it is none.
+    /// Reads a packet's body; `None` if it is not a setup.
     #[must_use]
     pub fn parse(body: &[u8]) -> Option<Self> {
         parse_body(body)
     }
 
-    /// The configuration; M and K are left to the encoder's own check.
+    /// Returns the configuration. M and K are checked only by the encoder.
     ///
     /// # Errors
-    /// The first field that is out of its range.
+    /// A [`Refusal`] that names the first field that is out of its range.
     pub fn config(&self) -> Result<Config, Refusal> {
         if self.when_full > Self::DROP || self.isolated > 1 {
             return Err(Refusal::Flag);

@@ -1,51 +1,51 @@
-//! What an encoder says of itself.
+//! State of an encoder, as a packet's body.
 
 use serde::{Deserialize, Serialize};
 
 use super::{TooLong, parse_body, write_body};
 use crate::encoder::config::{ConfigError, HotError};
 
-/// Why an encoder refuses a setup, or hot pixels.
+/// Why an encoder refuses a setup or hot pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Refusal {
-    /// A side that is not 1 to 2048, or another size than that of the encoder's own sensor.
+    /// A side is not 1 to 2048, or the size is not that of the encoder's own sensor.
     Sensor,
-    /// tau_low above tau_high.
+    /// tau_low is above tau_high.
     Thresholds,
-    /// No such transform.
+    /// The code of the transform is unknown.
     Transform,
-    /// The quantiser's step.
+    /// The quantiser's step is out of range.
     Step,
-    /// No such mode, or a fidelity that it has not.
+    /// The mode is unknown, or its fidelity is out of range.
     Mode,
-    /// A period, slope or axis that no readout has.
+    /// The period, slope or axis of the readout is out of range.
     Readout,
-    /// Neither 0 nor 1 where these are all there is.
+    /// A flag is neither 0 nor 1.
     Flag,
     /// M is not 1 to 64.
     M,
     /// K is not 1 to 1024.
     Grid,
-    /// No memory for so many coefficients.
+    /// There is no memory for so many coefficients.
     Numbers,
-    /// No memory for the dense coder on this sensor.
+    /// There is no memory for the dense coder on this sensor.
     Dense,
-    /// A volume of no bins.
+    /// The volume has no bins.
     Bins,
-    /// A budget that is too small, or for coefficients.
+    /// The budget is too small, or is for mode `transform`, which has none.
     Rate,
-    /// No memory for the windows of this sensor, or windows of 0 us.
+    /// There is no memory for the windows of this sensor, or a window has 0 us.
     Windows,
-    /// A hot pixel that is not on the sensor.
+    /// A hot pixel is not on the sensor.
     HotOutside,
-    /// More hot pixels than there is memory for.
+    /// There are more hot pixels than there is memory for.
     HotRoom,
-    /// Hot pixels before a setup.
+    /// Hot pixels came before a setup.
     HotUnset,
-    /// No memory for the order of events, or coefficients, which have none.
+    /// There is no memory for the order of events, or the mode is `transform`, which keeps none.
     Order,
-    /// The image has no adaptive coder of coefficients.
+    /// The firmware has no adaptive coder of coefficients.
     Coefficients,
 }
 
@@ -73,42 +73,42 @@ impl From<HotError> for Refusal {
     }
 }
 
-/// What an encoder says of itself, after a setup, hot pixels and a flush; postcard writes it.
+/// State of an encoder, which it sends after a setup, hot pixels and a flush; written by postcard.
 ///
-/// Counts run since the start of the encoder and wrap; times are of its own clock.
+/// Counts run since the start of the encoder and wrap; times are in its own clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Status {
     /// Kind of the packet that this answers: 1 setup, 3 flush, 5 hot pixels; 0 after a restart.
     pub answers: u8,
-    /// Whether an encoder is set up; a refused setup leaves none.
+    /// Whether an encoder is set up; after a refused setup none is.
     pub running: bool,
-    /// Why not, or why not all hot pixels are kept out.
+    /// Why no encoder is set up, or why not all hot pixels are kept out.
     pub refusal: Option<Refusal>,
-    /// Pixels that are kept out.
+    /// Number of pixels that are kept out.
     pub hot_pixels: u32,
-    /// Words that the dense coder has for what is not the same for every sensor, as `words` of
-    /// `coder/dense.rs` counts them; 0 where it is not set up.
+    /// Words that the dense coder has for what depends on the sensor, as counted by [`crate::coder::dense::words`];
+    /// 0 if it is not set up.
     pub dense_words: u32,
     /// Events that a window holds before it closes early.
     pub window_events: u32,
     /// Largest frame in bytes.
     pub frame_bytes: u32,
-    /// Events decoded from words.
+    /// Number of events decoded from words.
     pub events: u32,
-    /// Events that were lost on the link: in damaged packets, by the packets' positions.
+    /// Events lost on the link in damaged packets, known from the packets' positions.
     pub lost: u32,
-    /// Events that came while no window was free, or while no encoder was set up.
+    /// Events that arrived while no window was free or no encoder was set up.
     pub dropped: u32,
-    /// Words that were no events and no times, events without a time, bytes left over.
+    /// Words that are neither events nor times, events without a time, and bytes left over.
     pub ignored: u32,
     /// Bytes that belonged to no packet.
     pub damaged_bytes: u32,
     /// Bytes that the UART lost because they were not read in time.
     pub overruns: u32,
-    /// Windows encoded.
+    /// Number of windows encoded.
     pub windows: u32,
-    /// Frames sent.
+    /// Number of frames sent.
     pub frames: u32,
     /// Time spent on received bytes, in nanoseconds.
     pub receive_ns: u64,
@@ -116,20 +116,20 @@ pub struct Status {
     pub encode_ns: u64,
     /// Time spent sending frames, in nanoseconds, interrupts excluded.
     pub send_ns: u64,
-    /// Bytes of the stack that were ever used.
+    /// Most bytes of the stack that were in use at any time.
     pub stack_bytes: u32,
 }
 
 impl Status {
-    /// Writes it as a packet's body to the start of `out` and returns its length.
+    /// Writes the status as a packet's body to the start of `out` and returns its length in bytes.
     ///
     /// # Errors
-    /// [`TooLong`]: `out` is too short; [`super::FIELDS_BYTES_MAX`] are enough.
+    /// [`TooLong`] if `out` is too short; [`super::FIELDS_BYTES_MAX`] bytes suffice.
     pub fn write(&self, out: &mut [u8]) -> Result<usize, TooLong> {
         write_body(self, out)
     }
 
-    /// Reads a packet's body; `None` where it is none.
+    /// Reads a packet's body; `None` if it is not a status.
     #[must_use]
     pub fn parse(body: &[u8]) -> Option<Self> {
         parse_body(body)

@@ -1,13 +1,13 @@
-//! One instruction each. The compiler finds them too, but where it knows a sign or a constant it
-//! takes three others instead.
+//! One instruction for each function. A compiler finds them too, but if it knows a sign or a constant it uses three
+//! other instructions instead.
 
 use core::arch::asm;
 
 #[inline(always)]
 pub fn mul_high(a: i32, b: i32) -> i32 {
     let product;
-    // SAFETY: reads two registers, writes a third, touches neither memory nor flags; this file is
-    // built only for cores that have the instruction.
+    // SAFETY: reads two registers, writes a third, and touches neither memory nor flags. This file is built only
+    // for cores that have the instruction.
     unsafe {
         asm!("smmul {}, {}, {}", lateout(reg) product, in(reg) a, in(reg) b,
             options(pure, nomem, nostack, preserves_flags));
@@ -62,7 +62,7 @@ pub fn dot_add(sum: i32, a: u32, b: u32) -> i32 {
 #[inline(always)]
 pub fn negate_halves(halves: u32, negative: u32) -> u32 {
     let negated;
-    // SAFETY: as for `mul_high`, but for the GE flags, which are not declared as preserved.
+    // SAFETY: as for `mul_high`, except that it changes the GE flags, which are not declared as preserved.
     unsafe {
         asm!("ssub16 {0}, {1}, {2}", lateout(reg) negated, in(reg) halves ^ negative,
             in(reg) negative, options(pure, nomem, nostack));

@@ -1,4 +1,4 @@
-//! Q formats of the signal path, and the rounding rule.
+//! Q formats of the signal path, its rounding rule, and its multiplications.
 //!
 //! | quantity | type | range | resolution |
 //! |---|---|---|---|
@@ -7,9 +7,9 @@
 //! | sum of up to [`CHUNK_EVENTS`] atoms | [`Sum`] = I7F25 | ±64 | 2^-25 |
 //! | sum over a window | [`WideSum`] = I39F25 | ±2^38 | 2^-25 |
 //!
-//! An atom has the sums' 25 fractional bits from the start ([`dot_add`], one instruction where there
-//! are two 16 x 16 multipliers), so sums add without any rounding; the quantiser floors to the middle
-//! of its step ([`crate::quantise`]).
+//! An atom has the sums' 25 fractional bits from the start ([`dot_add`], one instruction on cores with two 16 x 16
+//! multipliers), so sums add without any rounding. The quantiser rounds down, and a level stands for the middle of
+//! its step ([`crate::quantise`]).
 
 #[cfg_attr(eecvs_dsp, allow(dead_code))]
 mod portable;
@@ -24,7 +24,7 @@ use fixed::types::{I2F30, I7F25, I39F25, U0F32};
 #[cfg(not(eecvs_dsp))]
 use portable as chosen;
 
-/// Fraction of a turn; wraps, so that k * phase never drifts.
+/// Fraction of a turn. It wraps, so that k * phase never drifts.
 pub type Phase = U0F32;
 /// Value of an atom.
 pub type Atom = I2F30;
@@ -33,79 +33,80 @@ pub type Sum = I7F25;
 /// Sum over all events that a window can hold.
 pub type WideSum = I39F25;
 
-/// Fractional bits of both sums.
+/// Number of fractional bits of [`Sum`] and [`WideSum`].
 pub const FRACTION_BITS: u32 = 25;
 
-/// Events summed in one go: as many as [`Sum`] holds without overflow.
+/// Number of events summed at a time: as many as [`Sum`] holds without overflow.
 pub const CHUNK_EVENTS: usize = 63;
 const _: () = assert!(CHUNK_EVENTS << FRACTION_BITS <= i32::MAX as usize);
 
-/// floor(a b / 2^32)
+/// Returns floor(a b / 2^32).
 #[inline(always)]
 #[must_use]
 pub fn mul_high(a: i32, b: i32) -> i32 {
     chosen::mul_high(a, b)
 }
 
-/// a b / 2^32, rounded half up.
+/// Returns a b / 2^32, rounded half up.
 #[inline(always)]
 #[must_use]
 pub fn mul_high_round(a: i32, b: i32) -> i32 {
     chosen::mul_high_round(a, b)
 }
 
-/// `sum` + floor(a b / 2^32), wrapping.
+/// Returns `sum` + floor(a b / 2^32), wrapping.
 #[inline(always)]
 #[must_use]
 pub fn mul_high_add(sum: i32, a: i32, b: i32) -> i32 {
     chosen::mul_high_add(sum, a, b)
 }
 
-/// a b + c, wrapping; one instruction also where b is known to be a power of two.
+/// Returns a b + c, wrapping. Takes one instruction even if b is known to be a power of two.
 #[inline(always)]
 #[must_use]
 pub fn mul_add(a: i32, b: i32, c: i32) -> i32 {
     chosen::mul_add(a, b, c)
 }
 
-/// `sum` plus the products of the upper and of the lower halves, which are signed; wrapping.
+/// Returns `sum` plus the products of the signed upper halves and of the signed lower halves of `a` and `b`,
+/// wrapping.
 #[inline(always)]
 #[must_use]
 pub fn dot_add(sum: i32, a: u32, b: u32) -> i32 {
     chosen::dot_add(sum, a, b)
 }
 
-/// -x for both signed halves x of `halves` where `negative` is all ones, x where it is 0.
+/// Negates both signed halves of `halves` if `negative` is all ones; returns `halves` if `negative` is 0.
 #[inline(always)]
 #[must_use]
 pub fn negate_halves(halves: u32, negative: u32) -> u32 {
     chosen::negate_halves(halves, negative)
 }
 
-/// A coefficient in either width: what pruning and quantising need of it.
+/// A coefficient as [`Sum`] or [`WideSum`], with the operations that pruning and quantisation need.
 pub trait Coefficient: Copy {
-    /// Whether [`Self::is_cut`] ever holds.
+    /// Whether [`Self::is_cut`] can ever return `true`.
     const CAN_SATURATE: bool;
 
-    /// `value`, which must be in range.
+    /// Converts an integer, which must be in range.
     fn from_integer(value: i32) -> Self;
 
-    /// The value in the wider type.
+    /// Returns the value in the wider type.
     fn wide(self) -> WideSum;
 
-    /// floor(value / 2^-25 / 2^`shift`), cut to 32 bits; `shift` is 10 to 33.
+    /// Returns floor(value / 2^-25 / 2^`shift`), saturated to 32 bits; `shift` is 10 to 33.
     fn level(self, shift: u32) -> i32;
 
-    /// Whether [`Self::level`] cuts.
+    /// Returns whether [`Self::level`] saturates.
     fn is_cut(self, shift: u32) -> bool;
 
-    /// The integer part.
+    /// Returns the integer part, rounded down.
     fn integer(self) -> i32;
 
-    /// Whether it is 0.
+    /// Returns whether the value is 0.
     fn is_zero(self) -> bool;
 
-    /// The value with 31 fractional bits of n, for |value| < n = any count of `width` bits.
+    /// Returns value / 2^`width` with 31 fractional bits, for |value| < n and any count n of `width` bits.
     fn relative(self, width: u32) -> i32;
 }
 
@@ -124,7 +125,7 @@ impl Coefficient for Sum {
 
     #[inline(always)]
     fn level(self, shift: u32) -> i32 {
-        // From 31 on, nothing but the sign is left.
+        // From a shift of 31 on, only the sign is left.
         self.to_bits() >> shift.min(31)
     }
 
@@ -143,7 +144,7 @@ impl Coefficient for Sum {
         self.to_bits() >> FRACTION_BITS
     }
 
-    /// `width` is at most 6: a chunk holds fewer than 64 events.
+    /// `width` is at most 6, because a chunk holds fewer than 64 events.
     #[inline(always)]
     fn relative(self, width: u32) -> i32 {
         self.to_bits() << (6_u32.wrapping_sub(width) & 31)

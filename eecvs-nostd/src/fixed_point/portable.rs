@@ -1,4 +1,4 @@
-//! Everywhere else.
+//! For targets without Arm's DSP instructions.
 
 #[inline(always)]
 pub const fn mul_high(a: i32, b: i32) -> i32 {

@@ -1,7 +1,7 @@
-//! The link frame: sync, header, payload, CRC; docs/wire-format.md has the layout.
+//! The frame of the wire format: sync, header, payload, CRC. docs/wire-format.md has the layout.
 //!
-//! A frame is parsed where it lies. The header has a checksum of its own, so that a damaged length
-//! is never trusted; the CRC-32 covers everything from the sync bytes to its own start.
+//! A frame is parsed in place. The header has a checksum of its own, so that a damaged length is never trusted; the
+//! CRC-32 covers everything before it, from the sync bytes on.
 
 pub mod stream;
 
@@ -21,68 +21,69 @@ use event_types::Sensor;
 
 /// First two bytes of a frame.
 pub const SYNC: [u8; 2] = [0xEE, 0xC5];
-/// Version of the wire format whose header ends with further flags.
+/// Version of the wire format whose header ends with a byte of further flags.
 pub const VERSION: u8 = 3;
-/// Version of a frame that has none of them.
+/// Version of a frame without further flags.
 pub const VERSION_PLAIN: u8 = 2;
-/// Largest frame, sync to CRC-32.
+/// Size of the largest frame in bytes, from sync to CRC-32.
 pub const FRAME_BYTES_MAX: usize = 1 << 24;
-/// Largest header, sync to CRC-16.
+/// Size of the largest header in bytes, from sync to CRC-16.
 pub const HEADER_BYTES_MAX: usize = 112;
-/// Bytes of the CRC-32 that ends a frame.
+/// Size in bytes of the CRC-32 that ends a frame.
 pub const CRC_BYTES: usize = 4;
 
-/// Sync, version and header length.
+/// Size of sync, version and header length.
 const PREFIX_BYTES: usize = 4;
-/// Every field of the header at its longest.
+/// Size of all header fields at their longest.
 const FIELDS_BYTES_MAX: usize = 106;
 const _: () = assert!(PREFIX_BYTES + FIELDS_BYTES_MAX + 2 <= HEADER_BYTES_MAX);
 
-/// What a payload holds.
+/// Content of a payload: coefficients or events, and how they are coded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Mode {
-    /// Every active pixel as its kept coefficients: the paper's scheme.
+    /// The kept coefficients of every active pixel, in plain codes: the paper's scheme.
     Transform,
-    /// The same coefficients by an adaptive coder.
+    /// The same coefficients, coded by an adaptive coder.
     Coefficients(Coder),
-    /// The events.
+    /// The events themselves.
     Hybrid(Hybrid),
 }
 
-/// The part of a payload that tells the order in which events of equal time came: its end.
+/// Size of the last part of a payload, which codes the order in which events of equal time arrived.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct OrderSection {
-    /// Its bytes.
+    /// Its size in bytes.
     pub bytes: u32,
-    /// Events whose place in the window's order it tells; 0 in the last frame of the window, which tells
-    /// those of all that are left.
+    /// Number of events whose place in the window's order it codes. 0 in the last frame of the window, which codes
+    /// the places of all that are left.
     pub events: u32,
 }
 
-/// Meaning of a frame's header.
+/// The decoded header of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Header {
     /// The window closed early because its buffer was full.
     pub truncated: bool,
-    /// A new run begins with the window: the clock fell back before it, so t0 may be any.
+    /// A new run begins with this window: the clock went back before it, so t0 may be any time.
     pub begins_run: bool,
     /// No further frame of this window follows.
     pub last: bool,
-    /// Regime of the window's density.
+    /// Regime that the window's density falls in.
     pub regime: Regime,
-    /// What the payload holds.
+    /// Content of the payload.
     pub mode: Mode,
-    /// Nothing was learned from the frames before: it decodes by itself. Of the dense coder's frames
-    /// some do, of all others every one.
+    /// The frame decodes without the frames before it. False for most frames of the dense coder, true for all
+    /// others.
     pub is_key: bool,
-    /// The dense coder looks at the window before.
+    /// The dense coder uses the window before as context.
     pub has_previous: bool,
-    /// The times lie on these scans; of lossless frames of the dense coder alone.
+    /// Scans by which the times are coded; only in lossless frames of the dense coder.
     pub scans: Option<Scans>,
-    /// Where events are kept in their order and all have been sent, up to this frame: what it tells of it.
+    /// Order section of the payload: in frames of an encoder that keeps arrival order, once every event of the
+    /// window is in this frame or an earlier one.
     pub order: Option<OrderSection>,
     /// Sequence number of the frame; wraps.
     pub sequence: u32,
@@ -92,37 +93,37 @@ pub struct Header {
     pub sensor: Sensor,
     /// Start of the window.
     pub t0_us: u64,
-    /// T of the formulas.
+    /// Duration of the window: T of the formulas.
     pub duration_us: u32,
-    /// N_w.
+    /// Number of events in the window: N_w.
     pub window_events: u32,
-    /// Events in this frame.
+    /// Number of events in this frame.
     pub events: u32,
-    /// Active pixels in this frame; 0 in a hybrid one, whose payload tells.
+    /// Number of active pixels in this frame; 0 in a hybrid frame, whose payload codes it.
     pub pixels: u32,
-    /// Events too old for their window, since the previous frame; 0 where a run begins for them.
+    /// Events too late for their window since the previous frame; 0 from encoders that begin a run for such events.
     pub late: u32,
-    /// Events that a filter kept out, since the previous frame.
+    /// Events that a filter removed since the previous frame.
     pub filtered: u32,
-    /// Events lost, since the previous frame.
+    /// Events lost since the previous frame.
     pub dropped: u32,
     /// Events of this window that the rate control left out.
     pub thinned: u32,
-    /// Levels of this frame that did not fit 32 bits and were cut to the largest.
+    /// Levels of this frame that were saturated to 32 bits.
     pub saturated: u32,
-    /// Transform of the window; of a hybrid one, that of the volume made of it, as M, K and the
-    /// quantiser are.
+    /// Transform of the window. In a hybrid frame this, `m`, `grid` and `quantiser` are those of the volume that a
+    /// decoder makes of the events.
     pub transform: Transform,
-    /// M.
+    /// Number of coefficients kept: M.
     pub m: u8,
-    /// K.
+    /// Size of the grid of coefficients: K.
     pub grid: u16,
     /// Quantiser of the coefficients.
     pub quantiser: Quantiser,
 }
 
-/// The header's fields in the order of the link; postcard writes them as varints, and those that a
-/// flag announces only where it is set.
+/// The first header fields in the order on the wire. Postcard writes them as varints; a flag announces each of the
+/// optional groups below.
 #[derive(Serialize, Deserialize)]
 struct Wire {
     payload_bytes: u32,
@@ -136,14 +137,14 @@ struct Wire {
     window_events: u32,
 }
 
-/// Where [`PART`] is set: the frame is not its whole window.
+/// Present if [`PART`] is set: the frame is not its whole window.
 #[derive(Serialize, Deserialize)]
 struct PartWire {
     part: u32,
     events: u32,
 }
 
-/// Where [`COUNTS`] is set: one of them is not 0.
+/// Present if [`COUNTS`] is set: one of the counts is not 0.
 #[derive(Serialize, Deserialize, PartialEq)]
 struct CountsWire {
     late: u32,
@@ -153,7 +154,7 @@ struct CountsWire {
     saturated: u32,
 }
 
-/// Where [`SHAPE`] is set: always of a transform, else where they are not the default.
+/// Present if [`SHAPE`] is set: always in mode `transform`, else where the shape is not the default.
 #[derive(Serialize, Deserialize, PartialEq)]
 struct ShapeWire {
     transform: u8,
@@ -162,7 +163,7 @@ struct ShapeWire {
     step_log2: i8,
 }
 
-/// Where one of [`COLUMNS`] and [`ROWS`] is set.
+/// Present if [`COLUMNS`] or [`ROWS`] is set.
 #[derive(Serialize, Deserialize)]
 struct ScanWire {
     period_q16: u32,
@@ -187,7 +188,7 @@ const FAST: u8 = 1;
 const DENSE: u8 = 2;
 const CODER: u8 = 3;
 const FIDELITY_SHIFT: u32 = 2;
-/// Coder of coefficients, where those of a hybrid mode have the fidelity.
+/// Coder of coefficients, in the bits that hold the fidelity in hybrid modes.
 const COEFFICIENTS_FAST: u8 = TRANSFORM | (1 << FIDELITY_SHIFT);
 const COEFFICIENTS_DENSE: u8 = TRANSFORM | (2 << FIDELITY_SHIFT);
 /// Codes of the fidelity.
@@ -211,7 +212,7 @@ impl CountsWire {
 }
 
 impl Mode {
-    /// Whether every event's time is told exactly.
+    /// Returns whether every event's time is coded exactly.
     #[must_use]
     pub const fn is_lossless(self) -> bool {
         matches!(
@@ -223,13 +224,13 @@ impl Mode {
         )
     }
 
-    /// Whether frames hold coefficients, by whichever coder.
+    /// Returns whether frames hold coefficients, by whichever coder.
     #[must_use]
     pub const fn is_transform(self) -> bool {
         matches!(self, Self::Transform | Self::Coefficients(_))
     }
 
-    /// Whether frames go on from those before, up to the next key frame.
+    /// Returns whether frames depend on those before them, back to the last key frame.
     #[must_use]
     pub const fn is_dense(self) -> bool {
         matches!(
@@ -242,7 +243,7 @@ impl Mode {
         )
     }
 
-    /// Its code on a link, and the value that goes with it where there is one.
+    /// Returns the mode's code on the wire and, for some fidelities, the value that goes with it.
     pub(crate) const fn code(self) -> (u8, Option<u32>) {
         let Hybrid { coder, fidelity } = match self {
             Self::Transform => return (TRANSFORM, None),
@@ -262,7 +263,7 @@ impl Mode {
         (coder | (fidelity << FIDELITY_SHIFT), value)
     }
 
-    /// The inverse of [`Self::code`]; `None` for a code or a value that there is not.
+    /// The inverse of [`Self::code`]; `None` for an unknown code or a value out of range.
     pub(crate) const fn from_code(code: u8, value: u32) -> Option<Self> {
         match code {
             TRANSFORM => return Some(Self::Transform),
@@ -285,21 +286,21 @@ impl Mode {
     }
 }
 
-/// Whether a value goes with a mode's code.
+/// Returns whether a value goes with a mode's code.
 const fn has_value(code: u8) -> bool {
     code & CODER != TRANSFORM && code >> FIDELITY_SHIFT != LOSSLESS
 }
 
-/// M where a hybrid frame does not say.
+/// M of a hybrid frame whose header has no shape.
 pub const M_DEFAULT: u8 = 16;
 
-/// Why bytes are not a frame.
+/// Why bytes were rejected as a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum FrameError {
-    /// The bytes end before the frame does: with more of them it may be one.
+    /// The bytes end before the frame does; with more of them it may be valid.
     Incomplete,
-    /// They do not begin with the sync bytes.
+    /// The bytes do not begin with the sync bytes.
     Sync,
     /// A version that this code does not read.
     Version(u8),
@@ -307,7 +308,7 @@ pub enum FrameError {
     HeaderDamaged,
     /// The header's checksum matches but a field is out of its range.
     HeaderInvalid,
-    /// The CRC-32 does not match that of the frame, of this many bytes.
+    /// The CRC-32 does not match; the frame has this many bytes.
     Damaged(u32),
 }
 
@@ -326,13 +327,13 @@ impl core::fmt::Display for FrameError {
 
 impl core::error::Error for FrameError {}
 
-/// The output has no room for a frame.
+/// Error: the output has no room for the frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct NoRoom;
 
 impl Header {
-    /// What packing and unpacking need of it.
+    /// Returns the header fields that packing and unpacking need.
     #[must_use]
     pub const fn packing(&self) -> Packing {
         Packing {
@@ -345,7 +346,7 @@ impl Header {
         }
     }
 
-    /// What a hybrid frame's volume is made with where it does not say.
+    /// Returns the shape of a hybrid frame's volume where the header has none.
     const fn default_shape(regime: Regime) -> ShapeWire {
         let transform = regime.transform();
         ShapeWire {
@@ -356,7 +357,7 @@ impl Header {
         }
     }
 
-    /// The least version that can say it.
+    /// Returns the lowest version that can express the header.
     const fn version(&self) -> u8 {
         if self.begins_run {
             VERSION
@@ -365,7 +366,7 @@ impl Header {
         }
     }
 
-    /// Writes the fields to the start of `out`; their length.
+    /// Writes the fields to the start of `out` and returns their length.
     fn write(&self, payload_bytes: u32, out: &mut [u8]) -> postcard::Result<usize> {
         let is_part = self.part > 0 || !self.last || self.events != self.window_events;
         let counts = CountsWire {
@@ -457,8 +458,10 @@ impl Header {
         Ok(len)
     }
 
-    /// The header and the length of its payload; `None` where a field is out of its range, told in a
-    /// way that no encoder has, or bytes are left.
+    /// Parses the fields to the header and the length of its payload.
+    ///
+    /// Returns `None` if a field is out of its range or written in a way that no encoder writes it, or if bytes are
+    /// left.
     fn parse(version: u8, fields: &[u8]) -> Option<(Self, u32)> {
         fn take<'b, T: Deserialize<'b>>(bytes: &mut &'b [u8]) -> Option<T> {
             let (fields, rest) = postcard::take_from_bytes(bytes).ok()?;
@@ -527,7 +530,7 @@ impl Header {
         };
         let scan = match axis {
             None => None,
-            // Other fidelities tell times as cells.
+            // Other fidelities code times as cells.
             Some(_) if has_value(code) => return None,
             Some(axis) => {
                 let told: ScanWire = take(rest)?;
@@ -543,7 +546,7 @@ impl Header {
         let order = if has(ORDER) {
             let bytes = take(rest)?;
             let events = if has(LAST) { 0 } else { take(rest)? };
-            // A frame in between tells of some.
+            // A frame that is not the last places at least one event and not all.
             if is_transform
                 || bytes > wire.payload_bytes
                 || (!has(LAST) && !(1..wire.window_events).contains(&events))
@@ -554,7 +557,7 @@ impl Header {
         } else {
             None
         };
-        // A frame without further flags has the other version.
+        // Version 3 needs a further flag: without one the frame would have the other version.
         let further = if version == VERSION { take(rest)? } else { 0 };
         let is_known = further == if version == VERSION { BEGINS_RUN } else { 0 };
         if !is_known || !rest.is_empty() {
@@ -604,12 +607,11 @@ impl Header {
 
 /// Completes a frame whose payload lies in `out[HEADER_BYTES_MAX..][..payload_bytes]`.
 ///
-/// The header is laid right before the payload, whatever its length, so that nothing moves.
-/// Returns the range of the frame within `out`.
+/// The header is placed right before the payload, whatever its length, so that the payload does not move. Returns
+/// the range of the frame within `out`.
 ///
 /// # Errors
-/// [`NoRoom`] where `out` does not hold the payload and a CRC, or the frame would exceed
-/// [`FRAME_BYTES_MAX`].
+/// [`NoRoom`] if `out` cannot hold the payload and a CRC, or the frame would exceed [`FRAME_BYTES_MAX`].
 pub fn seal(
     header: &Header,
     payload_bytes: usize,
@@ -626,7 +628,7 @@ pub fn seal(
     let (prefix, fields) = header_bytes
         .split_first_chunk_mut::<PREFIX_BYTES>()
         .ok_or(NoRoom)?;
-    // FIELDS_BYTES_MAX fits: there is always room.
+    // Never fails: the fields take at most FIELDS_BYTES_MAX.
     let fields = header
         .write(payload_bytes as u32, fields)
         .map_err(|_| NoRoom)?;
@@ -645,24 +647,24 @@ pub fn seal(
     Ok(start..crc_at + CRC_BYTES)
 }
 
-/// A whole, undamaged frame.
+/// A complete, undamaged frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Frame<'i> {
-    /// Its header.
+    /// The frame's header.
     pub header: Header,
-    /// Its packed pixels, or events and order.
+    /// The packed pixels, or the events and their order.
     pub payload: &'i [u8],
-    /// Its length, sync to CRC-32.
+    /// Length of the frame in bytes, from sync to CRC-32.
     pub bytes: usize,
 }
 
 impl<'i> Frame<'i> {
-    /// The frame at the start of `bytes`.
+    /// Parses the frame at the start of `bytes`.
     ///
     /// # Errors
-    /// [`FrameError`]; [`FrameError::Incomplete`] asks for at most [`FRAME_BYTES_MAX`] bytes in
-    /// all. No input makes it panic.
+    /// Any [`FrameError`]. [`FrameError::Incomplete`] never needs more than [`FRAME_BYTES_MAX`] bytes in all. No
+    /// input makes it panic.
     pub fn parse(bytes: &'i [u8]) -> Result<Self, FrameError> {
         let prefix = bytes.len().min(SYNC.len());
         if bytes[..prefix] != SYNC[..prefix] {
@@ -686,7 +688,7 @@ impl<'i> Frame<'i> {
         let (header, payload_bytes) =
             Header::parse(version, &fields[PREFIX_BYTES..]).ok_or(FrameError::HeaderInvalid)?;
         let payload_bytes = payload_bytes as usize;
-        // Before the sum below, which would overflow where usize has 32 bits.
+        // Checked before the sum below, which would overflow where usize has 32 bits.
         if payload_bytes > FRAME_BYTES_MAX - header_bytes - CRC_BYTES {
             return Err(FrameError::HeaderInvalid);
         }
@@ -703,7 +705,7 @@ impl<'i> Frame<'i> {
         })
     }
 
-    /// What its payload has of the events, and of their order.
+    /// Splits the payload into the events and their order; the latter is empty if the frame has none.
     #[must_use]
     pub fn sections(&self) -> (&'i [u8], &'i [u8]) {
         let order = self.header.order.map_or(0, |order| order.bytes as usize);
@@ -713,7 +715,7 @@ impl<'i> Frame<'i> {
             .unwrap_or((self.payload, &[]))
     }
 
-    /// Its pixels, in raster order.
+    /// Iterates over the pixels in raster order.
     #[must_use]
     pub const fn descriptors(&self) -> Descriptors<'i> {
         Descriptors {
@@ -727,7 +729,7 @@ impl<'i> Frame<'i> {
     }
 }
 
-/// Unpacks a frame pixel by pixel. After an error it ends.
+/// Iterator that unpacks a frame pixel by pixel. It ends after an error.
 #[derive(Debug, Clone)]
 pub struct Descriptors<'i> {
     packing: Packing,
@@ -815,12 +817,12 @@ mod tests {
             quantiser: Quantiser::DEFAULT,
         };
         let mut bytes = [0; 2 * HEADER_BYTES_MAX];
-        // A transform's number of pixels takes no more than a tolerance.
+        // The number of pixels of mode `transform` takes no more bytes than a tolerance.
         for mode in [header.mode, Mode::Transform] {
             let header = Header { mode, ..header };
             assert!(header.write(u32::MAX, &mut bytes).unwrap() <= FIELDS_BYTES_MAX);
         }
-        // Scans take more.
+        // Scans take more bytes.
         let readout = Readout::new(Axis::Columns, 250 << 16, -(125 << 16)).unwrap();
         let sensor = Sensor::new(2048, 1).unwrap();
         let scan = Scans::new(readout, i32::MIN, sensor, 1).unwrap();

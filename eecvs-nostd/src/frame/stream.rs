@@ -1,28 +1,28 @@
-//! Frames out of a stream of bytes that may be damaged, and what their order says was lost.
+//! Finds frames in a stream of bytes that may be damaged, and detects lost frames by their sequence numbers.
 
 use crate::frame::{Frame, FrameError, SYNC};
 
-/// What stands at the start of received bytes.
+/// What was found at the start of received bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Scan<'i> {
-    /// A frame; it takes up `frame.bytes`.
+    /// A frame, of `frame.bytes` bytes.
     Frame(Frame<'i>),
-    /// Not a frame: the next that may be one begins after `skip` bytes, at least 1.
+    /// Not a frame: the next one can begin after `skip` bytes, at least 1.
     Damage {
-        /// Why.
+        /// Why it is not a frame.
         error: FrameError,
-        /// Bytes to leave out.
+        /// Number of bytes to skip.
         skip: usize,
     },
-    /// A frame may begin here: more bytes will tell.
+    /// A frame may begin here; deciding takes more bytes.
     Incomplete,
 }
 
-/// Looks at the start of `bytes`, received but not yet used up.
+/// Looks for a frame at the start of `bytes`, the bytes received but not used yet.
 ///
-/// After damage the scan goes on at the next sync bytes, inside the damaged frame too, so that a
-/// frame that follows it is found whatever the damage was.
+/// After damage the search resumes at the next sync bytes, even inside the damaged frame, so that a following frame
+/// is found whatever the damage was.
 #[must_use]
 pub fn scan(bytes: &[u8]) -> Scan<'_> {
     if bytes.is_empty() {
@@ -38,7 +38,8 @@ pub fn scan(bytes: &[u8]) -> Scan<'_> {
     }
 }
 
-/// Distance to the next place, not the first, where `sync` or its beginning stands.
+/// Returns the distance to the next position after the first where `sync`, or a beginning of it cut off by the end,
+/// is found.
 pub(crate) fn next_sync(bytes: &[u8], sync: [u8; 2]) -> usize {
     let mut skip = 1;
     loop {
@@ -52,34 +53,34 @@ pub(crate) fn next_sync(bytes: &[u8], sync: [u8; 2]) -> usize {
     }
 }
 
-/// Where a frame stands relative to those before it.
+/// Position of a frame in the sequence, relative to those received before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Order {
-    /// The one that was due, or the first of all.
+    /// The frame that was due, or the first of all.
     InOrder,
-    /// This many frames before it have not come.
+    /// This many frames before it are missing.
     Lost(u32),
-    /// It has come before.
+    /// A frame with this number was received before.
     Repeated,
-    /// It was due earlier: it had been counted as lost.
+    /// A late frame, which had been counted as lost.
     Reordered,
 }
 
-/// Follows the sequence numbers of frames, across the 2^32 wrap.
+/// Follows the sequence numbers of frames, across the wrap at 2^32.
 ///
-/// Remembers the last 64 numbers, which tells a repeated frame from one that overtook others; an
-/// older one counts as repeated, so that no event is ever taken twice.
+/// It remembers which of the last 64 numbers were received, which distinguishes a repeated frame from a late one. A
+/// frame older than that counts as repeated, so that no event is ever used twice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Sequence {
     newest: Option<u32>,
-    /// Bit i: number newest - i has come.
+    /// Bit i is set if number newest - i was received.
     seen: u64,
 }
 
 impl Sequence {
-    /// Before the first frame.
+    /// Returns the state before the first frame, which may have any number.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -88,7 +89,7 @@ impl Sequence {
         }
     }
 
-    /// Takes the number of the frame that has come.
+    /// Takes note of a received frame's number and returns its position in the sequence.
     pub fn follow(&mut self, sequence: u32) -> Order {
         let Some(newest) = self.newest else {
             *self = Self {

@@ -1,7 +1,7 @@
-//! A pixel of several events of the DTFT on up to 32 frequencies: [`crate::fused`]'s stages
-//! with the kept sums side by side from the start and the output's state in registers.
+//! Encodes a DTFT pixel of several events on up to 32 frequencies: the stages of [`crate::fused`], with the kept
+//! sums side by side from the start and the output's state in registers.
 //!
-//! The stages in Rust stay for other processors and other grids; all give the same bits.
+//! The stages in Rust serve other processors and other grids. All give the same bits.
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;
@@ -23,35 +23,35 @@ use crate::transform::phase::PhaseScale;
 use crate::transform::shape::{Packing, Shape, width_of};
 use crate::window::{NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot};
 
-/// Whether [`Waves`] are for this frame.
+/// Returns whether [`Waves`] handles this frame.
 pub fn is_for(packing: &Packing) -> bool {
     packing.transform == Transform::Dtft
         && packing.quantiser.step_log2() <= 0
         && prune::armv7em::is_for(packing.shape())
 }
 
-/// Words that a pixel takes at the most: counts and gap, 3 * 31 bits and 4; the set, a bit and 32;
-/// the levels' width, up to 32; and what was there before.
+/// Largest number of words that a pixel takes without its levels: counts and gap, 3 * 31 bits and 4; the set, a bit
+/// and 32; the levels' width, up to 32; and one word for bits that were pending.
 const PLACE_WORDS_MAX: usize = 4 + 1 + 1 + 1;
 
-/// What pixels of a frame have in common, and memory lent for their sums.
+/// The parameters that the pixels of a frame share, and memory lent for a pixel's sums.
 #[derive(Debug)]
 pub struct Waves<'e> {
     shape: Shape,
-    /// 2K sums.
+    /// Room for 2K sums.
     sums: &'e mut [Sum],
     /// Room for 2K numbers.
     numbers: &'e mut [u32],
     pub common: Common,
 }
 
-/// What [`put`] knows.
+/// The part of the parameters that [`put`] reads.
 #[derive(Debug)]
 #[repr(C)]
 pub struct Common {
     r: u32,
     sums: *mut Sum,
-    /// From sums to levels.
+    /// Shift from sums to levels.
     shift: u32,
     /// Bits of a level of one event.
     one_bits: u32,
@@ -59,28 +59,28 @@ pub struct Common {
     gap_zeros: u32,
     counts: &'static Counts,
     grid: u32,
-    /// k = 0..r, as a bit each.
+    /// The set k = 0..r, as one bit per k.
     low: u32,
-    /// From an offset to u / 2: [`PhaseScale::parts`].
+    /// Shift and factor from an offset to u / 2: [`PhaseScale::parts`].
     scale: [u32; 2],
 }
 
-// What the assembly takes for granted.
+// The assembly relies on these.
 const _: () = assert!(SLOTS_MAX < 0x8000 && NO_SLOT >= 0x8000 && NEXT_SHIFT == 16);
 const _: () = assert!(size_of::<Slot>() == 8 && size_of::<Turn>() == 8);
 const _: () = assert!(offset_of!(Common, sums) == 4 && offset_of!(Common, shift) == 8);
 const _: () = assert!(offset_of!(Common, gap_zeros) == 16 && offset_of!(Common, grid) == 24);
 const _: () = assert!(offset_of!(Common, scale) == 32);
-// ON events leave the three bits below n's free.
+// The number of ON events leaves the three bits below n's free.
 const _: () = assert!(CHUNK_EVENTS < 1 << 13 && size_of::<[u32; 2]>() == 8);
 
-/// Words that a pixel takes at the most, with levels of up to 32 bits.
+/// Returns the largest number of words that a pixel takes, with levels of up to 32 bits.
 pub const fn words_max(shape: Shape) -> usize {
     PLACE_WORDS_MAX + 2 * shape.r
 }
 
 impl<'e> Waves<'e> {
-    /// `None` where there is less memory than 2K numbers each.
+    /// Creates an instance, or returns `None` if either memory has room for fewer than 2K numbers.
     pub fn new(
         shape: Shape,
         scale: PhaseScale,
@@ -111,8 +111,8 @@ impl<'e> Waves<'e> {
         })
     }
 
-    /// Encodes a pixel of 2 to a chunk of events: `gap` is twice its gap plus 2^g, and 1; `tally` its
-    /// events in the upper half and those that are ON in the lower. The output has room for it.
+    /// Encodes a pixel of 2 events up to a chunk. `gap` is twice the sum of its gap and 2^g, plus 1; `tally` has
+    /// its events in the upper half and its ON events in the lower. The output must have room for it.
     #[inline(always)]
     pub fn encode<T: Trace>(
         &mut self,
@@ -124,10 +124,9 @@ impl<'e> Waves<'e> {
     ) {
         let kept = self.choose(tally, impulses, trace);
         trace.enter(Stage::Pack);
-        // SAFETY: the pointer is that of the reference. `put_apart` reads a pair for every k of the
-        // set but 0, which have just been written, and writes the position and fewer words from
-        // there on than there is room for. This file is built only for cores that have the
-        // instructions.
+        // SAFETY: the pointer is that of the reference. `put_apart` reads a pair for every k of the set except 0,
+        // all of which have just been written, and writes the position and fewer words from there on than there is
+        // room for. This file is built only for cores that have the instructions.
         let is_put = unsafe {
             let writer: *mut BitWriter<'_> = writer;
             let (position, words, _) = BitWriter::raw_parts(writer);
@@ -138,7 +137,7 @@ impl<'e> Waves<'e> {
         }
     }
 
-    /// Which k are kept, and, but for k = 0, their sums side by side where `common` has them.
+    /// Returns the kept k, and leaves their sums, except for k = 0, side by side at `common.sums`.
     #[inline(always)]
     pub fn choose<T: Trace>(&mut self, tally: u32, impulses: &Impulses<'_>, trace: &mut T) -> u32 {
         let events = tally >> 16;
@@ -146,8 +145,8 @@ impl<'e> Waves<'e> {
         let (slots, head) = impulses.parts();
         if events == 2 {
             trace.enter(Stage::Accumulate);
-            // SAFETY: the list is the group's, of events of this window. There are 2K sums. This
-            // file is built only for cores that have the instructions.
+            // SAFETY: the list is the group's and holds events of this window. There are 2K sums. This file is
+            // built only for cores that have the instructions.
             let kept = unsafe { two(&self.common, slots.as_ptr(), head) };
             if kept != 0 {
                 return kept;
@@ -156,7 +155,7 @@ impl<'e> Waves<'e> {
         self.choose_largest((tally, head), slots, trace)
     }
 
-    /// The same from all sums.
+    /// Does the same from all sums.
     #[inline(always)]
     pub fn choose_largest<T: Trace>(
         &mut self,
@@ -168,14 +167,14 @@ impl<'e> Waves<'e> {
         trace.enter(Stage::Accumulate);
         let pairs: *mut [Sum; 2] = self.sums.as_mut_ptr().cast();
         if self.shape.grid == dtft16::GRID {
-            // SAFETY: the list is the group's, of events of this window, and has some. There are as many
-            // pairs of sums, and nothing else has them while this runs.
+            // SAFETY: the list is the group's, holds events of this window, and is not empty. There are as many
+            // pairs of sums, and nothing else accesses them while this runs.
             unsafe {
                 dtft16::armv7em::add(slots.as_ptr(), head, &self.common.scale, &mut *pairs.cast())
             };
         } else {
             let mut memory = [const { MaybeUninit::uninit() }; CHUNK_EVENTS];
-            // SAFETY: as above; `turns_of` writes as many turns. There are K pairs of sums.
+            // SAFETY: as above; `turns_of` writes one turn per event. There are K pairs of sums.
             unsafe {
                 turns_of(&self.common, slots.as_ptr(), head, memory.as_mut_ptr());
                 let (first, k) = (memory.as_ptr().cast(), self.shape.grid - 1);
@@ -189,7 +188,7 @@ impl<'e> Waves<'e> {
         }
         trace.enter(Stage::Prune);
         let zeroth = (2 * on).wrapping_sub(events).cast_signed();
-        // SAFETY: there are as many sums and numbers, and `new` is asked for shapes that this is for.
+        // SAFETY: the sums and numbers exist, and `new` is called only for shapes that this function handles.
         let kept = unsafe {
             let sums = self.sums.as_mut_ptr();
             *sums.cast() = [Sum::from_integer(zeroth), Sum::ZERO];
@@ -202,7 +201,7 @@ impl<'e> Waves<'e> {
         kept
     }
 
-    /// What [`put`] leaves: wide levels, none, or a long place.
+    /// Packs a pixel that [`put`] does not handle: with wide levels, without levels, or with a long place.
     #[cold]
     #[inline(never)]
     pub fn put_long(
@@ -238,28 +237,28 @@ impl<'e> Waves<'e> {
         if let Some(levels) = self.numbers.get(..len)
             && len > 0
         {
-            // No clamp as in `Packing::level_bits_max`: the step is 1 at the most, and events few.
+            // Not clamped as in `Packing::level_bits_max`: the step is at most 1, and the events are few.
             let most = width_of(events - 1) + one_bits;
             put_levels(most, levels, spread, writer);
         }
     }
 }
 
-/// Bits of the widest levels of which a word has room for two.
+/// Width of the widest levels of which two fit a word.
 const PAIR_BITS_MAX: u32 = 16;
-/// And four.
+/// Width of the widest levels of which four fit a word.
 const FOUR_BITS_MAX: u32 = 8;
 
-/// A pixel of two events, whose list begins at `head`: the sums of what is kept of it, but for k = 0,
-/// side by side; returns which, or 0 where all sums have to tell, and in the Z flag whether it is 0.
+/// Returns the kept k of a pixel of two events, whose list begins at `head`, or 0 if the choice requires all sums.
+/// Leaves the sums of the kept k, except for k = 0, side by side. The Z flag is set if the result is 0.
 ///
 /// # Safety
-/// Every link is a slot or the end, and `common` has 2K sums.
+/// Every link must be an existing slot or the list's end, and `common` must have 2K sums.
 #[unsafe(naked)]
 pub unsafe extern "C" fn two(common: &Common, slots: *const Slot, head: u32) -> u32 {
     naked_asm!(
         "push {{r4-r11, lr}}",
-        // At sp: 36 bytes of lanes; 40 two turns.
+        // The stack holds 36 bytes of lanes, and at 40 two turns.
         "sub sp, #60",
         "mov r9, r0",
         "ldrd r6, r7, [r0, #32]",
@@ -294,7 +293,7 @@ pub unsafe extern "C" fn two(common: &Common, slots: *const Slot, head: u32) -> 
         "bne 3f",
         "bl {two_of_rows}",
         "movs r0, r5",
-        // The Z flag tells whether that is 0.
+        // The Z flag shows whether the result is 0.
         "2:",
         "add sp, #60",
         "pop {{r4-r11, pc}}",
@@ -309,10 +308,10 @@ pub unsafe extern "C" fn two(common: &Common, slots: *const Slot, head: u32) -> 
     )
 }
 
-/// The turns of the list of slots that begins at `head`.
+/// Writes the turns of the list of slots that begins at `head`.
 ///
 /// # Safety
-/// Every link is a slot or the end; `turns` has room for all.
+/// Every link must be an existing slot or the list's end; `turns` must have room for one turn per event.
 #[unsafe(naked)]
 unsafe extern "C" fn turns_of(
     common: &Common,
@@ -331,7 +330,7 @@ unsafe extern "C" fn turns_of(
         "lsls r4, r2, #31",
         "lsls r5, r5, #1",
         "stm r3!, {{r4, r5}}",
-        // The sign tells the end of the list.
+        // A negative link ends the list.
         "asrs r2, r2, #16",
         "bpl 2b",
         "pop {{r4-r6, pc}}",
@@ -341,7 +340,7 @@ unsafe extern "C" fn turns_of(
 /// Moves the pairs of `set` to the front, ascending.
 ///
 /// # Safety
-/// `sums` has a pair for every k up to the highest of the set.
+/// `sums` must have a pair for every k up to the highest of the set.
 #[unsafe(naked)]
 unsafe extern "C" fn gather(sums: *mut Sum, set: u32) {
     naked_asm!(
@@ -362,14 +361,14 @@ unsafe extern "C" fn gather(sums: *mut Sum, set: u32) {
     )
 }
 
-/// Appends `$value`, which has no bits beyond its `$bits`; overwrites `$tmp`, which may be `$bits`.
+/// Appends `$value`, which must have no bits beyond its `$bits`; overwrites `$tmp`, which may be `$bits`.
 ///
-/// r9: bits of the next word; r8: 0; r10: the bit where the value goes; r12: where the word goes;
-/// r11: another register.
+/// r9: bits of the next word; r8: 0; r10: the bit where the value goes; r12: where the word goes; r11: another
+/// register.
 macro_rules! put {
     ($value:literal, $bits:literal, $tmp:literal) => {
         concat!(
-            // What the word has no room for is in r8.
+            // r8 holds what the word has no room for.
             "umlal r9, r8, ",
             $value,
             ", r10\n",
@@ -394,8 +393,8 @@ macro_rules! put {
     };
 }
 
-/// Four sums from r2 on to levels side by side in r0. r7: shift; r5: 2^bits; r3: the highest bit of
-/// each level.
+/// Converts four sums from r2 on to levels side by side in r0. r7: shift; r5: 2^bits; r3: the highest bit of each
+/// level.
 macro_rules! four {
     () => {
         "ldm r2!, {{r0, r1, r11, lr}}
@@ -411,20 +410,20 @@ macro_rules! four {
     };
 }
 
-/// Puts a pixel of 2 to a chunk of events, whose pairs of sums of `kept` but k = 0 stand side by side;
-/// `gap` and `tally` as [`Waves::encode`] has them. Returns 0, and nothing has changed, where levels
-/// have over 16 bits, there are none, or the place has over 31 bits; the Z flag tells that too.
+/// Packs a pixel of 2 events up to a chunk. Its pairs of sums for `kept`, except for k = 0, stand side by side;
+/// `gap` and `tally` are as in [`Waves::encode`]. If levels have more than 16 bits, if there are none, or if the
+/// place has more than 31 bits, changes nothing, returns 0 and sets the Z flag.
 ///
-/// The output's state is in registers: r9 the bits of the next word, r10 the bit after them, r12 where
-/// the word goes, r8 is 0. Overwrites r0 to r7 and r11.
+/// The output's state is in registers: r9 holds the bits of the next word, r10 the bit after them, r12 where the
+/// word goes, and r8 is 0. Overwrites r0 to r7 and r11.
 ///
 /// # Safety
-/// For assembly alone. There are the words from r12 on, and the pairs.
+/// For assembly alone. The words from r12 on and the pairs must exist.
 #[unsafe(naked)]
 pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -> u32 {
     naked_asm!(
         "push {{r0, r12, lr}}",
-        // r4: pairs; r7: zeros before n - 1.
+        // r4: number of pairs; r7: leading zeros of n - 1.
         "ldrd r4, r12, [r0]",
         "and r5, r3, #1",
         "subs r4, r4, r5",
@@ -432,7 +431,8 @@ pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -
         "lsrs r7, r2, #16",
         "subs r7, #1",
         "clz r7, r7",
-        // r5: the bits that are not copies of the sign, until there is the highest that |c| < n has.
+        // r5: mask of the bits that differ from the sign bit. The loop stops once it has the highest bit that |c| <
+        // n allows.
         "rsb r8, r7, #{fraction_bits} + 31",
         "movs r5, #0",
         "mov r6, r4",
@@ -457,14 +457,14 @@ pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -
         "sub r11, r11, r7",
         "sub r11, r11, r8",
         "add lr, r11, #32",
-        // The gap's code in r1, with a 1 above it; r5: its bits.
+        // r1: the gap's code, with a 1 above it; r5: its bits.
         "ldrd r5, r11, [r0, #16]",
         "clz r6, r1",
         "subs r5, r5, r6",
         "lsls r1, r5",
         "subs r5, r5, r6",
         "adds r5, #31",
-        // n and the ON events behind it; what the 1s above both come to is taken off.
+        // n and the ON events after it, less the 1s above both.
         "add r6, r11, r2, lsr #13",
         "ldrd r6, r11, [r6]",
         "smlabt r2, r2, r6, r11",
@@ -475,7 +475,7 @@ pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -
         "subs r5, #32",
         "cmp r5, #31",
         "bhi 9f",
-        // The set, of which a bit is enough where it is the lowest k.
+        // The set, for which one bit is enough if it holds the lowest k.
         "ldrd r7, r6, [r0, #24]",
         "movs r2, #1",
         "cmp r3, r6",
@@ -494,8 +494,8 @@ pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -
         "lsl r1, r2, lr",
         "add lr, lr, #1",
         put!("r1", "lr", "lr"),
-        // r2: sums; r4: pairs; r7: shift; r6: bits of a level; r5: 2^bits; r3: the highest bit of each
-        // of two levels, later of four.
+        // r2: sums; r4: pairs; r7: shift; r6: bits of a level; r5: 2^bits; r3: the highest bit of each of two
+        // levels, later of four.
         "lsl r5, r2, r6",
         "ldrd r2, r7, [r0, #4]",
         "lsrs r1, r5, #1",
@@ -516,8 +516,8 @@ pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -
         "subs r4, #2",
         "bhs 3b",
         "b 4f",
-        // Bytes, which are in the upper halves of the sums: whole words. r6 and r7: what brings them to
-        // the upper and to the lower byte of a half.
+        // Levels of one byte, which lie in the upper halves of the sums: whole words. r6 and r7: shifts to the
+        // upper and the lower byte of a half.
         "11:",
         "cmp r7, #16",
         "blo 12b",
@@ -548,7 +548,7 @@ pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -
         "6:",
         "adds r4, #2",
         "beq 8f",
-        // By pairs.
+        // In pairs.
         "7:",
         "lsls r6, r6, #1",
         "5:",
@@ -576,10 +576,10 @@ pub unsafe extern "C" fn put(common: &Common, gap: u32, tally: u32, kept: u32) -
     )
 }
 
-/// [`put`] with the output's state in memory: `counts` are the tally and what is kept.
+/// Calls [`put`] with the output's state in memory.
 ///
 /// # Safety
-/// There are the words from the position on, and the pairs.
+/// The words from the position on and the pairs must exist.
 unsafe fn put_apart(
     common: &Common,
     gap: u32,
@@ -593,11 +593,11 @@ unsafe fn put_apart(
         kept,
         words,
     };
-    // SAFETY: by the caller.
+    // SAFETY: by the caller's guarantee.
     unsafe { put_fields(common, &fields, &mut *position) != 0 }
 }
 
-/// What [`put_fields`] hands on.
+/// The arguments that [`put_fields`] passes on.
 #[repr(C)]
 struct Fields {
     gap: u32,
@@ -606,6 +606,8 @@ struct Fields {
     words: *mut [u8; 4],
 }
 
+/// Loads the output's state from memory, calls [`put`] and stores the state.
+///
 /// # Safety
 /// As for [`put_apart`].
 #[unsafe(naked)]

@@ -1,8 +1,8 @@
-//! A pixel of several events of the DTFT on up to 32 frequencies, on a processor with AVX2:
-//! [`crate::fused`]'s stages with all sums in registers, and no step that depends on how the
-//! magnitudes lie.
+//! Encodes a DTFT pixel of several events on up to 32 frequencies on a processor with AVX2: the stages of
+//! [`crate::fused`] with all sums in registers, and without steps that depend on how the magnitudes are
+//! distributed.
 //!
-//! The stages in Rust stay for other processors and other grids; all give the same bits.
+//! The stages in Rust serve other processors and other grids. All give the same bits.
 #![allow(unsafe_code)]
 
 use core::arch::x86_64::{
@@ -31,12 +31,12 @@ use crate::window::Slot;
 
 cpufeatures::new!(detected, "avx2", "bmi1", "bmi2", "popcnt");
 
-/// Largest K.
+/// Largest K that this module handles.
 const GRID_MAX: usize = 32;
-/// Frequencies whose keys are in a vector.
+/// Number of frequencies whose keys fit a vector.
 const KEYS: usize = 16;
 
-/// Whether [`Waves`] are for this frame and this processor.
+/// Returns whether [`Waves`] handles this frame on this processor.
 pub fn is_for(packing: &Packing) -> bool {
     let Shape { grid, r, .. } = packing.shape();
     packing.transform == Transform::Dtft
@@ -46,22 +46,22 @@ pub fn is_for(packing: &Packing) -> bool {
         && detected::get()
 }
 
-/// Words that a pixel takes at the most: counts and gap, 3 * 31 bits and 3; the set, a bit and 32; the
-/// levels' width, up to 32; two levels of up to 32 bits for each k; and what was there before.
+/// Largest number of words that a pixel takes: counts and gap, 3 * 31 bits and 3; the set, a bit and 32; the
+/// levels' width, up to 32; two levels of up to 32 bits for each k; and one word for bits that were pending.
 pub const WORDS_MAX: usize = 4 + 2 + 1 + 2 * GRID_MAX + 1;
 
-/// What pixels of a frame have in common.
+/// The parameters that the pixels of a frame share.
 #[derive(Debug, Clone, Copy)]
 pub struct Waves {
     scale: PhaseScale,
     grid: u32,
     r: u32,
-    /// From sums to levels.
+    /// Shift from sums to levels.
     shift: u32,
 }
 
 impl Waves {
-    /// Of a frame that [`is_for`] holds of.
+    /// Creates an instance for a frame for which [`is_for`] holds.
     pub fn new(shape: Shape, scale: PhaseScale) -> Self {
         Self {
             scale,
@@ -71,10 +71,10 @@ impl Waves {
         }
     }
 
-    /// Encodes a pixel of 2 to a chunk of events. The output has room for it.
+    /// Encodes a pixel of 2 events up to a chunk. The output must have room for it.
     ///
     /// # Safety
-    /// [`is_for`] holds of the frame.
+    /// [`is_for`] must hold for the frame.
     #[inline(always)]
     pub unsafe fn encode<T: Trace>(
         &self,
@@ -84,7 +84,7 @@ impl Waves {
         writer: &mut BitWriter<'_>,
         trace: &mut T,
     ) {
-        // SAFETY: by the caller, the processor has what was detected.
+        // SAFETY: by the caller's guarantee, the processor has the features that were detected.
         unsafe {
             if self.grid as usize == dtft16::GRID {
                 self.encode_of::<4, 1, true, T>(pixel, slots, packer, writer, trace);
@@ -96,7 +96,8 @@ impl Waves {
         }
     }
 
-    /// With sums in `V` vectors and keys in `N`, atoms of [`dtft16`] or of [`any_grid`].
+    /// Encodes with sums in `V` vectors and keys in `N`, and with atoms of [`dtft16`] if `ROWS`, otherwise of
+    /// [`any_grid`].
     #[target_feature(enable = "avx2,bmi1,bmi2,popcnt")]
     fn encode_of<const V: usize, const N: usize, const ROWS: bool, T: Trace>(
         &self,
@@ -138,10 +139,11 @@ impl Waves {
         packer.pairs(position, counts, (kept, pairs.as_flattened(), bits), writer);
     }
 
-    /// The r largest |c_k| of at most a chunk of `events`, as a bit each, ties to the lower k.
+    /// Returns the set of the r largest |c_k| of `events` events, at most a chunk, one bit per k, ties to the lower
+    /// k.
     #[target_feature(enable = "avx2,bmi1,bmi2,popcnt")]
     fn largest<const V: usize, const N: usize>(&self, sums: &[__m256i; V], events: u32) -> u32 {
-        // As `Coefficient::relative`.
+        // As in `Coefficient::relative`.
         let width = events.leading_zeros().wrapping_sub(26) & 31;
         let width = _mm_cvtsi32_si128(width.cast_signed());
         let mut keys = sums.map(|sum| squares(_mm256_sll_epi32(sum, width)));
@@ -162,7 +164,7 @@ impl Waves {
         self.largest_apart(&keys)
     }
 
-    /// The same where upper halves do not tell.
+    /// Does the same if the upper halves of the keys do not decide.
     #[cold]
     #[inline(never)]
     #[target_feature(enable = "avx2,bmi1,bmi2,popcnt")]
@@ -181,7 +183,7 @@ impl Waves {
     }
 }
 
-/// re^2 + im^2 of four pairs, each square as `mul_high` has it, below 2^31.
+/// Returns re^2 + im^2 of four pairs, each square as computed by `mul_high`, below 2^31.
 #[target_feature(enable = "avx2")]
 fn squares(pairs: __m256i) -> __m256i {
     let im = _mm256_srli_epi64::<32>(pairs);
@@ -189,7 +191,7 @@ fn squares(pairs: __m256i) -> __m256i {
     _mm256_add_epi64(re, _mm256_srli_epi64::<32>(_mm256_mul_epi32(im, im)))
 }
 
-/// The upper 16 of 32 bits of the keys of 16 k: lane 4i + v is of k = 4v + i.
+/// Returns the upper 16 of 32 bits of the keys of 16 frequencies; lane 4i + v belongs to k = 4v + i.
 #[target_feature(enable = "avx2")]
 fn upper_halves([a, b, c, d]: &[__m256i; 4]) -> __m256i {
     let a = _mm256_srli_epi64::<16>(*a);
@@ -199,7 +201,7 @@ fn upper_halves([a, b, c, d]: &[__m256i; 4]) -> __m256i {
     _mm256_blend_epi16::<0b1100_1100>(ab, cd)
 }
 
-/// Calls `$each` with every rotation of a vector's 16 lanes but the one by none.
+/// Calls `$each` with every rotation of a vector's 16 lanes except the one by 0.
 macro_rules! rotations {
     ($keys:expr, $each:expr) => {{
         let keys = $keys;
@@ -222,8 +224,8 @@ macro_rules! rotations {
     }};
 }
 
-/// The keys that fewer than `r` are above, as a bit for each k: all of the r largest, and none but
-/// these where they are as many. Keys are 0 beyond the grid.
+/// Returns the set of keys with fewer than `r` keys above them, one bit per k. It contains all of the r largest,
+/// and only these if it has r elements. Keys are 0 beyond the grid.
 #[target_feature(enable = "avx2")]
 fn above<const N: usize>(keys: &[__m256i; N], r: u32) -> u32 {
     let mut ranks = [_mm256_setzero_si256(); N];
@@ -238,7 +240,7 @@ fn above<const N: usize>(keys: &[__m256i; N], r: u32) -> u32 {
             each(*others);
         }
     }
-    // Each comparison that holds has taken 1 off.
+    // Each comparison that holds has subtracted 1.
     let least = _mm256_set1_epi16(-(r as i16));
     let mut bits = 0;
     for (i, rank) in ranks.into_iter().enumerate() {
@@ -247,7 +249,7 @@ fn above<const N: usize>(keys: &[__m256i; N], r: u32) -> u32 {
     bits
 }
 
-/// A bit for each k of lanes in the order of [`upper_halves`].
+/// Returns a bit for each k from lanes in the order of [`upper_halves`].
 #[target_feature(enable = "avx2")]
 fn in_order(lanes: __m256i) -> u32 {
     let (low, high) = halves(lanes);
@@ -256,7 +258,7 @@ fn in_order(lanes: __m256i) -> u32 {
     _mm_movemask_epi8(_mm_shuffle_epi8(both, order)).cast_unsigned()
 }
 
-/// All bits in the pairs of vector `v` whose k are in `set`.
+/// Returns a mask of all bits in those pairs of vector `v` whose k are in `set`.
 #[target_feature(enable = "avx2")]
 fn lanes(set: u32, v: usize) -> __m256i {
     let own = _mm256_setr_epi64x(1 << (4 * v), 2 << (4 * v), 4 << (4 * v), 8 << (4 * v));
@@ -272,18 +274,18 @@ fn halves(all: __m256i) -> (__m128i, __m128i) {
     )
 }
 
-/// The low `bits`, up to 32, of both levels of each pair.
+/// Puts the low `bits` bits, up to 32, of both levels of each pair side by side.
 #[target_feature(enable = "avx2")]
 fn side_by_side(levels: __m256i, bits: u32) -> __m256i {
     let unused = _mm_cvtsi32_si128(32 - bits.cast_signed());
     let clean = _mm256_srl_epi32(_mm256_sll_epi32(levels, unused), unused);
-    // The upper one comes down to the lower.
+    // Moves the upper level down next to the lower one.
     let upper = _mm256_blend_epi32::<0b0101_0101>(clean, _mm256_setzero_si256());
     let lower = _mm256_xor_si256(clean, upper);
     _mm256_or_si256(lower, _mm256_srl_epi64(upper, unused))
 }
 
-/// The bits that are not copies of the sign, of any level of the pairs in `kept`.
+/// Returns a mask of the bits that differ from the sign bit in at least one level of the pairs in `kept`.
 #[target_feature(enable = "avx2")]
 fn spread<const V: usize>(levels: &[__m256i; V], kept: u32) -> u32 {
     let mut all = _mm256_setzero_si256();
@@ -303,13 +305,13 @@ mod tests {
     use crate::fixed_point::CHUNK_EVENTS;
     use proptest::prelude::*;
 
-    /// `above` of keys whose upper halves are these, in the order of the link.
+    /// Calls `above` with keys that have these upper halves, in the order of the link.
     fn found<const V: usize, const N: usize>(halves: &[u16], r: u32) -> u32 {
         let mut keys = [[0_u64; 4]; V];
         for (key, half) in keys.as_flattened_mut().iter_mut().zip(halves) {
             *key = (u64::from(*half) << 16) | 0xbeef;
         }
-        // SAFETY: the caller has asked for the instructions.
+        // SAFETY: the caller has checked for the instructions.
         unsafe {
             let keys = keys.map(|[a, b, c, d]| {
                 let [a, b, c, d] = [a, b, c, d].map(u64::cast_signed);
@@ -346,7 +348,7 @@ mod tests {
             prop_assert_eq!(found::<4, 1>(&halves[..16], r), expected(&halves[..16]));
         }
 
-        /// Ties and all, against the portable search.
+        /// Including ties, compared with the portable search.
         #[test]
         fn the_largest_are_those_of_the_portable_search(
             numbers in proptest::collection::vec(any::<(i32, i32)>(), 32),
@@ -357,7 +359,7 @@ mod tests {
             }
             let r = 1 + r % (grid - 1);
             let most = events << FRACTION_BITS;
-            // Few values tie more often.
+            // Fewer values tie more often.
             let number = |x: i32| (x.unsigned_abs() % most) as i32 >> shift << shift;
             let pairs: [[i32; 2]; 32] =
                 core::array::from_fn(|k| [number(numbers[k].0), -number(numbers[k].1)]);
@@ -375,7 +377,7 @@ mod tests {
                 let [re, im] = pairs[k].map(|x| u64::from(x.cast_unsigned()));
                 ((im << 32) | re).cast_signed()
             };
-            // SAFETY: the instructions are there.
+            // SAFETY: the processor has the instructions, as checked above.
             unsafe {
                 let vector = |v: usize| {
                     _mm256_setr_epi64x(pair(4 * v), pair(4 * v + 1), pair(4 * v + 2), pair(4 * v + 3))

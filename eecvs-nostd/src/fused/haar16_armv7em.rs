@@ -1,9 +1,9 @@
-//! The walk of [`crate::fused`] over the pixels of the Haar transform on 16 bins, with its
-//! state in registers: what [`crate::fused::walk_armv7em`] is to the eight-coefficient DCT.
+//! The walk of [`crate::fused`] over the pixels of the Haar transform on 16 bins, with its state in registers, like
+//! [`crate::fused::walk_armv7em`] for the eight-coefficient DCT.
 //!
-//! A pixel's 16 differences are four registers of [`haar_bytes`]; the DSP instructions' flags by byte tell
-//! the lanes that are not 0 and the levels. The loop in Rust stays for other processors and for
-//! probes, which want to know the stage; all give the same bits.
+//! The 16 differences of a pixel fit four registers, as in [`haar_bytes`]. The DSP instructions' per-byte flags
+//! give the lanes that are not 0, and the levels. The loop in Rust serves other processors, and traces that want to
+//! know the stage. All give the same bits.
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;
@@ -22,10 +22,10 @@ use crate::window::{COLUMN_SHIFT, NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot, Window};
 
 /// log2 of K.
 pub const BINS_LOG2: u32 = 4;
-/// Most that are kept: their levels of up to 3 bits are below a 1 in a word.
+/// Largest number of kept differences: their levels of up to 3 bits fit a word with a 1 above them.
 pub const KEPT_MAX: u32 = 10;
 
-/// What [`walk`] or [`sum`] divide by, for the shapes and windows that they are for.
+/// Returns the divisor of [`walk`] and [`sum`], or `None` for a shape or a window that they do not handle.
 pub const fn divisor(shape: Shape, scale: PhaseScale) -> Option<u32> {
     let is_one = match shape.grid {
         16 => shape.r as u32 <= KEPT_MAX,
@@ -39,19 +39,19 @@ pub const fn divisor(shape: Shape, scale: PhaseScale) -> Option<u32> {
     }
 }
 
-/// What the assembly knows. The first part is copied to its stack.
+/// The state of the assembly. The first part is copied to its stack.
 #[repr(C)]
 struct Walk<'w, 's, 'o> {
-    /// Word from which on the output has no room for another pixel.
+    /// Index of the word from which on the output has no room for another pixel.
     limit: usize,
     rows: *const Rows,
     duration_us: u32,
     cells_log2: u32,
-    /// Bits of a single event but for its gap.
+    /// Bits of a single event, not counting its gap.
     single_bits: u32,
-    /// How many are kept.
+    /// Number of differences to keep.
     r: u32,
-    /// Raster index of the first column of the segment at hand.
+    /// Raster index of the first column of the current segment.
     base: u32,
     slots: *const Slot,
     packer: *mut Packer,
@@ -60,7 +60,7 @@ struct Walk<'w, 's, 'o> {
     words: *mut [u8; 4],
     /// Columns of the segment that were not visited.
     columns: u32,
-    /// Differences or levels for [`prune`] and [`bytes_long`].
+    /// Differences for [`prune`], or levels for [`bytes_long`].
     lanes: [u32; 4],
     group: *mut Group,
     window: *mut Window<'s>,
@@ -70,9 +70,9 @@ struct Walk<'w, 's, 'o> {
     borrowed: PhantomData<&'w mut ()>,
 }
 
-/// Encodes pixels up to the window's last, up to one of more than [`CHUNK_EVENTS`] events, which is
-/// the group's next then, or until the output has less than `room` words left. Returns events and
-/// pixels. `duration_us` is below 2^28, r up to [`KEPT_MAX`].
+/// Encodes pixels up to the window's last one, up to one of more than [`CHUNK_EVENTS`] events, which the group then
+/// returns next, or until the output has less than `room` words left. Returns the number of events and of pixels.
+/// `duration_us` must be below 2^28, and `r` at most [`KEPT_MAX`].
 pub fn walk(
     (group, window): (&mut Group, &mut Window<'_>),
     duration_us: u32,
@@ -83,7 +83,7 @@ pub fn walk(
     let cells_log2 = packer.cells_log2();
     let width = u32::from(window.config().sensor.width);
     let writer: *mut BitWriter<'_> = writer;
-    // SAFETY: the pointer is that of the reference; both parts are reached through it alone.
+    // SAFETY: the pointer is that of the reference; both parts are accessed only through it.
     let (position, words, words_len) = unsafe { BitWriter::raw_parts(writer) };
     let mut walk = Walk {
         limit: words_len.saturating_sub(room),
@@ -106,18 +106,17 @@ pub fn walk(
         width,
         borrowed: PhantomData,
     };
-    // SAFETY: the pointers are those of exclusive references that outlive the call. `walk_columns`
-    // reads slots at the heads and links of the group's lists, all of which `Group` has found below
-    // the number of slots when it made the lists; reads and writes entries of columns below 32;
-    // reads the table at bins below 16, as offsets are below the duration; and writes words before
-    // `limit` plus `room`, which are there. This file is built only for cores that have the
-    // instructions.
+    // SAFETY: the pointers are those of exclusive references that outlive the call. `walk_columns` reads slots at
+    // the heads and links of the group's lists, all of which `Group` found to be below the number of slots when it
+    // made the lists. It reads and writes entries of columns below 32; reads the table at bins below 16, as offsets
+    // are below the duration; and writes words before `limit` plus `room`, which exist. This file is built only for
+    // cores that have the instructions.
     let counts = unsafe { walk_columns(&mut walk) };
     group.columns = walk.columns;
     (counts & 0xffff, counts >> 16)
 }
 
-// What the assembly takes for granted. Both counts fit half a word, and a link's sign tells the end.
+// The assembly relies on these: both counts fit half a word, and the sign of a link marks the list's end.
 const _: () = assert!(SLOTS_MAX < 0x8000 && NO_SLOT == 0xffff);
 const _: () = assert!(size_of::<Slot>() == 8 && NEXT_SHIFT == 16 && CHUNK_EVENTS < 128);
 const _: () = assert!(COLUMN_SHIFT == 11);
@@ -125,10 +124,10 @@ const _: () = assert!(size_of::<Entry>() == 8 && offset_of!(Entry, tally) == 4);
 const _: () = assert!(offset_of!(Walk<'_, '_, '_>, base) == 24);
 const _: () = assert!(offset_of!(Walk<'_, '_, '_>, columns) == 48);
 const _: () = assert!(offset_of!(Walk<'_, '_, '_>, lanes) == 52);
-// Rows of 16 bins are every other one of a table of 32.
+// The rows of 16 bins are every other row of a table of 32.
 const _: () = assert!(size_of::<Row>() == 32 && haar_bytes::GRID_LOG2 == BINS_LOG2 + 1);
 
-/// The next segment's columns, 0 where there is none; its base, slots and entries.
+/// Returns the next segment's columns, or 0 after the last, and sets the segment's base, slots and entries.
 unsafe extern "C" fn next_segment(walk: &mut Walk<'_, '_, '_>) -> u32 {
     // SAFETY: see `walk`; nothing else has a reference while this runs.
     let (group, window) = unsafe { (&mut *walk.group, &mut *walk.window) };
@@ -139,14 +138,14 @@ unsafe extern "C" fn next_segment(walk: &mut Walk<'_, '_, '_>) -> u32 {
     columns
 }
 
-/// A single event whose code is longer than 31 bits; `before` is what the packer's gap comes to.
+/// Packs a single event whose code is longer than 31 bits. `before` is as in [`Packer::single_to`].
 unsafe extern "C" fn single_long(walk: &mut Walk<'_, '_, '_>, before: u32, rest: u32) {
     // SAFETY: see `walk`; nothing else has a reference while this runs.
     let (packer, writer) = unsafe { (&mut *walk.packer, &mut *walk.writer) };
     packer.single_to(before, rest, writer);
 }
 
-/// Leaves the r largest of the differences in `walk`; returns which those are.
+/// Keeps the r largest of the differences in `walk`, clears the others, and returns the set of those kept.
 unsafe extern "C" fn prune(walk: &mut Walk<'_, '_, '_>, tally: u32) -> u32 {
     let sums = Lanes::new(walk.lanes);
     let kept = haar_bytes::largest(sums, tally >> 16, walk.r);
@@ -154,21 +153,21 @@ unsafe extern "C" fn prune(walk: &mut Walk<'_, '_, '_>, tally: u32) -> u32 {
     kept
 }
 
-/// A pixel whose levels or whose place have more than a word: its levels are in `walk`.
+/// Packs a pixel whose levels or whose place do not fit a word; its levels are in `walk`.
 unsafe extern "C" fn bytes_long(walk: &mut Walk<'_, '_, '_>, index: u32, tally: u32, kept: u32) {
     // SAFETY: see `walk`; nothing else has a reference while this runs.
     let (packer, writer) = unsafe { (&mut *walk.packer, &mut *walk.writer) };
     let on = tally & 0xffff;
     let [a, b, c, d] = walk.lanes;
-    // As for 32 bins, which an image has the code for anyway.
+    // As for 32 bins: the code for them is in the firmware image anyway.
     let levels = Lanes::new([a, b, c, d, 0, 0, 0, 0]);
     let counts = (on, (tally >> 16) - on);
     packer.bytes_at(index, counts, (kept, levels, levels.spread()), writer);
 }
 
-/// Appends `$bits` bits of `$value`, which has no others; overwrites `$bits` and `$tmp`.
+/// Appends `$bits` bits of `$value`, which must have no others; overwrites `$bits` and `$tmp`.
 ///
-/// r9: bits of the next word, lr: how many there are, r12: where the word goes.
+/// r9: bits of the next word; lr: how many there are; r12: where the word goes.
 macro_rules! put {
     ($value:literal, $bits:literal, $tmp:literal) => {
         concat!(
@@ -192,7 +191,7 @@ macro_rules! put {
             ", ",
             $bits,
             ", lr\n",
-            // What the word had no room for; nothing where that is a shift by 32.
+            // What the word had no room for; 0 if this is a shift by 32.
             "lsr r9, ",
             $value,
             ", ",
@@ -203,7 +202,7 @@ macro_rules! put {
     };
 }
 
-/// Adds the row of an event to r4 to r7. r1: its offset, lr: its link, r8: table, r9: duration.
+/// Adds the row of an event to r4 to r7. r1: its offset; lr: its link; r8: table; r9: duration.
 macro_rules! event {
     () => {
         concat!(
@@ -222,11 +221,11 @@ macro_rules! event {
     };
 }
 
-/// The differences of a pixel of `group` on 4 W bins, as [`haar_bytes::sum`] has them.
+/// Returns the differences of a pixel of `group` on 4 W bins, like [`haar_bytes::sum`].
 ///
 /// # Safety
-/// `impulses` are those of a pixel whose list [`Group`] has made of the slots, of which there are
-/// some. `duration_us` is below 2^27, and all offsets below it.
+/// `impulses` must be those of a pixel whose list [`Group`] has made from the slots, and must not be empty.
+/// `duration_us` must be below 2^27, and all offsets below `duration_us`.
 #[inline(always)]
 pub unsafe fn sum<const W: usize>(impulses: &Impulses<'_>, duration_us: u32) -> Lanes<W> {
     let (slots, index) = impulses.parts();
@@ -236,8 +235,8 @@ pub unsafe fn sum<const W: usize>(impulses: &Impulses<'_>, duration_us: u32) -> 
         words: [0; W],
     };
     let to = (&raw mut sums).cast();
-    // SAFETY: by the caller, every link is a slot or the end, and every bin a row. The functions
-    // write W words of `sums`. This file is built only for cores that have the instructions.
+    // SAFETY: by the caller's guarantee, every link is an existing slot or the list's end, and every bin has a row.
+    // The functions write W words of `sums`. This file is built only for cores that have the instructions.
     unsafe {
         if W == 4 {
             sum_16(slots.as_ptr(), index, to);
@@ -248,7 +247,7 @@ pub unsafe fn sum<const W: usize>(impulses: &Impulses<'_>, duration_us: u32) -> 
     Lanes::of_biased(sums.words)
 }
 
-/// What [`sum`] sums up.
+/// Arguments and result of the assembly of [`sum`].
 #[repr(C)]
 struct Sums<const W: usize> {
     rows: *const Rows,
@@ -258,7 +257,7 @@ struct Sums<const W: usize> {
 
 const _: () = assert!(offset_of!(Sums<8>, words) == 8);
 
-/// As in the walk.
+/// Sums four words, as in the walk.
 #[unsafe(naked)]
 unsafe extern "C" fn sum_16(slots: *const Slot, index: u32, sums: *mut ()) {
     naked_asm!(
@@ -290,7 +289,7 @@ unsafe extern "C" fn sum_16(slots: *const Slot, index: u32, sums: *mut ()) {
     )
 }
 
-/// Eight words are all registers: table and duration stay in memory.
+/// Sums eight words, which leave no register for the table and the duration: these stay in memory.
 #[unsafe(naked)]
 unsafe extern "C" fn sum_32(slots: *const Slot, index: u32, sums: *mut ()) {
     naked_asm!(
@@ -342,17 +341,16 @@ unsafe extern "C" fn sum_32(slots: *const Slot, index: u32, sums: *mut ()) {
     )
 }
 
-/// Returns pixels << 16 and events.
+/// Walks the columns; returns pixels << 16 plus events.
 ///
 /// # Safety
-/// As `walk` has it.
+/// All pointers in `walk` must be valid as described in [`walk`].
 #[unsafe(naked)]
 unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
     naked_asm!(
-        // r4: columns; r5: base; r6: slots; r7: packer; r8: entries; r9: position; r10: words;
-        // r11: the counts.
-        // At sp: 0 to 20 r5 to r10; 24 r4, 28 r11; 32 limit, 36 rows, 40 duration, 44 cells_log2,
-        // 48 single_bits, 52 r; 56 walk; 60 index, 64 tally; 68 to 83 the levels, the last k first.
+        // r4: columns; r5: base; r6: slots; r7: packer; r8: entries; r9: position; r10: words; r11: the counts. At
+        // sp: 0 to 20: r5 to r10; 24: r4; 28: r11; 32: limit; 36: rows; 40: duration; 44: cells_log2; 48:
+        // single_bits; 52: r; 56: walk; 60: index; 64: tally; 68 to 83: the levels, the last k first.
         "push {{r4-r11, lr}}",
         "sub sp, #84",
         "str r0, [sp, #56]",
@@ -370,8 +368,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "adds r0, #24",
         "ldm r0, {{r5-r10}}",
         "stm sp, {{r5-r10}}",
-        // The next pixel. r0: raster index; r1: its list; r2: the first slot; r3: its offset;
-        // r12: its link.
+        // The next pixel. r0: raster index; r1: its list; r2: the first slot; r3: its offset; r12: its link.
         "1:",
         "rbit r0, r4",
         "clz r0, r0",
@@ -389,13 +386,13 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         // One event.
         "movs r2, #0",
         "str r2, [r1, #4]",
-        // r3: the cell; and beside it, lowest, the polarity.
+        // r3: the cell, with the polarity in the lowest bit.
         "ldrd r1, r2, [sp, #40]",
         "lsls r3, r2",
         "udiv r3, r3, r1",
         "and r12, r12, #1",
         "add r3, r12, r3, lsl #1",
-        // r1: the gap's code, a 1 above it, which is that of n; lr: its bits.
+        // r1: the gap's code, with the 1 above it that is n's; lr: its bits.
         "ldm r7, {{r1, r2, r12, lr}}",
         "subs r1, r0, r1",
         "subs r0, r0, r2",
@@ -424,7 +421,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "cmp r4, #0",
         "bne 1b",
         "b 6b",
-        // A word is complete: what it had no room for begins the next.
+        // A word is complete: what it had no room for begins the next word.
         "2:",
         "str r3, [r10, r0, lsl #2]",
         "ldr r3, [sp, #32]",
@@ -450,11 +447,11 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "strd r0, lr, [sp, #60]",
         "mov r1, r3",
         "mov lr, r12",
-        // r0: slots, less what the column's upper bits come to in `lr, lsr #13`.
+        // r0: slots, less the column's upper bits, which `lr, lsr #13` includes.
         "ubfx r12, r12, #13, #3",
         "sub r0, r6, r12",
         "ldrd r8, r9, [sp, #36]",
-        // The sums begin from half of a lane's range.
+        // The sums start at half of a lane's range.
         "mov r4, #0x80808080",
         "mov r5, r4",
         "mov r6, r4",
@@ -464,7 +461,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "add r1, r0, lr, lsr #13",
         "ldrd r1, lr, [r1]",
         event!(),
-        // The sign tells the end of the list.
+        // A negative link ends the list.
         "cmp lr, #0",
         "bpl 3b",
         // D_k in two's complement; r0: the lanes that are not 0.
@@ -491,7 +488,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "usad8 r0, r0, r12",
         "usad8 r1, r1, r12",
         "orr r0, r0, r1, lsl #8",
-        // r3: how many.
+        // r3: their number.
         "and r1, r0, #0x55555555",
         "and r2, r0, #0xaaaaaaaa",
         "add r1, r1, r2, lsr #1",
@@ -505,7 +502,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "cmp r3, r1",
         "bhi 12f",
         "10:",
-        // The levels: positive ones move down by one.
+        // The levels: positive differences move down by one.
         "mov r8, #0x01010101",
         "ssub8 r1, r4, r8",
         "sel r4, r1, r4",
@@ -515,8 +512,8 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "sel r6, r1, r6",
         "ssub8 r1, r7, r8",
         "sel r7, r1, r7",
-        // Where a bit and the one below it differ, of any level but c_0's; those that cross lanes
-        // are taken off.
+        // Mask of the places where a bit differs from the one below it, in any level but c_0's; pairs of bits that
+        // cross lanes are cleared.
         "eor r1, r4, r4, lsl #1",
         "bic r1, r1, #0xff",
         "eor r2, r5, r5, lsl #1",
@@ -533,7 +530,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         // r2: bits of a level.
         "clz r1, r1",
         "rsb r2, r1, #32",
-        // r8: the lowest bits of each lane; levels cut to them go to the stack.
+        // r8: mask of the lowest bits of each lane; levels cut to them go to the stack.
         "lsl r3, r8, r2",
         "sub r8, r3, r8",
         "and r3, r7, r8",
@@ -546,7 +543,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "rev r11, r11",
         "add r12, sp, #68",
         "stm r12, {{r3, r9, r10, r11}}",
-        // r10: the levels from the last on, below a 1, nothing where there are none; r3: 2^bits.
+        // r10: the levels, from the last on, below a 1, or 0 if there are none; r3: 2^bits.
         "movs r1, #1",
         "lsl r3, r1, r2",
         "mov r10, #0",
@@ -565,8 +562,8 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "mla r10, r10, r3, r1",
         "bics r9, r9, lr",
         "bne 13b",
-        // r11: the code of the levels' width has as many bits as the widest possible has more than
-        // the widest one, and one: 2 and bits of n - 1, less bits of a level.
+        // r11: bits of the code of the levels' width: one more than the difference between the widest possible
+        // level and the widest one, that is, 2 and the bits of n - 1, less the bits of a level.
         "ldr r1, [sp, #64]",
         "lsrs r1, r1, #16",
         "subs r1, #1",
@@ -577,7 +574,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "clz r1, r10",
         "cmp r1, r11",
         "blo 9f",
-        // r10: width and levels, a 1 above them; r11: their bits.
+        // r10: width and levels, with a 1 above them; r11: their bits.
         "sub r3, r11, #1",
         "lsl r10, r10, r11",
         "movs r2, #1",
@@ -588,7 +585,8 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "eor r10, r10, r8",
         "rsb r11, r1, #31",
         "14:",
-        // r4: the code; r8: its bits. The gap first, and a 1 above it. r3: n, r9: ON events.
+        // r3: the code; r8: its bits; r9: the packer's `before` after this pixel. The gap comes first, with a 1 above
+        // it.
         "ldrd r1, r2, [sp, #60]",
         "ldr lr, [sp, #8]",
         "ldm lr, {{r3, r9, r12}}",
@@ -601,7 +599,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "adds r3, r3, r3",
         "adds r3, #1",
         "lsl r3, r3, r12",
-        // r2: n, whose code has its 1 from the gap's; r1: ON events.
+        // r2: n, whose code takes its 1 from the gap's code; r1: ON events.
         "uxth r1, r2",
         "lsrs r2, r2, #16",
         "clz lr, r2",
@@ -614,7 +612,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "adds r3, r3, r2",
         "add r8, r8, lr, lsl #1",
         "add r8, r8, #1",
-        // ON events, with the 1 above n's code taken off.
+        // ON events, less the 1 above n's code.
         "subs r1, #1",
         "lsl r1, r1, r8",
         "adds r3, r3, r1",
@@ -622,7 +620,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "add r8, r8, #1",
         "cmp r8, #31",
         "bhi 9f",
-        // No way back from here.
+        // The state is changed from here on.
         "ldr r1, [sp, #8]",
         "str r9, [r1]",
         "ldrd r5, r12, [sp, #16]",
@@ -654,7 +652,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "cmp r4, #0",
         "bne 1b",
         "b 6b",
-        // More than are kept.
+        // More differences than are kept.
         "12:",
         "ldr r0, [sp, #56]",
         "add r1, r0, #52",
@@ -665,7 +663,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "adds r1, #52",
         "ldm r1, {{r4-r7}}",
         "b 10b",
-        // Rarely: wide levels or a long place.
+        // Rare: wide levels or a long place.
         "9:",
         "mov r3, r0",
         "ldr r0, [sp, #56]",
@@ -691,7 +689,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "cmp r4, #0",
         "bne 1b",
         "b 6b",
-        // More events than a chunk: as it was before.
+        // More events than a chunk: restore the state before this pixel.
         "5:",
         "str r2, [r1]",
         "subs r0, r0, r5",

@@ -1,4 +1,4 @@
-//! One pixel's way from its events to bits: accumulate, prune, quantise, pack.
+//! Encodes a pixel from its events to its bits in one go: accumulate, prune, quantise, pack.
 
 #[cfg(eecvs_dsp)]
 pub(crate) mod dtft32_armv7em;
@@ -32,8 +32,8 @@ use dtft32_armv7em::Waves;
 
 const CHUNK_EVENTS_U32: u32 = CHUNK_EVENTS as u32;
 
-/// Whether the DCT's coefficients are as many as stay in registers, all of them are kept, and the
-/// step is 1 at the most: [`PixelEncoder::encode_few`] is for these.
+/// Returns whether all DCT coefficients fit the registers and are kept, with a step of at most 1:
+/// [`PixelEncoder::encode_few`] handles these frames.
 pub(crate) fn is_few(packing: &Packing) -> bool {
     packing.transform == Transform::Dct
         && usize::from(packing.m) == dct8::GRID
@@ -41,8 +41,8 @@ pub(crate) fn is_few(packing: &Packing) -> bool {
         && packing.quantiser.step_log2() <= 0
 }
 
-/// Whether a pixel's Fourier coefficients go from its events to bits at once: [`PixelEncoder::encode_waves`]
-/// is for these.
+/// Returns whether a pixel's Fourier coefficients are computed and packed in one go: [`PixelEncoder::encode_waves`]
+/// handles these frames.
 pub(crate) fn is_waves(packing: &Packing) -> bool {
     #[cfg(eecvs_dsp)]
     return dtft32_armv7em::is_for(packing);
@@ -55,17 +55,17 @@ pub(crate) fn is_waves(packing: &Packing) -> bool {
     }
 }
 
-/// Words that a pixel takes at the most where [`is_few`] holds: counts and gap, 3 * 31 bits and 3;
-/// a width of up to 32 bits, 7 levels of 32; and what was there before.
+/// Largest number of words that a pixel takes if [`is_few`] holds: counts and gap, 3 * 31 bits and 3; a width of up
+/// to 32 bits and 7 levels of 32; and one word for bits that were pending.
 const FEW_WORDS_MAX: usize = 3 + 1 + 7 + 1;
 
-/// Whether the Haar differences of a pixel are bytes in a few words, and its levels are the
-/// differences themselves: [`PixelEncoder::encode_lanes`] is for these.
+/// Returns whether a pixel's Haar differences are bytes in a few words, and are also its levels:
+/// [`PixelEncoder::encode_lanes`] handles these frames.
 pub(crate) fn is_lanes(packing: &Packing, scale: PhaseScale) -> bool {
     let is_small = packing.transform == Transform::Dwt
         && usize::from(packing.grid) <= haar_bytes::GRID
         && packing.quantiser.step_log2() <= 0;
-    // In an image only what there is assembly for: its portable twin has no place there.
+    // A firmware image has no room for the assembly's portable twin, so only what the assembly handles counts.
     #[cfg(eecvs_dsp)]
     let is_small = is_small && haar16_armv7em::divisor(packing.shape(), scale).is_some();
     #[cfg(not(eecvs_dsp))]
@@ -73,11 +73,11 @@ pub(crate) fn is_lanes(packing: &Packing, scale: PhaseScale) -> bool {
     is_small
 }
 
-/// Words that a pixel takes at the most in [`PixelEncoder::encode_lanes`]: counts and gap; the set;
-/// a width and a level for each, of up to 32 bits; and what was there before.
+/// Largest number of words that a pixel takes in [`PixelEncoder::encode_lanes`]: counts and gap; the set; a width
+/// and a level for each coefficient, of up to 32 bits; and one word for bits that were pending.
 const LANES_WORDS_MAX: usize = 4 + 1 + haar_bytes::GRID + 1;
 
-/// What turns the pixels of a frame into bits, one after the other.
+/// Encodes the pixels of a frame, one after the other.
 pub(crate) struct PixelEncoder<'e, 'b> {
     shape: Shape,
     scale: PhaseScale,
@@ -118,7 +118,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             encode_single::<B, T>((self.scale, &mut self.packer), pixel, slots, writer, trace);
             return 0;
         }
-        // In an image the pixels that have no code of their own share that of the widest sums.
+        // In a firmware image, pixels without code of their own share the code of the widest sums.
         let is_rare = cfg!(eecvs_dsp) && B::TRANSFORM as u8 == Transform::Dwt as u8;
         if is_rare || events as usize > CHUNK_EVENTS {
             return self.encode_crowded::<B, T>(pixel, slots, writer, trace);
@@ -141,9 +141,9 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         rest.encode::<B, Sum, T>(pixel, sums, writer, trace)
     }
 
-    /// Encodes pixels where [`is_few`] holds while the output has room for any: the few
-    /// coefficients have a loop and a packing of their own. Returns events, pixels, and how many
-    /// levels saturated.
+    /// Encodes pixels as long as the output has room for any pixel, in a frame for which [`is_few`] holds. The few
+    /// coefficients have a loop and a packing of their own. Returns the number of events, of pixels and of
+    /// saturated levels.
     #[inline(never)]
     pub(crate) fn encode_few<T: Trace>(
         &mut self,
@@ -172,7 +172,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             let slots = window.slots();
             let here = pixel.on + pixel.off;
             if cfg!(eecvs_dsp) && !T::LISTENS && here <= CHUNK_EVENTS_U32 {
-                // Never: the walk has all of these.
+                // Never reached: the walk has encoded all of these.
                 group.put_back(pixel);
                 break;
             }
@@ -196,8 +196,8 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         (events, pixels, saturated)
     }
 
-    /// Encodes pixels where [`dtft32_armv7em::is_for`] holds while the output has room for any. Returns
-    /// events, pixels, and how many levels saturated.
+    /// Encodes pixels as long as the output has room for any pixel, in a frame for which [`dtft32_armv7em::is_for`]
+    /// holds. Returns the number of events, of pixels and of saturated levels.
     #[cfg(eecvs_dsp)]
     #[inline(never)]
     pub(crate) fn encode_waves<T: Trace>(
@@ -212,7 +212,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         while writer.has_words(words) {
             let memory = (&mut *self.scratch.sums, &mut *self.scratch.magnitudes);
             let Some(mut waves) = Waves::new(self.shape, self.scale, memory, &self.packer) else {
-                // Never: `Config::check` asks for the memory.
+                // Never reached: `Config::check` requires the memory.
                 break;
             };
             if !T::LISTENS {
@@ -236,7 +236,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
                     break Some(pixel);
                 }
                 if !T::LISTENS {
-                    // Never: the walk has all of these.
+                    // Never reached: the walk has encoded all of these.
                     group.put_back(pixel);
                     break None;
                 }
@@ -264,7 +264,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         (events, pixels, saturated)
     }
 
-    /// Never called: [`is_waves`] holds for no frame.
+    /// Never called, because [`is_waves`] holds for no frame.
     #[cfg(not(any(eecvs_dsp, target_arch = "x86_64")))]
     pub(crate) const fn encode_waves<T: Trace>(
         &mut self,
@@ -276,8 +276,8 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         (0, 0, 0)
     }
 
-    /// Encodes pixels where [`dtft32_avx2::is_for`] holds while the output has room for any. Returns
-    /// events, pixels, and how many levels saturated.
+    /// Encodes pixels as long as the output has room for any pixel, in a frame for which [`dtft32_avx2::is_for`]
+    /// holds. Returns the number of events, of pixels and of saturated levels.
     #[cfg(target_arch = "x86_64")]
     #[allow(unsafe_code)]
     #[inline(never)]
@@ -300,7 +300,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             let packer = &mut self.packer;
             match here {
                 1 => encode_single::<Dtft, T>((self.scale, packer), pixel, slots, writer, trace),
-                // SAFETY: `dtft32_avx2::is_for` holds.
+                // SAFETY: this is called only for frames for which `dtft32_avx2::is_for` holds.
                 2..=CHUNK_EVENTS_U32 => unsafe {
                     waves.encode(pixel, slots, packer, writer, trace);
                 },
@@ -315,8 +315,8 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         (events, pixels, saturated)
     }
 
-    /// Encodes pixels where [`is_lanes`] holds while the output has room for any. Returns events,
-    /// pixels, and how many levels saturated.
+    /// Encodes pixels as long as the output has room for any pixel, in a frame for which [`is_lanes`] holds.
+    /// Returns the number of events, of pixels and of saturated levels.
     #[inline(always)]
     pub(crate) fn encode_lanes<T: Trace>(
         &mut self,
@@ -332,7 +332,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         }
     }
 
-    /// [`Self::encode_lanes`] with lanes of W words.
+    /// Does [`Self::encode_lanes`] with lanes of W words.
     #[inline(never)]
     fn encode_lanes_of<const W: usize, T: Trace>(
         &mut self,
@@ -365,7 +365,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             let slots = window.slots();
             let here = pixel.on + pixel.off;
             if cfg!(eecvs_dsp) && W == 4 && !T::LISTENS && here <= CHUNK_EVENTS_U32 {
-                // Never: the walk has all of these.
+                // Never reached: the walk has encoded all of these.
                 group.put_back(pixel);
                 break;
             }
@@ -389,15 +389,15 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         (events, pixels, saturated)
     }
 
-    /// The differences of a pixel that a group gave.
+    /// Returns the differences of a pixel that comes from a group.
     #[inline(always)]
     #[cfg_attr(eecvs_dsp, allow(unsafe_code))]
     fn sum_lanes<const W: usize>(&self, impulses: &Impulses<'_>) -> Lanes<W> {
         #[cfg(eecvs_dsp)]
         {
-            // Always there: `is_lanes` has asked.
+            // Always present: `is_lanes` has checked this.
             let duration_us = haar16_armv7em::divisor(self.shape, self.scale).unwrap_or(u32::MAX);
-            // SAFETY: the list is the group's, of events of this window, and has some.
+            // SAFETY: the list is the group's, holds events of this window, and is not empty.
             unsafe { haar16_armv7em::sum(impulses, duration_us) }
         }
         #[cfg(not(eecvs_dsp))]
@@ -408,7 +408,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         )
     }
 
-    /// A pixel of 2 events to a chunk's, its differences as bytes.
+    /// Encodes a pixel of 2 events up to a chunk, with its differences as bytes.
     #[inline(always)]
     fn encode_bytes<const W: usize, T: Trace>(
         &mut self,
@@ -435,7 +435,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             .bytes(position, counts, (kept, levels, spread), writer);
     }
 
-    /// A pixel of 2 events to a chunk's.
+    /// Encodes a pixel of 2 events up to a chunk.
     #[inline(always)]
     fn encode_several<T: Trace>(
         &mut self,
@@ -461,7 +461,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         }
     }
 
-    /// A pixel of several chunks.
+    /// Encodes a pixel of several chunks; returns how many levels saturated.
     #[cold]
     #[inline(never)]
     fn encode_crowded<B: Basis, T: Trace>(
@@ -489,7 +489,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
     }
 }
 
-/// A pixel of one event, whose coefficients follow from its time.
+/// Encodes a pixel of one event, whose coefficients follow from its time.
 #[inline(always)]
 fn encode_single<B: Basis, T: Trace>(
     (scale, packer): (PhaseScale, &mut Packer),
@@ -506,7 +506,7 @@ fn encode_single<B: Basis, T: Trace>(
     packer.single((pixel.x, pixel.y), pixel.on == 1, cell, writer);
 }
 
-/// The coefficients of a pixel of several chunks, in `totals`.
+/// Writes the coefficients of a pixel of several chunks to `totals`.
 #[inline(always)]
 pub(crate) fn sum_crowded<B: Basis>(
     pixel: Pixel,
@@ -523,7 +523,7 @@ pub(crate) fn sum_crowded<B: Basis>(
     for _ in 0..(pixel.on + pixel.off).div_ceil(CHUNK_EVENTS_U32) {
         let rest = B::accumulate_list(&impulses, scale, grid, sums);
         for (total, sum) in totals.iter_mut().zip(sums.iter()).take(values) {
-            // Fewer than 2^24 events of at most 1 each: far from the 2^38 that a total holds.
+            // Fewer than 2^24 events of at most 1 each stay far below a total's limit of 2^38.
             *total = total.wrapping_add(sum.wide());
         }
         impulses = rest.unwrap_or_else(|| {
@@ -534,7 +534,7 @@ pub(crate) fn sum_crowded<B: Basis>(
     set_zeroth::<B, _>(pixel, totals);
 }
 
-/// c_0 = on - off.
+/// Sets c_0 = on - off.
 #[inline(always)]
 pub(crate) fn set_zeroth<B: Basis, C: Coefficient>(pixel: Pixel, sums: &mut [C]) {
     if let Some(re) = sums.first_mut() {
@@ -578,7 +578,7 @@ impl Rest<'_> {
         trace.enter(Stage::Pack);
         let position = (pixel.x, pixel.y);
         if is_pruned {
-            // In an image most of these pixels have code of their own.
+            // In a firmware image most of these pixels have code of their own.
             self.packer.place_apart(position, counts, writer);
             self.packer.set(self.kept, writer);
         } else {

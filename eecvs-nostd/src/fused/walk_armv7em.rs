@@ -1,10 +1,10 @@
-//! The walk of [`crate::fused`] over pixels, with its state in registers: those of the
-//! eight-coefficient DCT whole; of the DTFT it deals segments and packs single events, and leaves
-//! pixels of several to [`crate::fused::dtft32_armv7em`].
+//! The walk of [`crate::fused`] over pixels, with its state in registers. It encodes pixels of the
+//! eight-coefficient DCT completely. For the DTFT it splits segments into columns and packs single events, and
+//! leaves pixels of several events to [`crate::fused::dtft32_armv7em`].
 //!
-//! The compiler's own walk takes nearly twice the instructions: it has fewer registers than the walk
-//! has state, and moves that to the stack and back at every pixel. The loop in Rust stays for other
-//! processors and for probes, which want to know the stage; all give the same bits.
+//! A compiled walk takes nearly twice the instructions: a compiler has fewer registers than the walk has state, and
+//! moves state to the stack and back at every pixel. The loop in Rust serves other processors, and traces that want
+//! to know the stage. All give the same bits.
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;
@@ -26,13 +26,13 @@ use crate::transform::phase::PhaseScale;
 use crate::window::{COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_SLOT, Slot};
 use crate::window::{SLOTS_MAX, Window};
 
-/// Words that a pixel takes at the most in the assembly: 32 bits of place and width, 71 of levels, and
-/// 31 that were there before. A single event's are fewer, whatever its gap.
+/// Largest number of words that a pixel takes in the assembly: 32 bits of place and width, 71 of levels, and 31
+/// that were pending. A single event takes fewer, whatever its gap.
 const WORDS_MAX: usize = 4;
-/// Where a slot has the next one.
+/// Offset in a slot of the next slot's number.
 const NEXT_AT: usize = 6;
 
-/// What the assembly knows. The first part is copied to its stack, and back from `base` on.
+/// The state of the assembly. The first part is copied to its stack, and back from `base` on.
 #[repr(C)]
 struct Walk<'w, 's, 'o> {
     // The four that an event needs come first.
@@ -40,51 +40,51 @@ struct Walk<'w, 's, 'o> {
     slots: *mut Slot,
     phase_shift: u32,
     reciprocal: u32,
-    /// From u / 2 to the cell.
+    /// Shift from u / 2 to the cell.
     cell_shift: u32,
-    /// 33 and the bits of a cell.
+    /// 33 plus the bits of a cell.
     single_bits: u32,
-    /// Where the output has no room for another pixel.
+    /// From here on the output has no room for another pixel.
     limit: *mut [u8; 4],
-    /// From sums to levels.
+    /// Shift from sums to levels.
     level_shift: u32,
     /// Bits of a level of one event, less 2.
     level_bits: u32,
     counts: *const Counts,
-    /// The same as `limit` for one that the assembly leaves to [`seven_long`].
+    /// Like `limit`, for a pixel that the assembly leaves to [`seven_long`].
     limit_long: *mut [u8; 4],
     heads: *mut Head,
-    /// Segments in a row, and the columns that they have beyond the sensor's.
+    /// Number of segments in a row, and of the columns that they have beyond the sensor's.
     stride: u32,
     beyond: u32,
     entries: *mut Entry,
-    /// Raster index of the first column of the segment at hand.
+    /// Raster index of the first column of the current segment.
     base: u32,
-    /// From the index after the last pixel's to that.
+    /// Distance to `base` from the raster index after the last pixel.
     since: u32,
-    /// Of 32 segments, those still to be visited.
+    /// Those of 32 segments that are still to be visited.
     segments: u32,
-    /// The first of them.
+    /// The first of the 32 segments.
     first_segment: u32,
-    /// Raster index after the last pixel's, at the end.
+    /// On return, the raster index after the last pixel.
     next_index: u32,
-    /// The segment's columns that were not visited, the first one highest.
+    /// Columns of the segment that were not visited, the first one highest.
     columns: u32,
-    /// Where slots have their links, and where these have the next slot.
+    /// Addresses of the first slot's link, and of the next slot's number in it.
     links: *mut u8,
     nexts: *mut u8,
-    /// 2 2^g + 1: twice the gap more, and zeros before, is a gap's code of order g.
+    /// 2 2^g + 1. With twice the gap added, and zeros in front, this is a gap's code of order g.
     gap: u32,
-    /// As above.
+    /// The same as `slots`.
     slots_again: *mut Slot,
     // Not copied.
     position: *mut Position,
     words: *mut [u8; 4],
     /// Sums that the assembly leaves to [`seven_long`].
     sums: [i32; 7],
-    /// Tally from which on a pixel is not the assembly's.
+    /// The assembly does not handle a pixel whose tally is this or more.
     tally_limit: u32,
-    /// Those of the DTFT's pixels.
+    /// Encodes the DTFT's pixels of several events.
     waves: *mut Waves<'w>,
     packer: *mut Packer,
     source: Source<'s>,
@@ -93,9 +93,9 @@ struct Walk<'w, 's, 'o> {
     borrowed: PhantomData<&'w mut ()>,
 }
 
-/// Encodes pixels up to the window's last, up to one of more than [`CHUNK_EVENTS`] events, which is
-/// the group's next then, or until the output has less than `room` words left. Returns events and
-/// pixels. `waves` are there for the DTFT.
+/// Encodes pixels up to the window's last one, up to one of more than [`CHUNK_EVENTS`] events, which the group then
+/// returns next, or until the output has less than `room` words left. Returns the number of events and of pixels.
+/// `waves` is given for the DTFT only.
 pub fn walk(
     (group, window): (&mut Group, &mut Window<'_>),
     scale: PhaseScale,
@@ -123,7 +123,7 @@ pub fn walk(
     let (slots, heads, stride) = window.parts();
     let slots_at: *mut u8 = slots.as_mut_ptr().cast();
     let writer: *mut BitWriter<'_> = writer;
-    // SAFETY: the pointer is that of the reference; both parts are reached through it alone.
+    // SAFETY: the pointer is that of the reference; both parts are accessed only through it.
     let (position, words, words_len) = unsafe { BitWriter::raw_parts(writer) };
     let mut walk = Walk {
         lines: &dct8::LINES,
@@ -161,20 +161,19 @@ pub fn walk(
         writer,
         borrowed: PhantomData,
     };
-    // SAFETY: the pointers are those of exclusive references that outlive the call. `walk_columns`
-    // reads and writes heads of segments that the window's bitmap has, and slots at heads and
-    // links, all of which `Window` has made of slots that it has filled, or of entries that this or
-    // `Group` has made of those; reads and writes entries of columns below 32; reads the tables at
-    // rows below 512 and counts up to a chunk's; and writes words before `limit` plus `room`, which
-    // are there. This file is built only for cores that have the instructions.
+    // SAFETY: the pointers are those of exclusive references that outlive the call. `walk_columns` reads and writes
+    // heads of segments that the window's bitmap has, and slots at heads and links; `Window` has made all of these
+    // from slots that it has filled, or `Group` or this walk from entries made of those. It reads and writes
+    // entries of columns below 32; reads the tables at rows below 512 and at counts up to a chunk's; and writes
+    // words before `limit` plus `room`, which exist. This file is built only for cores that have the instructions.
     let counts = unsafe { walk_columns(&mut walk) };
-    // SAFETY: the references that they were made of are not used before this.
+    // SAFETY: the references from which the pointers were made are not used before this.
     let (group, packer) = unsafe { (&mut *walk.source.group, &mut *walk.packer) };
     group.segments = walk.segments;
     group.first_segment = walk.first_segment;
     group.columns = walk.columns.reverse_bits();
     if walk.columns != 0 {
-        // Never 0; asking leaves no panic in the code.
+        // Never 0; the checked division leaves no panic in the code.
         let y = walk.base.checked_div(width).unwrap_or(0);
         (group.segment_x, group.segment_y) = ((walk.base - y * width) as u16, y as u16);
     }
@@ -182,7 +181,7 @@ pub fn walk(
     (counts & 0xffff, counts >> 16)
 }
 
-// What the assembly takes for granted. Both counts fit half a word, and a link's sign tells the end.
+// The assembly relies on these: both counts fit half a word, and the sign of a link marks the list's end.
 const _: () = assert!(SLOTS_MAX < 0x8000 && NO_SLOT >= 0x8000);
 const _: () = assert!(size_of::<Slot>() == 8 && NEXT_SHIFT == 16 && CHUNK_EVENTS < 64);
 const _: () = assert!(size_of::<Entry>() == 8 && offset_of!(Entry, tally) == 4);
@@ -191,15 +190,15 @@ const _: () = assert!(offset_of!(Walk<'_, '_, '_>, counts) == 36);
 const _: () = assert!(offset_of!(Walk<'_, '_, '_>, position) == 100);
 const _: () = assert!(offset_of!(Walk<'_, '_, '_>, sums) == 108);
 
-/// A single event whose code is longer than 31 bits; `gap` is twice its gap plus 2^g, and 1.
+/// Packs a single event whose code is longer than 31 bits. `gap` is twice the sum of its gap and 2^g, plus 1.
 unsafe extern "C" fn single_long(walk: &mut Walk<'_, '_, '_>, gap: u32, rest: u32) {
     // SAFETY: see `walk`; nothing else has a reference while this runs.
     let (packer, writer) = unsafe { (&mut *walk.packer, &mut *walk.writer) };
     packer.single_after(gap >> 1, rest, writer);
 }
 
-/// A pixel whose levels have over 10 bits or whose place has over 31: its sums are in `walk`; `gap`
-/// as there.
+/// Packs a pixel whose levels have more than 10 bits or whose place has more than 31. Its sums are in `walk`; `gap`
+/// is as in [`single_long`].
 unsafe extern "C" fn seven_long(walk: &mut Walk<'_, '_, '_>, gap: u32, tally: u32) {
     // SAFETY: see `walk`; nothing else has a reference while this runs.
     let (packer, writer) = unsafe { (&mut *walk.packer, &mut *walk.writer) };
@@ -207,16 +206,16 @@ unsafe extern "C" fn seven_long(walk: &mut Walk<'_, '_, '_>, gap: u32, tally: u3
     packer.seven_after(gap >> 1, (on, (tally >> 16) - on), &walk.sums, writer);
 }
 
-/// What is kept of a pixel of two to a chunk's events of the DTFT, whose list begins at `head`; its
-/// sums are where [`dtft32_armv7em::put`] reads them.
+/// Returns the kept coefficients of a DTFT pixel of two events up to a chunk, whose list begins at `head`. Leaves
+/// its sums where [`dtft32_armv7em::put`] reads them.
 unsafe extern "C" fn choose(walk: &mut Walk<'_, '_, '_>, tally: u32, head: u32) -> u32 {
-    // SAFETY: see `walk`; nothing else has a reference while this runs, and this is called only where
-    // there are `Waves`.
+    // SAFETY: see `walk`; nothing else has a reference while this runs, and this is called only if there are
+    // `Waves`.
     let (waves, window) = unsafe { (&mut *walk.waves, &mut *walk.source.window) };
     waves.choose_largest((tally, head), window.slots(), &mut ())
 }
 
-/// A pixel of the DTFT that [`dtft32_armv7em::put`] leaves; `gap` as there.
+/// Packs a DTFT pixel that [`dtft32_armv7em::put`] does not handle; `gap` is as in [`single_long`].
 unsafe extern "C" fn wave_long(walk: &mut Walk<'_, '_, '_>, gap: u32, tally: u32, kept: u32) {
     // SAFETY: as for `choose`.
     let (waves, packer) = unsafe { (&mut *walk.waves, &*walk.packer) };
@@ -225,14 +224,14 @@ unsafe extern "C" fn wave_long(walk: &mut Walk<'_, '_, '_>, gap: u32, tally: u32
     waves.put_long((gap >> 1, tally), kept, packer, writer);
 }
 
-/// Appends `$value`, which has no bits beyond its `$bits`, 32 at the most; overwrites `$bits`.
+/// Appends `$value`, which must have no bits beyond its `$bits`, at most 32; overwrites `$bits`.
 ///
-/// r9: bits of the next word; r8: 0; `$at`: the bit where the value goes, and `$to` the one after
-/// it, in another register; r12: where the word goes.
+/// r9: bits of the next word; r8: 0; `$at`: the bit where the value goes; `$to`: the bit after the value, in
+/// another register; r12: where the word goes.
 macro_rules! put {
     ($value:literal, $bits:literal, $at:literal, $to:literal) => {
         concat!(
-            // What the word has no room for is in r8.
+            // r8 holds what the word has no room for.
             "umlal r9, r8, ",
             $value,
             ", ",
@@ -266,7 +265,7 @@ macro_rules! put {
     };
 }
 
-/// From sums, in r4 to r10, to levels, of which r2 has the shift.
+/// Converts the sums in r4 to r10 to levels; r2 holds the shift.
 macro_rules! levels {
     () => {
         "asr r4, r4, r2
@@ -279,10 +278,10 @@ macro_rules! levels {
     };
 }
 
-/// Returns pixels << 16 and events.
+/// Walks the columns; returns pixels << 16 plus events.
 ///
 /// # Safety
-/// As `walk` has it.
+/// All pointers in `walk` must be valid as described in [`walk`].
 #[unsafe(naked)]
 unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
     naked_asm!(
@@ -291,7 +290,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         // | columns from r7's on, the first one highest | gap | slots | next entry | 0 | bits of the
         // next word | the bit after them | pixels, events and 2^15 | where the word goes |
         //
-        // At sp: the walk's first part; 100 r1 and r3 to lr; 148 code, 152 its bits; 156 walk.
+        // At sp: the walk's first part; 100: r1 and r3 to lr; 148: code, 152: its bits; 156: walk.
         "push {{r4-r11, lr}}",
         "sub sp, #164",
         "str r0, [sp, #156]",
@@ -315,8 +314,8 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "ldr r4, [sp, #80]",
         "cmp r4, #0",
         "bne 13f",
-        // The next segment. r1: segments; r2: the first one, then the one; r4: index after the last
-        // pixel's.
+        // The next segment. r1: segments; r2: the first segment, then this one; r4: raster index after the last
+        // pixel.
         "6:",
         "ldrd r0, r1, [sp, #56]",
         "subs r7, r7, r0",
@@ -339,7 +338,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "mls r2, r3, r0, r2",
         "subs r4, r2, r4",
         "strd r2, r4, [sp, #60]",
-        // Its list, newest first, to the columns' lists, oldest first. r5: slot; r3: its link.
+        // Its list, newest first, is split into the columns' lists, oldest first. r5: slot; r3: its link.
         "mov r4, #0",
         "ldrd r6, r8, [sp, #84]",
         "3:",
@@ -372,14 +371,14 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "lsl r4, r4, r0",
         "add r7, r7, r0, lsl #3",
         "add r1, r5, r0, lsl #1",
-        // r1: the gap's code but for its zeros; lr: first slot; r3: tally. The entry is emptied: 2^15
-        // in its head ends a list.
+        // r1: the gap's code without its zeros; lr: first slot; r3: tally. The entry is emptied: 2^15 as its head
+        // ends a list.
         "4:",
         "ldrd lr, r3, [r7], #8",
         "strd r11, r8, [r7, #-8]",
         "cmp r3, #0x20000",
         "bhs 5f",
-        // One event. r3: the cell; and beside it, lowest, the polarity.
+        // One event. r3: the cell, and the polarity in the lowest bit.
         "ldr r2, [r6, lr, lsl #3]",
         "ldrd r0, lr, [sp, #8]",
         "lsls r2, r0",
@@ -387,8 +386,8 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "ldrd r0, lr, [sp, #16]",
         "lsrs r2, r0",
         "bfi r3, r2, #1, #31",
-        // r0: the gap's code, and the 1 above it is n's; r2: 32 less the bits of both, by which the
-        // rest is turned right to come after them; lr: bits of all.
+        // r0: the gap's code, with the 1 above it that is n's; r2: 32 less the bits of both, by which the rest is
+        // rotated right to follow them; lr: bits of all.
         "clz r0, r5",
         "clz r2, r1",
         "subs r0, r0, r2",
@@ -405,7 +404,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "lsls r4, r4, #1",
         "bne 1b",
         "b 6b",
-        // A word is complete: what it has no room for begins the next.
+        // A word is complete: what it has no room for begins the next word.
         "2:",
         "cmp lr, #31",
         "bhi 7f",
@@ -439,8 +438,8 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "lsl r4, r1, r6",
         "subs r7, r7, r6",
         "rsb r6, r7, #31",
-        // The counts behind it. r8: bits of all, and of the levels' width, but for the leading zeros
-        // of the widest level and for its 1, which comes with the levels.
+        // The counts after it. r8: bits of everything and of the levels' width, without the leading zeros of the
+        // widest level and without its 1, which comes with the levels.
         "ldrd r8, r9, [sp, #32]",
         "add r9, r9, r2, lsl #3",
         "ldrd r9, r10, [r9]",
@@ -454,10 +453,10 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "asr lr, lr, #16",
         "3:",
         event!("smlad", ", r4", ", r5", ", r6", ", r7", ", r8", ", r9", ", r10"),
-        // The sign tells the end of the list.
+        // A negative link ends the list.
         "asrs lr, lr, #16",
         "bpl 3b",
-        // r1: leading zeros of the bits that are not copies of the sign, of any of the levels.
+        // r1: leading zeros of the mask of bits that differ from the sign bit in at least one level.
         "eor r0, r4, r4, asr #31",
         "eor r1, r5, r5, asr #31",
         "orrs r0, r1",
@@ -484,7 +483,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "blo 9f",
         // The carry is 1 from here on.
         levels!(),
-        // r1: 2^bits; r2 and r11: the highest bit of each of three and of four.
+        // r1: 2^bits; r2 and r11: the highest bit of each of three fields and of four.
         "ldr r2, [sp, #36]",
         "sub r2, r2, r0, lsl #4",
         "ldm r2, {{r1, r2, r11}}",
@@ -494,12 +493,12 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "mla r9, r10, r1, r9",
         "mla r8, r9, r1, r8",
         "mla r7, r8, r1, r7",
-        // A negative level has borrowed from its neighbour, which half of a range more gives back.
+        // A negative level has borrowed from its neighbour; adding half a range gives that back.
         "add r4, r4, r2",
         "eor r4, r4, r2",
         "add r7, r7, r11",
         "eor r7, r7, r11",
-        // Before the three, the 1 of the levels' width.
+        // The 1 of the levels' width goes before the three levels.
         "adc r4, r4, r4",
         "adc r5, r0, r0, lsl #1",
         "add r1, sp, #124",
@@ -517,14 +516,14 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "lsls r4, r4, #1",
         "bne 1b",
         "b 6b",
-        // Four levels of over 8 bits are more than a word: three in r7 and one in r6.
+        // Four levels of more than 8 bits exceed a word: three go to r7 and one to r6.
         "11:",
         "cmp r0, #10",
         "bhi 9f",
         "rsbs r1, lr, #32",
         "blo 9f",
         levels!(),
-        // r1: 2^bits, r11: half of it.
+        // r1: 2^bits; r11: half of it.
         "mov r11, #1",
         "lsl r1, r11, r0",
         "lsr r11, r1, #1",
@@ -550,7 +549,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         put!("r7", "lr", "r2", "r1"),
         put!("r6", "r0", "r1", "r10"),
         "b 17b",
-        // Rarely: wide levels or a long place.
+        // Rare: wide levels or a long place.
         "9:",
         "ldr r0, [sp, #156]",
         "adds r0, #{sums}",
@@ -565,7 +564,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "ldrd r1, r2, [sp, #100]",
         "bl {seven_long}",
         "b 10f",
-        // A long gap. r3: as it was before it was turned.
+        // A long gap. r3 is restored to its value before it was rotated.
         "7:",
         "ldr r2, [sp, #20]",
         "sub r2, lr, r2",
@@ -597,7 +596,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "bne 15b",
         "strd r4, r1, [sp, #76]",
         "b 18f",
-        // No room, should it be the longest.
+        // Not enough room, if the pixel should be the longest possible.
         "19:",
         "ldrd r1, r3, [sp, #100]",
         "ldr lr, [sp, #144]",
@@ -644,7 +643,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "lsls r4, r4, #1",
         "bne 1b",
         "b 6b",
-        // As `put` has left r3.
+        // r3 as `put` has left it.
         "21:",
         "str r3, [sp, #128]",
         "bl 41f",
@@ -653,7 +652,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "ldr r3, [sp, #128]",
         "bl {wave_long}",
         "b 10b",
-        // More events than a chunk: as it was before the pixel.
+        // More events than a chunk: restore the state before this pixel.
         "20:",
         "strd lr, r3, [r7, #-8]!",
         "subs r1, r1, r5",
@@ -682,7 +681,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "sub r0, r11, #0x8000",
         "add sp, #164",
         "pop {{r4-r11, pc}}",
-        // r9, r10 and r12 from the writer's position.
+        // Loads r9, r10 and r12 from the writer's position.
         "40:",
         "ldr r0, [sp, #156]",
         "ldrd r1, r2, [r0, #{position}]",
@@ -692,7 +691,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "movs r0, #1",
         "lsl r10, r0, r10",
         "bx lr",
-        // And back.
+        // Stores them back.
         "41:",
         "ldr r0, [sp, #156]",
         "ldrd r1, r2, [r0, #{position}]",

@@ -1,20 +1,20 @@
-//! A pixel's events as the transforms see them.
+//! A pixel's events in the form that the transforms use.
 
 use crate::group::Pixel;
 use crate::window::Slot;
 
-/// One event as the transforms see it: p * delta(t - t0 - offset).
+/// An event as the transforms see it: p delta(t - t0 - `offset_us`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Impulse {
-    /// t - t0 in microseconds.
+    /// t - t0 in microseconds, below T.
     pub offset_us: u32,
-    /// p = +1.
+    /// Polarity: `true` for p = +1, `false` for p = -1.
     pub is_on: bool,
 }
 
-/// A pixel's events, oldest first.
+/// Iterator over a pixel's events, oldest first.
 ///
-/// `next` and what it links are slots that are there, or the end of the list.
+/// `next`, and each slot that the list links, is an existing slot or the end of the list.
 #[derive(Debug, Clone)]
 pub struct Impulses<'s> {
     slots: &'s [Slot],
@@ -22,34 +22,34 @@ pub struct Impulses<'s> {
 }
 
 impl<'s> Impulses<'s> {
-    /// The events of `pixel`, which a group has made of these slots.
+    /// Creates the iterator over the events of `pixel`, which a group has found in these slots.
     #[inline(always)]
     #[must_use]
     pub(crate) const fn new(pixel: Pixel, slots: &'s [Slot]) -> Self {
         Self::from_slot(slots, pixel.head)
     }
 
-    /// The events from the slot `next` on, of a list in `slots`.
+    /// Creates the iterator over a list in `slots`, from the slot `next` on.
     #[inline(always)]
     pub(crate) const fn from_slot(slots: &'s [Slot], next: u32) -> Self {
         Self { slots, next }
     }
 
-    /// Whether there is none.
+    /// Returns whether no event is left.
     #[inline(always)]
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.next as usize >= self.slots.len()
     }
 
-    /// The slots, and which of them is next.
+    /// Returns the slots and the number of the next one.
     #[allow(dead_code, reason = "assembly alone asks")]
     #[inline(always)]
     pub(crate) const fn parts(&self) -> (&'s [Slot], u32) {
         (self.slots, self.next)
     }
 
-    /// Those from the slot `next` on, which is one of theirs, or the end.
+    /// Returns the events from the slot `next` on, which must be a slot of this list, or its end.
     #[allow(dead_code, reason = "assembly alone asks")]
     #[inline(always)]
     pub(crate) const fn after(&self, next: u32) -> Self {
@@ -62,7 +62,7 @@ impl Iterator for Impulses<'_> {
 
     #[inline(always)]
     fn next(&mut self) -> Option<Impulse> {
-        // The end of the list is a slot that no buffer has.
+        // The end of the list is a number that no slot of a buffer has.
         let slot = self.slots.get(self.next as usize)?;
         self.next = slot.next();
         Some(Impulse {

@@ -1,11 +1,11 @@
-//! Lists of impulses in slots, as a window's pixels have them, for what measures or tests a stage
-//! alone.
+//! Lists of impulses in slots, laid out like those of a window's pixels, for measurements and tests of a single
+//! stage.
 
 use crate::group::Impulses;
 use crate::group::impulse::Impulse;
 use crate::window::{NO_SLOT, SLOTS_MAX, Slot};
 
-/// Lists one after the other.
+/// Builds lists one after the other.
 #[derive(Debug)]
 pub struct Lists<'s> {
     slots: &'s mut [Slot],
@@ -13,14 +13,14 @@ pub struct Lists<'s> {
 }
 
 impl<'s> Lists<'s> {
-    /// None yet; `slots` is room for as many impulses, [`SLOTS_MAX`] at the most.
+    /// Creates an empty set of lists with room for one impulse per slot, [`SLOTS_MAX`] at most.
     #[must_use]
     pub const fn new(slots: &'s mut [Slot]) -> Self {
         Self { slots, used: 0 }
     }
 
-    /// Appends a list of `impulses`, and returns where it begins: at the number of those before.
-    /// `None`, and nothing is changed, where there is no room.
+    /// Appends a list of `impulses` and returns its start, the number of impulses before it. Returns `None` and
+    /// changes nothing if there is no room.
     pub fn push(&mut self, impulses: impl IntoIterator<Item = Impulse>) -> Option<usize> {
         let first = self.used;
         let mut end = first;
@@ -36,19 +36,19 @@ impl<'s> Lists<'s> {
         Some(first)
     }
 
-    /// All of them.
+    /// Returns all lists so far.
     #[must_use]
     pub fn laid_out(&self) -> LaidOut<'_> {
         LaidOut(self.slots.get(..self.used).unwrap_or_default())
     }
 }
 
-/// Lists that are complete.
+/// Completed lists.
 #[derive(Debug, Clone, Copy)]
 pub struct LaidOut<'s>(&'s [Slot]);
 
 impl<'s> LaidOut<'s> {
-    /// The impulses from the one at `first` to the last of its list; none where there is no list.
+    /// Returns the impulses from the one at `first` to the last of its list; none if no list holds `first`.
     #[inline(always)]
     #[must_use]
     pub const fn impulses(self, first: usize) -> Impulses<'s> {

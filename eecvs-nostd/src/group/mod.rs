@@ -1,8 +1,7 @@
-//! Groups a closed window's events by pixel, in raster order, without an array of the sensor's
-//! size.
+//! Groups a closed window's events by pixel, in raster order, without an array of the sensor's size.
 //!
-//! The window holds a list per segment of 32 columns. One segment at a time is dealt into 32
-//! column lists; since the segment's list is newest first, each column's comes out oldest first.
+//! The window holds one list per segment of 32 columns. The group splits one segment at a time into 32 column
+//! lists. A segment's list is newest first, so each column's list comes out oldest first.
 
 pub mod impulse;
 pub mod lists;
@@ -17,49 +16,49 @@ pub use impulse::{Impulse, Impulses};
 
 use crate::window::{FIRST, Head, NO_SLOT, SEGMENT_PIXELS, Slot, Window, index};
 
-/// A pixel with events.
+/// A pixel with events: its position and its event counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Pixel {
-    /// Column.
+    /// Column of the pixel, from 0.
     pub x: u16,
-    /// Row.
+    /// Row of the pixel, from 0.
     pub y: u16,
-    /// ON events.
+    /// Number of ON events.
     pub on: u32,
-    /// OFF events.
+    /// Number of OFF events.
     pub off: u32,
-    /// Slot of its first event.
+    /// Slot of the pixel's first event.
     pub(crate) head: u32,
 }
 
-/// The walk over a window's pixels.
+/// The walk over the pixels of a closed window.
 #[derive(Debug)]
 pub struct Group {
     pub(crate) cursor: usize,
-    /// First of the 32 segments at hand.
+    /// The first of the current 32 segments.
     pub(crate) first_segment: u32,
-    /// Those of them still to be visited.
+    /// Those of the 32 segments that are still to be visited.
     pub(crate) segments: u32,
     pub(crate) segment_x: u16,
     pub(crate) segment_y: u16,
-    /// Columns of the current segment still to be visited.
+    /// Columns of the current segment that are still to be visited.
     pub(crate) columns: u32,
-    /// [`Entry::EMPTY`] where `columns` has no bit.
+    /// [`Entry::EMPTY`] where `columns` has no bit set.
     pub(crate) entries: [Entry; 32],
-    /// The segment after that, and its list: on a large sensor both come from far away, and a host
-    /// asks for them before it needs them.
+    /// The segment after the current one, and its list. On a large sensor both lie far away in memory, so a host
+    /// fetches them before it needs them.
     #[cfg(target_pointer_width = "64")]
     ahead: Option<(u32, u32)>,
 }
 
-/// A column of a segment.
+/// The events of one column of a segment.
 #[derive(Debug, Clone, Copy)]
 #[repr(C)]
 pub(crate) struct Entry {
-    /// First event, or a slot that no buffer has.
+    /// Slot of the first event, or a number that no slot of a buffer has.
     pub(crate) head: u32,
-    /// Its events.
+    /// Counts of the events.
     pub(crate) tally: Tally,
 }
 
@@ -70,17 +69,17 @@ impl Entry {
     };
 }
 
-/// Events in the upper half, those that are ON in the lower: no more than a window has slots.
+/// Number of events in the upper half, number of ON events in the lower half; a window has no more slots than fit.
 #[cfg(all(target_os = "none", target_pointer_width = "32"))]
 pub(crate) type Tally = u32;
 #[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
 pub(crate) type Tally = u64;
-/// One event.
+/// A count of one event.
 const EVENT: Tally = 1 << Head::BITS;
 const _: () = assert!(Tally::BITS == 2 * Head::BITS);
 
 impl Group {
-    /// A walk that has not started.
+    /// Creates a walk that has not started.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -96,14 +95,14 @@ impl Group {
         }
     }
 
-    /// Starts over, for the next window.
+    /// Starts the walk over, for the next window.
     pub const fn restart(&mut self) {
         *self = Self::new();
     }
 
-    /// The next pixel; `None` after the last.
+    /// Returns the next pixel, or `None` after the last.
     ///
-    /// In place on a host: numbers that are stored one by one and loaded as one stall it.
+    /// Inlined on a host, where storing fields one by one and loading them as one causes a stall.
     #[cfg_attr(target_pointer_width = "64", inline(always))]
     #[cfg_attr(not(target_pointer_width = "64"), inline)]
     pub fn next(&mut self, window: &mut Window<'_>) -> Option<Pixel> {
@@ -125,7 +124,7 @@ impl Group {
         })
     }
 
-    /// As [`Self::next`], for a window of which no event is counted: the pixels have 0 of each.
+    /// Does the same as [`Self::next`], but without counting events: the pixels have `on` and `off` of 0.
     #[inline]
     pub(crate) fn next_uncounted(&mut self, window: &mut Window<'_>) -> Option<Pixel> {
         let columns = match NonZeroU32::new(self.columns) {
@@ -144,7 +143,7 @@ impl Group {
         })
     }
 
-    /// Position of the next pixel, which [`Self::next`] will give.
+    /// Returns the position of the pixel that [`Self::next`] will return, or `None` after the last.
     #[inline]
     pub fn peek(&mut self, window: &mut Window<'_>) -> Option<(u16, u16)> {
         if self.columns == 0 {
@@ -154,12 +153,12 @@ impl Group {
         Some((self.segment_x + column, self.segment_y))
     }
 
-    /// Whether the next pixel is in row `y`.
+    /// Returns whether the next pixel is in row `y`.
     pub(crate) fn is_next_in_row(&mut self, window: &mut Window<'_>, y: u16) -> bool {
         self.peek(window).is_some_and(|(_, row)| row == y)
     }
 
-    /// Whether the next pixel is in a segment of row `y`.
+    /// Returns whether the next pixel is in segment `segment` of row `y`.
     pub(crate) fn is_next_in_segment(
         &mut self,
         window: &mut Window<'_>,
@@ -169,7 +168,7 @@ impl Group {
         next.is_some_and(|(x, row)| (x / SEGMENT_PIXELS, row) == (segment, y))
     }
 
-    /// Makes the pixel that [`Self::next`] gave last the next one again.
+    /// Puts back the pixel that [`Self::next`] returned last, so that it is the next one again.
     pub const fn put_back(&mut self, pixel: Pixel) {
         let i = (pixel.x % SEGMENT_PIXELS) as usize;
         self.columns |= 1 << i;
@@ -179,8 +178,8 @@ impl Group {
         };
     }
 
-    /// Takes the columns of the segment at hand that are still to be visited or, where there are none,
-    /// of the next one, for a walk in assembly to visit; 0 after the last.
+    /// Takes the remaining columns of the current segment for a walk in assembly, or those of the next segment if
+    /// none are left. Returns 0 after the last segment.
     #[allow(dead_code, reason = "assembly alone asks")]
     pub(crate) fn enter(&mut self, window: &mut Window<'_>) -> u32 {
         match mem::take(&mut self.columns) {
@@ -199,7 +198,7 @@ impl Group {
         self.next_segment::<COUNTS>(window)
     }
 
-    /// Goes to the next segment and returns its columns.
+    /// Moves to the next segment and returns its columns.
     #[inline(always)]
     fn next_segment<const COUNTS: bool>(&mut self, window: &mut Window<'_>) -> Option<NonZeroU32> {
         #[cfg(target_pointer_width = "64")]
@@ -217,7 +216,7 @@ impl Group {
         NonZeroU32::new(self.deal::<COUNTS>(head, window.slots()))
     }
 
-    /// The next segment that has events, and its list.
+    /// Returns the next segment that has events, and its list.
     #[inline(always)]
     pub(crate) fn take_segment(&mut self, window: &mut Window<'_>) -> Option<(u32, u32)> {
         if self.segments == 0 {
@@ -228,11 +227,11 @@ impl Group {
         Some((segment, window.take_head(segment)))
     }
 
-    /// Turns a segment's list into one for each column; returns the columns.
+    /// Splits a segment's list into one list per column; returns the columns that have events.
     #[inline(always)]
     fn deal<const COUNTS: bool>(&mut self, mut head: u32, slots: &mut [Slot]) -> u32 {
         let mut columns = 0;
-        // The end of a list is a slot that no buffer has.
+        // The end of a list is a number that no slot of a buffer has.
         while let Some(slot) = slots.get_mut(head as usize) {
             let column = slot.column();
             columns |= 1 << column;

@@ -1,12 +1,12 @@
-//! A pixel's events in order of time.
+//! Sorts a pixel's events by time.
 //!
-//! They nearly always come in it: one look at them tells. Where they don't, a list is merged with
-//! itself from the bottom up, in O(n log n) and without memory.
+//! They are nearly always in order, which one pass detects. If they are not, a bottom-up merge sort of the list
+//! takes O(n log n) steps and no memory.
 
 use crate::window::{NO_SLOT, Slot};
 
-/// The first slot of the list from `head` on, whose events ascend in time; those of equal times stay
-/// in their order.
+/// Sorts the list from `head` on by ascending time and returns its first slot. Events of equal times keep their
+/// order.
 pub(crate) fn ascending(slots: &mut [Slot], head: u32) -> u32 {
     let (mut at, mut before_us) = (head, 0);
     while let Some(slot) = slots.get(at as usize) {
@@ -62,7 +62,7 @@ fn sort(slots: &mut [Slot], mut head: u32) -> u32 {
 
 fn next(slots: &[Slot], at: u32) -> u32 {
     let next = slots.get(at as usize).map(|slot| slot.next());
-    // Assembly ends a list with any slot that no buffer has.
+    // The assembly ends a list with any number that no slot of a buffer has.
     let next = next.filter(|next| (*next as usize) < slots.len());
     next.unwrap_or(NO_SLOT)
 }
@@ -77,7 +77,7 @@ fn link(slots: &mut [Slot], from: u32, to: u32) {
     }
 }
 
-/// The slot `count` further on.
+/// Returns the slot `count` places further on in the list.
 fn skip(slots: &[Slot], mut at: u32, count: u32) -> u32 {
     for _ in 0..count {
         if at == NO_SLOT {
@@ -94,10 +94,10 @@ mod tests {
     use proptest::prelude::*;
     use std::vec::Vec;
 
-    /// A list through slots in any order.
+    /// Returns a list that links the slots in the given order.
     fn listed(times: &[u32], order: &[usize]) -> (Vec<Slot>, u32) {
         let mut slots = std::vec![Slot::EMPTY; times.len()];
-        // As good an end as `NO_SLOT`.
+        // Marks an end just as well as `NO_SLOT`.
         let mut head = NO_SLOT - 5;
         for i in order.iter().rev() {
             slots[*i] = Slot::new(times[*i], head, 0);
@@ -127,7 +127,7 @@ mod tests {
         }
     }
 
-    /// The worst order costs n log n: a burst of 65,535 events, backwards.
+    /// Even the worst order, a burst of 65,535 events backwards, takes only n log n steps.
     #[test]
     fn a_long_list_is_sorted_at_once() {
         let count = 65_535;

@@ -1,35 +1,35 @@
-//! The event link as an [`EventSource`]: received bytes to words, losses told by the packets'
+//! The event link as an [`EventSource`]: converts received bytes to words, and detects losses by the packets'
 //! positions.
 
 use crate::event_link::{HotNumbers, Kind, Packet, Receiver, Setup};
 use crate::ingest::{EventSource, Input};
 use event_types::evt2::is_event;
 
-/// What is to be done with the receiver.
+/// What to do next with the receiver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Step {
     /// Find the next packet.
     Bytes,
     /// Begin the packet that was found.
     Packet,
-    /// Take its words, from this offset of its body on.
+    /// Pass on its words, from this offset in its body.
     Words(usize),
-    /// Take its hot pixels.
+    /// Pass on its hot pixels.
     Hot(HotNumbers),
 }
 
-/// The link between two bytes.
+/// The state of the link, which is kept between bytes.
 #[derive(Debug)]
 pub struct Link {
     receiver: Receiver,
     step: Step,
-    /// Position that the next packet should have.
+    /// The position that the next packet should have.
     position: u32,
     ignored: u32,
 }
 
 impl Link {
-    /// Before the first byte.
+    /// Creates a link that has received no byte.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -40,21 +40,23 @@ impl Link {
         }
     }
 
-    /// Bytes that belonged to no packet; wraps.
+    /// Returns the number of bytes that belonged to no packet; wraps.
     #[must_use]
     pub const fn damaged_bytes(&self) -> u32 {
         self.receiver.damaged_bytes()
     }
 
-    /// Packets that came twice or made no sense, and bytes left over in packets of words; wraps.
+    /// Returns the number of repeated or invalid packets, of bytes left over in packets of words or hot pixels, and
+    /// of inputs that nobody wanted; wraps.
     #[must_use]
     pub const fn ignored(&self) -> u32 {
         self.ignored
     }
 
-    /// Begins anew with the next byte, which does not go on from those before: another host sends it.
-    /// Words that were received and not taken count as ignored, and so do `lost` bytes that did not come
-    /// this far.
+    /// Restarts the link with the next byte, which does not continue the earlier ones because another host sends
+    /// it.
+    ///
+    /// Words that were received but not taken count as ignored, and so do `lost` bytes that did not arrive here.
     pub fn restart(&mut self, lost: u32) {
         if let Step::Words(at) = self.step {
             self.ignore(self.receiver.words(at).len());
@@ -64,7 +66,7 @@ impl Link {
         self.step = Step::Bytes;
     }
 
-    /// The source that takes its bytes from `next_byte`.
+    /// Returns a source that takes its bytes from `next_byte`.
     pub const fn source<F: FnMut() -> Option<u8>>(&mut self, next_byte: F) -> LinkSource<'_, F> {
         LinkSource {
             link: self,
@@ -100,7 +102,7 @@ impl Link {
         Input::HotEnd
     }
 
-    /// The packet is in the receiver until the next one is asked for.
+    /// Begins the packet, which the receiver holds until it is asked for the next one.
     fn begin(&mut self) -> Option<Input> {
         self.step = Step::Bytes;
         let Packet {
@@ -126,7 +128,7 @@ impl Link {
         }
         let ahead = position.wrapping_sub(self.position);
         if ahead >= 1 << 31 {
-            // It came twice: its events were taken, or counted as lost, before.
+            // A repeated packet: its events were already taken, or counted as lost.
             self.ignore(1);
             None
         } else if ahead > 0 {
@@ -152,7 +154,7 @@ impl Default for Link {
     }
 }
 
-/// A [`Link`] and where its bytes come from.
+/// A [`Link`] with the source of its bytes.
 #[derive(Debug)]
 pub struct LinkSource<'l, F> {
     link: &'l mut Link,
@@ -224,7 +226,7 @@ mod tests {
         let flush_len = packet(Kind::Flush, &[], &mut flush);
         let mut words = [0; 32];
         let words_len = packet(Kind::Words, &[0x80; 12], &mut words);
-        // Cut anywhere, in the middle of a packet's words too.
+        // Cut anywhere, also in the middle of the packet's words.
         for cut in 0..words_len {
             let mut link = Link::new();
             let mut bytes = words[..cut].iter().copied();

@@ -1,5 +1,7 @@
-//! A sensor on a port of the microcontroller as an [`EventSource`]: the interrupt that gets its
-//! EVT 2.0 words puts them into a queue, and what the queue has no room for is counted.
+//! A sensor on a port of the microcontroller as an [`EventSource`].
+//!
+//! The interrupt that receives the sensor's EVT 2.0 words puts them into a queue. Words for which the queue has no
+//! room are counted.
 
 use heapless::spsc::{Consumer, Producer};
 
@@ -8,32 +10,32 @@ use crate::ingest::from_link::LinkSource;
 use crate::ingest::{EventSource, Input};
 use event_types::evt2::is_event;
 
-/// Type of the words that stand for a loss in the queue: EVT 2.0 has none of this type.
+/// Type of the words that stand for a loss in the queue; no EVT 2.0 word has this type.
 const LOSS: u32 = 7;
-/// Type of words without events.
+/// Type of words without events; it replaces [`LOSS`] in received words.
 const OTHERS: u32 = 14;
 const TYPE_SHIFT: u32 = 28;
 const CONTENT: u32 = (1 << TYPE_SHIFT) - 1;
 
-/// The interrupt's end.
+/// The interrupt's end of the queue.
 pub struct Port<'q> {
     queue: Producer<'q, u32>,
-    /// Events lost since the last word that the queue took; also none, where words without events
-    /// were lost.
+    /// Number of events lost since the last word that the queue took; `Some(0)` if only words without events were
+    /// lost.
     lost: Option<u32>,
 }
 
 impl<'q> Port<'q> {
-    /// Around a queue; its capacity covers the time that ingest may be held up.
+    /// Creates the end around a queue, whose capacity must cover the time that ingest may be held up.
     #[must_use]
     pub const fn new(queue: Producer<'q, u32>) -> Self {
         Self { queue, lost: None }
     }
 
-    /// Takes the words of one transfer. Never waits: a sensor cannot be held.
+    /// Takes the words of one transfer. Never waits, because a sensor cannot be paused.
     pub fn take(&mut self, words: &[u32]) {
         for word in words {
-            // A loss is told where it happened, before anything that came after it.
+            // A loss is reported where it happened, before anything that came later.
             if let Some(lost) = self.lost {
                 let told = lost.min(CONTENT);
                 if self.queue.enqueue((LOSS << TYPE_SHIFT) | told).is_ok() {
@@ -51,7 +53,7 @@ impl<'q> Port<'q> {
         }
     }
 
-    /// Counts events that were lost before they came here, as by a transfer that overran.
+    /// Counts events that were lost before they arrived here, for example in a transfer that overran.
     pub const fn count_lost(&mut self, events: u32) {
         let before = match self.lost {
             Some(lost) => lost,
@@ -61,7 +63,7 @@ impl<'q> Port<'q> {
     }
 }
 
-/// Ingest's end. It begins with a setup of its own; a host may send others, [`SensorSource::with_host`].
+/// Ingest's end of the queue. It begins with its own setup; a host may send others ([`SensorSource::with_host`]).
 pub struct SensorSource<'q> {
     queue: Consumer<'q, u32>,
     setup: Option<Setup>,
@@ -70,7 +72,7 @@ pub struct SensorSource<'q> {
 }
 
 impl<'q> SensorSource<'q> {
-    /// Around the queue's other end.
+    /// Creates the end around the queue's consumer, with the setup that it begins with.
     #[must_use]
     pub const fn new(queue: Consumer<'q, u32>, setup: Setup) -> Self {
         Self {
@@ -80,17 +82,17 @@ impl<'q> SensorSource<'q> {
         }
     }
 
-    /// With the link of a host that may set the encoder up.
+    /// Returns a source that also takes setups, hot pixels and flushes from a host's link.
     pub const fn with_host<'s, F>(&'s mut self, link: LinkSource<'s, F>) -> ToldSensor<'s, 'q, F> {
         ToldSensor { sensor: self, link }
     }
 
-    /// A host's setup as it can be here: a sensor cannot be held, and has the size that it has.
+    /// Adapts a host's setup to the sensor, which cannot be paused and has a fixed size.
     fn told(&mut self, setup: Setup) -> Setup {
         self.setup = None;
         let (width, height) = match self.size == (setup.width, setup.height) {
             true => self.size,
-            // Refused, as no sensor is.
+            // Refused later, because no sensor has this size.
             false => (0, 0),
         };
         Setup {
@@ -102,8 +104,8 @@ impl<'q> SensorSource<'q> {
     }
 }
 
-/// A sensor whose events are encoded as a host says: setups, hot pixels and flushes are the link's. Events
-/// of the link are ignored and counted.
+/// A sensor that a host controls: setups, hot pixels and flushes come from the link. Events on the link are ignored
+/// and counted.
 pub struct ToldSensor<'s, 'q, F> {
     sensor: &'s mut SensorSource<'q>,
     link: LinkSource<'s, F>,
@@ -206,7 +208,7 @@ mod tests {
         packet(Kind::Words, &[1, 0, 0, 0x80, 2, 0, 0, 0x80], &mut bytes);
         packet(Kind::Hot, &[0], &mut bytes);
         packet(Kind::Flush, &[], &mut bytes);
-        // Of another sensor.
+        // For a sensor of another size.
         setup(&Setup { width: 2, ..asked }, &mut bytes);
         let (mut bytes, mut link) = (bytes.into_iter(), Link::new());
         let mut source = sensor.with_host(link.source(|| bytes.next()));
@@ -225,7 +227,7 @@ mod tests {
             Input::HotEnd,
             Input::Flush,
             Input::Setup(refused),
-            // The sensor's own setup is over.
+            // The sensor's own setup is no longer sent.
             Input::Word(5),
         ] {
             assert_eq!(source.next(), Some(input));
@@ -235,7 +237,7 @@ mod tests {
     }
 
     proptest! {
-        /// Every word comes out in its place, or a loss of as many events stands there.
+        /// Every word comes out in its place, or else a loss of as many events.
         #[test]
         fn losses_stand_where_they_happened(
             transfers in proptest::collection::vec(
@@ -258,7 +260,7 @@ mod tests {
                     inputs.extend(source.next());
                 }
             }
-            // What is still in the queue, and the last loss behind it.
+            // What is still in the queue, and the last loss after it.
             while let Some(input) = source.next() {
                 inputs.push(input);
             }
@@ -278,7 +280,7 @@ mod tests {
                             sent == word || (sent >> 28 == LOSS && word == (OTHERS << 28) | (sent & CONTENT))
                         };
                         let mut found = sent.next();
-                        // A loss counts events; words without events are lost with them.
+                        // A loss counts events; words without events are lost along with them.
                         while is_after_loss && found.is_some_and(|sent| !is_it(sent) && !is_event(sent)) {
                             found = sent.next();
                         }

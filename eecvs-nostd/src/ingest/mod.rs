@@ -1,8 +1,7 @@
-//! From an event source to closed windows, two windows taking turns: one is filled while the other
-//! is encoded.
+//! Turns an event source into closed windows. Two windows alternate: one is filled while the other is encoded.
 //!
-//! Runs in an interrupt: every step is short, and when no window is free it stops and goes on
-//! there later.
+//! Runs in an interrupt: every step is short, and if no window is free, [`Ingest::poll`] returns and a later call
+//! continues there.
 
 pub mod from_link;
 pub mod from_sensor;
@@ -13,137 +12,137 @@ use crate::window::{NextStart, Push, Window};
 use event_types::Event;
 use event_types::evt2::{Evt2Decoder, Word};
 
-/// What an event source brings.
+/// An item from an event source.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Input {
     /// An EVT 2.0 word.
     Word(u32),
-    /// This many events, and perhaps a time, were lost here.
+    /// This many events were lost here, and possibly a time.
     Lost(u32),
     /// The stream has ended: close the open window and send it.
     Flush,
-    /// Start anew.
+    /// Restart with this setup.
     Setup(Setup),
-    /// A pixel, by its number y * width + x, that is never sent.
+    /// A pixel that must never be sent, as its number y * width + x.
     Hot(u32),
-    /// These were all: answer.
+    /// The list of hot pixels is complete: answer.
     HotEnd,
 }
 
-/// Where EVT 2.0 words come from: a link ([`crate::ingest::from_link`]), or a sensor on a port of the
-/// microcontroller.
+/// A source of EVT 2.0 words: a link ([`crate::ingest::from_link`]) or a sensor on a port of the microcontroller
+/// ([`crate::ingest::from_sensor`]).
 pub trait EventSource {
-    /// What comes next, `None` where nothing has come.
+    /// Returns the next item, or `None` if nothing has arrived.
     fn next(&mut self) -> Option<Input>;
 
-    /// Words that come next, little-endian, where there are several in one place: they may be
-    /// taken at once instead of one by one.
+    /// Returns the little-endian words that come next, if several lie side by side in memory. They may be taken at
+    /// once instead of one by one.
     fn words(&self) -> &[[u8; 4]] {
         &[]
     }
 
-    /// Leaves out the first `words` of [`EventSource::words`], which held `events` events.
+    /// Skips the first `words` of [`EventSource::words`], which held `events` events.
     fn skip(&mut self, words: usize, events: u32) {
         let _ = (words, events);
     }
 }
 
-/// What the encoding side gets to do, in order.
+/// A piece of work for the encoding side; the pieces must be done in order.
 #[derive(Debug)]
 pub enum Work<'b> {
-    /// Encode this closed window, then give it back as free.
+    /// Encode this closed window, then give it back as a free one.
     Window(Window<'b>),
-    /// Set up anew: no window is in use any more. Ends with [`Ingest::set_up`].
+    /// Set up anew. No window is in use any more. Ends with [`Ingest::set_up`].
     Setup(Setup, Counts),
-    /// Everything before was sent: answer.
+    /// Everything before this has been handed over: answer.
     Flush(Counts),
-    /// Keep this pixel, by its number y * width + x, out of the windows that follow.
+    /// Keep this pixel, number y * width + x, out of the windows that follow.
     Hot(u32),
-    /// These were all: answer.
+    /// The list of hot pixels is complete: answer.
     HotEnd(Counts),
 }
 
-/// The two directions between ingest and the encoding side.
+/// The exchange of windows and work between ingest and the encoding side.
 pub trait Exchange<'b> {
-    /// A window that is free, if there is one.
+    /// Returns a free window, if there is one.
     fn free(&mut self) -> Option<Window<'b>>;
 
-    /// Whether a further piece of work can be handed over.
+    /// Returns whether another piece of work can be handed over.
     fn has_room(&self) -> bool;
 
-    /// Hands over work; asked only where there is room.
+    /// Hands over a piece of work. Called only if [`Self::has_room`].
     fn hand_over(&mut self, work: Work<'b>);
 }
 
-/// What was received, since the start; all wrap.
+/// What was received since the start. All counts wrap.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Counts {
-    /// Events decoded.
+    /// Number of events decoded.
     pub events: u32,
-    /// Events that the source lost.
+    /// Number of events that the source reported as lost.
     pub lost: u32,
-    /// Events that found no free window, or no encoder set up.
+    /// Number of events for which no window was free, or no encoder was set up.
     pub dropped: u32,
-    /// Words that were neither events nor times, and events without a time: before the first, or
-    /// after a loss.
+    /// Number of words that were neither events nor times, and of events without a time: those before the first
+    /// time, or after a loss.
     pub ignored: u32,
 }
 
-/// Why [`Ingest::poll`] came back.
+/// Why [`Ingest::poll`] returned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Poll {
     /// The source has nothing more.
     Idle,
-    /// It cannot go on before the encoding side has done something.
+    /// It must wait for the encoding side.
     Stalled,
 }
 
-/// What is to be done next.
+/// What to do next.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Step {
-    /// Take what the source brings.
+    /// Take an item from the source.
     Input,
     /// Put an event into a window.
     Event(Event),
-    /// Hand over the open window, for a flush.
+    /// Hand over the open window for a flush.
     Flush,
-    /// Tell that the flush is done.
+    /// Report that the flush is done.
     FlushDone,
     /// Hand over a hot pixel.
     Hot(u32),
-    /// Tell that these were all.
+    /// Report that the list of hot pixels is complete.
     HotEnd,
-    /// Hand over the open window, for a setup.
+    /// Hand over the open window for a setup.
     SetupFlush(Setup),
-    /// Wait for the windows to come back.
+    /// Wait until all windows have come back.
     SetupWindows(Setup),
-    /// The encoding side sets up.
+    /// Wait until the encoding side has set up.
     SettingUp,
 }
 
-/// The receiving side.
+/// The receiving side: decodes the words of a source and fills windows with their events.
 #[derive(Debug)]
 pub struct Ingest<'b> {
     decoder: Evt2Decoder,
     step: Step,
     open: Option<Window<'b>>,
-    /// Start of the next window, where its grid continues that of the one before.
+    /// Start of the next window, if it continues the grid of the one before.
     next_start: NextStart,
-    /// Windows in existence; none before a setup.
+    /// Number of windows in existence; 0 before a setup.
     windows: usize,
     drops_when_full: bool,
-    /// Losses that no window has counted yet.
+    /// Lost events that no window has counted yet.
     missed: u32,
-    /// A time may have been lost: events have none before the next one.
+    /// A time may have been lost, so events have no time before the next one.
     lost_time: bool,
     counts: Counts,
 }
 
 impl<'b> Ingest<'b> {
-    /// Before the first word and without a setup.
+    /// Creates a receiving side that has seen no word and no setup.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -164,14 +163,14 @@ impl<'b> Ingest<'b> {
         }
     }
 
-    /// Whether a [`Work::Setup`] waits for [`Ingest::set_up`].
+    /// Returns whether a [`Work::Setup`] waits for [`Ingest::set_up`].
     #[must_use]
     pub const fn is_setting_up(&self) -> bool {
         matches!(self.step, Step::SettingUp)
     }
 
-    /// Goes on after a [`Work::Setup`]: `windows` windows will come as free ones, none where the
-    /// setup was refused.
+    /// Continues after a [`Work::Setup`]. `windows` windows will come back as free ones; 0 if the setup was
+    /// refused.
     pub const fn set_up(&mut self, setup: &Setup, windows: usize) {
         self.decoder = Evt2Decoder::new(setup.time_base_us);
         self.drops_when_full = setup.when_full == Setup::DROP;
@@ -182,7 +181,7 @@ impl<'b> Ingest<'b> {
         self.step = Step::Input;
     }
 
-    /// Takes what the source brings until there is nothing or it has to wait.
+    /// Processes items from the source until there are none, or until it must wait for the encoding side.
     pub fn poll(
         &mut self,
         source: &mut impl EventSource,
@@ -217,7 +216,7 @@ impl<'b> Ingest<'b> {
         }
     }
 
-    /// Hands over work and goes on; `false` asks to wait.
+    /// Hands over work and moves on; returns `false` if it must wait.
     fn hand_over(&mut self, work: Work<'b>, exchange: &mut impl Exchange<'b>) -> bool {
         exchange.has_room() && {
             exchange.hand_over(work);
@@ -230,7 +229,7 @@ impl<'b> Ingest<'b> {
         true
     }
 
-    /// Takes words at once up to the first that is out of the ordinary.
+    /// Takes words at once, up to the first that needs separate treatment.
     fn take_words(&mut self, source: &mut impl EventSource, exchange: &mut impl Exchange<'b>) {
         if self.lost_time || !self.decoder.has_time() || source.words().is_empty() {
             return;
@@ -275,8 +274,8 @@ impl<'b> Ingest<'b> {
         self.counts.ignored = self.counts.ignored.wrapping_add(1);
     }
 
-    /// Counts events that no window will hold, in the open window or the next one. Without a setup
-    /// there is no window to count in.
+    /// Counts events that no window will hold, in the open window or else in the next one. Without a setup there is
+    /// no window to count them in.
     const fn miss(&mut self, events: u32) {
         match &mut self.open {
             Some(window) if window.closed().is_none() => window.count_dropped(events),
@@ -285,7 +284,7 @@ impl<'b> Ingest<'b> {
         }
     }
 
-    /// Puts an event into a window, or counts it; `false` asks to wait.
+    /// Puts an event into a window, or counts it as dropped; returns `false` if it must wait.
     fn event(&mut self, event: Event, exchange: &mut impl Exchange<'b>) -> bool {
         loop {
             if let Some(window) = self.window(exchange) {
@@ -307,7 +306,7 @@ impl<'b> Ingest<'b> {
         true
     }
 
-    /// The open window; takes a free one where none is open.
+    /// Returns the open window, after taking a free one if none is open.
     fn window(&mut self, exchange: &mut impl Exchange<'b>) -> Option<&mut Window<'b>> {
         if self.open.is_none() {
             let mut window = exchange.free()?;
@@ -319,10 +318,10 @@ impl<'b> Ingest<'b> {
         self.open.as_mut()
     }
 
-    /// Closes the open window and hands it over; `false` asks to wait.
+    /// Closes the open window and hands it over; returns `false` if it must wait.
     ///
-    /// A window that its own rule closed is handed over as it is. Losses without a window wait for
-    /// one, so that a frame tells them.
+    /// A window that has already closed is handed over as it is. Losses without a window wait for one, so that a
+    /// frame reports them.
     fn close(&mut self, exchange: &mut impl Exchange<'b>) -> bool {
         if self.windows == 0 || (self.open.is_none() && self.missed == 0) {
             return true;
@@ -335,7 +334,7 @@ impl<'b> Ingest<'b> {
         };
         window.flush();
         if window.closed().is_none() {
-            // Nothing in it and nothing to tell: it stays open.
+            // It holds neither events nor counts, so it stays open.
             return true;
         }
         self.next_start = window.next_start();

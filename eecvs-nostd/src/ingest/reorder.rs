@@ -1,17 +1,16 @@
-//! Small disorder of times, put right across the boundaries of windows.
+//! Corrects small disorder of event times across the boundaries of windows.
 //!
-//! Order inside a window does not matter, so only what belongs *behind* the open window is held back: for as
-//! long as an earlier event can still come. An event in the open window goes into it at once, and where times
-//! ascend no more is held than the events of N microseconds behind a window's end.
+//! The order inside a window does not matter. So only events *after* the open window are held back, for as long as
+//! an earlier event can still arrive. An event in the open window goes into it at once. If times ascend, no more is
+//! held than the events of the N microseconds after a window's end.
 //!
-//! * A window is complete when an event N us or more behind its end has come, when the memory is full, or
-//!   when the input ends.
+//! * A window is complete when an event N us or more after its end has arrived, when the memory is full, when the
+//!   input ends, or when [`Reorder::pass`] reports a time after its end.
 //! * A run's first window begins at the earliest event of the run's first N us.
-//! * An event before the open window ends the run: all that is held goes into windows, and a new run
-//!   ([`crate::frame::Header::begins_run`]) begins. Nothing is ever too late.
+//! * An event before the open window ends the run: all held events go into windows, and a new run
+//!   ([`crate::frame::Header::begins_run`]) begins. No event is ever too late.
 //!
-//! What comes out follows from the events, N and the length of the memory alone, not from how many events
-//! come at a time.
+//! The result depends only on the events, N and the length of the memory, not on how many events arrive at a time.
 
 use crate::window::{Push, Window};
 use event_types::{Event, Polarity};
@@ -24,7 +23,7 @@ pub const EMPTY: Event = Event {
     polarity: Polarity::Off,
 };
 
-/// What the events that are held wait for.
+/// What the held events wait for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Waits {
     /// Later events.
@@ -35,27 +34,27 @@ enum Waits {
     End,
 }
 
-/// Events between a source and its windows.
+/// Holds events back between a source and its windows.
 #[derive(Debug)]
 pub struct Reorder<M> {
-    /// A ring of events.
+    /// A ring buffer of events.
     memory: M,
     reorder_us: u64,
     first: usize,
     len: usize,
-    /// The latest and the earliest of those held.
+    /// Times of the latest and of the earliest held event.
     newest_us: u64,
     oldest_us: u64,
-    /// No event that is held is earlier than one before it.
+    /// Whether no held event is earlier than one before it.
     is_ascending: bool,
     waits: Waits,
-    /// No earlier event comes any more.
+    /// No event before this time will arrive any more; 0 if unknown.
     now_us: u64,
 }
 
 impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
-    /// Holds events for `reorder_us` in `memory`, which may hold anything; none of either: events go into
-    /// windows as they come.
+    /// Creates a buffer that holds events for `reorder_us` microseconds in `memory`, whose content does not matter.
+    /// If either is empty or 0, events go into windows as they arrive.
     #[must_use]
     pub const fn new(memory: M, reorder_us: u32) -> Self {
         Self {
@@ -71,14 +70,15 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
         }
     }
 
-    /// Events that are held.
+    /// Returns the number of held events.
     #[must_use]
     pub const fn held(&self) -> usize {
         self.len
     }
 
-    /// Takes events from the front until the window is closed; returns how many. Where the window is closed
-    /// encode it and come again with those left, and with a window that follows it.
+    /// Takes events from the front until the window closes; returns how many it took.
+    ///
+    /// If the window has closed, encode it and call again with the remaining events and the window that follows it.
     pub fn fill(&mut self, window: &mut Window<'_>, events: &[Event]) -> usize {
         self.release(window);
         let mut taken = 0;
@@ -98,8 +98,8 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
         taken
     }
 
-    /// The input has ended: closes the window with events that are held. Come again, with a window that
-    /// follows it, until it stays open.
+    /// Ends the input: moves held events into the window and closes it. Call again with the window that follows it,
+    /// until the window stays open.
     pub fn flush(&mut self, window: &mut Window<'_>) {
         self.waits = Waits::End;
         self.release(window);
@@ -109,7 +109,7 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
         }
     }
 
-    /// Closes the window where its time has run at `now_us`, before which no event will come any more: see
+    /// Closes the window if its time is over at `now_us`, before which no event will arrive any more; see
     /// [`Window::pass`].
     pub fn pass(&mut self, window: &mut Window<'_>, now_us: u64) {
         self.now_us = now_us;
@@ -120,8 +120,8 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
         }
     }
 
-    /// Whether the window has events, and the next ones, in order and behind it, make it complete: then they
-    /// need not be held.
+    /// Returns whether the window has events and the next events, in order and after it, complete it. They then need
+    /// not be held.
     fn is_complete(&self, window: &Window<'_>, events: &[Event]) -> bool {
         let (Some(start_us), 1..) = (window.next_start().us, window.events()) else {
             return false;
@@ -143,7 +143,7 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
         false
     }
 
-    /// Takes an event into the window or holds it; `false` where it is to come again.
+    /// Takes an event into the window or holds it; returns `false` if the event must be offered again.
     fn take(&mut self, window: &mut Window<'_>, event: Event) -> bool {
         let sensor = window.config().sensor;
         let is_off = self.reorder_us == 0 || self.memory.as_ref().is_empty();
@@ -153,7 +153,7 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
         let window_us = u64::from(window.duration_us());
         let since_us = match window.next_start().us {
             Some(start_us) => event.t_us.checked_sub(start_us),
-            // No window of the run has begun.
+            // The run has no window yet.
             None if event.t_us.saturating_add(self.reorder_us) < self.newest_us => None,
             None => Some(window_us),
         };
@@ -172,7 +172,7 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
         }
     }
 
-    /// Moves events that are held into the window, and closes it where it is complete.
+    /// Moves held events into the window, and closes it if it is complete.
     fn release(&mut self, window: &mut Window<'_>) {
         while window.closed().is_none() {
             if self.len == 0 {
@@ -183,7 +183,7 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
                 return;
             }
             match window.next_start().us {
-                // Of unsorted events that a full window left.
+                // An event from before the window, left over when a full window took unsorted ones.
                 Some(start_us) if self.oldest_us < start_us => window.fall_back(self.oldest_us),
                 Some(start_us) => {
                     let window_us = u64::from(window.duration_us());
@@ -198,7 +198,8 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
                     if window.events() > 0 {
                         window.advance();
                     } else {
-                        // No further than earlier events may still come, unless it is due for another reason.
+                        // Not past the time up to which earlier events may still arrive, unless the window is due
+                        // for another reason.
                         let settled_us = self.newest_us.saturating_sub(self.reorder_us);
                         window.skip_to(if settled_us >= end_us {
                             self.oldest_us.min(settled_us)
@@ -215,8 +216,8 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
         }
     }
 
-    /// Whether no event before `from_us` is waited for: one has come far enough behind it, the memory is
-    /// full, or the time has passed `passed_us`.
+    /// Returns whether no event before `from_us` is expected any more: an event far enough after it has arrived,
+    /// the memory is full, or `now_us` has passed `passed_us`.
     fn is_due(&self, from_us: u64, passed_us: u64) -> bool {
         self.waits != Waits::Events
             || self.len >= self.memory.as_ref().len()
@@ -224,7 +225,7 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
             || (self.now_us > 0 && self.now_us >= passed_us)
     }
 
-    /// Moves those that lie in the window into it, up to one that closes it.
+    /// Moves the held events that lie in the window into it, up to one that closes it.
     fn move_in(&mut self, window: &mut Window<'_>, start_us: u64) {
         let window_us = u64::from(window.duration_us());
         let is_inside = |event: &Event| event.t_us >= start_us && event.t_us - start_us < window_us;
@@ -238,7 +239,7 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
             self.oldest_us = self.front().map_or(u64::MAX, |event| event.t_us);
             return;
         }
-        // Once round, in their order.
+        // Goes round the ring once, in order.
         let before = self.len;
         let mut is_open = true;
         (self.newest_us, self.oldest_us, self.is_ascending) = (0, u64::MAX, true);
@@ -270,7 +271,7 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
         }
     }
 
-    /// `false` where there is no room.
+    /// Holds an event; returns `false` if there is no room.
     fn hold(&mut self, event: Event) -> bool {
         let at = self.place(self.len);
         let is_full = self.len >= self.memory.as_ref().len();
@@ -285,7 +286,7 @@ impl<M: AsRef<[Event]> + AsMut<[Event]>> Reorder<M> {
         true
     }
 
-    /// The place `further` behind the first, of the ring.
+    /// Returns the index in the ring of the place `further` after the first.
     fn place(&self, further: usize) -> usize {
         let at = self.first + further;
         let places = self.memory.as_ref().len();

@@ -1,10 +1,10 @@
-//! The Haar transform's rows of bytes, and its histogram and butterflies beyond K = 32.
+//! The kernel of the Haar DWT: rows of bytes for K up to 32, otherwise a histogram and butterflies.
 
 use super::{Accumulate, Impulse, Kernel, PhaseScale};
 use crate::fixed_point::Sum;
 use crate::transform::{Basis, Dwt};
 
-/// What [`Dwt`] takes: exact but for the scale 2^(j/2), which is left to whoever needs the value.
+/// The kernel of [`Dwt`]. Exact, except for the factor 2^(j/2), which is left to whoever needs the value.
 #[derive(Debug, Clone, Copy)]
 pub struct Haar;
 

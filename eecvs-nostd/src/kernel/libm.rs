@@ -1,7 +1,7 @@
-//! The Chebyshev recurrence x_k = 2 cos(a) x_(k-1) - x_(k-2) in f32, from seeds of `libm`.
+//! The Chebyshev recurrence x_k = 2 cos(a) x_(k-1) - x_(k-2) in f32, started from `libm`'s cosines.
 //!
-//! Rounding grows as k^2, as with the oscillators in fixed point; with 24 bits instead of 30 it
-//! starts anew every [`RUN`] coefficients.
+//! The rounding error grows as k^2, as with the fixed-point oscillators. With 24 bits instead of 30, the recurrence
+//! restarts every [`RUN`] coefficients.
 
 use super::{
     Accumulate, Impulse, Kernel, Phase, PhaseScale, dct_turn, dtft_turn, zeroed, zeroed_pairs,
@@ -9,15 +9,14 @@ use super::{
 use crate::fixed_point::CHUNK_EVENTS;
 use crate::transform::{Dct, Dtft};
 
-/// Coefficients from one start of the recurrence to the next.
+/// Number of coefficients between two starts of the recurrence.
 const RUN: usize = 16;
 /// 2 pi 2^-32
 const RADIANS: f32 = core::f32::consts::TAU / 4_294_967_296.0;
 
-/// For comparison: the same recurrence in single precision.
+/// For comparison: the recurrence in single precision.
 ///
-/// Measured for K = 1,024, |c_k - c_ref| per event: DCT 2^-16.2, DTFT 2^-16.0; `tests/kernels.rs`
-/// enforces 2^-14.
+/// Measured |c_k - c_ref| per event for K = 1,024: DCT 2^-16.2, DTFT 2^-16.0; `tests/kernels.rs` enforces 2^-14.
 #[derive(Debug, Clone, Copy)]
 pub struct Libm;
 
@@ -42,7 +41,7 @@ impl Accumulate<Dct> for Libm {
             let cos = |k| ::libm::cosf(radians(turn, k));
             let (sign, step) = (sign(impulse), cos(1));
             for (run, sums) in sums.chunks_mut(RUN).enumerate() {
-                // k - 1 and k of the run's first.
+                // For k - 1 and k of the run's first coefficient.
                 let (before, now) = match run * RUN {
                     0 => (1.0, step),
                     k => (cos(k), cos(k + 1)),
@@ -86,7 +85,7 @@ impl Accumulate<Dtft> for Libm {
     }
 }
 
-/// k times a phase, from -pi to pi.
+/// Converts k times a phase to radians, from -pi to pi.
 #[inline(always)]
 fn radians(turn: Phase, k: usize) -> f32 {
     turn.to_bits().wrapping_mul(k as u32) as i32 as f32 * RADIANS
@@ -97,7 +96,7 @@ fn sign(impulse: Impulse) -> f32 {
     if impulse.is_on { 1.0 } else { -1.0 }
 }
 
-/// Adds `now` and what follows it, of one recurrence or of two with the same step.
+/// Adds x_k, starting with `now`, of one recurrence or of two with the same step.
 #[inline(always)]
 fn add<const N: usize>(
     sums: &mut [[f32; N]],

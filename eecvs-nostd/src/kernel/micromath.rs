@@ -1,5 +1,5 @@
-//! Atoms from `micromath`'s f32 cosine, each on its own: a recurrence from seeds as rough as these
-//! would leave [-1, 1].
+//! Atoms from `micromath`'s f32 cosine, computed one by one: a recurrence from start values as rough as these would
+//! leave [-1, 1].
 
 use micromath::F32Ext;
 
@@ -13,10 +13,9 @@ use crate::transform::{Dct, Dtft};
 /// 2 pi 2^-32
 const RADIANS: f32 = core::f32::consts::TAU / 4_294_967_296.0;
 
-/// For comparison: what a quick approximation in single precision costs and gives.
+/// For comparison: the cost and the error of a fast approximation in single precision.
 ///
-/// Measured for K = 1,024, |c_k - c_ref| per event: DCT 2^-9.8, DTFT 2^-9.8; `tests/kernels.rs`
-/// enforces 2^-9.
+/// Measured |c_k - c_ref| per event for K = 1,024: DCT 2^-9.8, DTFT 2^-9.8; `tests/kernels.rs` enforces 2^-9.
 #[derive(Debug, Clone, Copy)]
 pub struct Micromath;
 
@@ -72,7 +71,7 @@ impl Accumulate<Dtft> for Micromath {
     }
 }
 
-/// From -pi to pi.
+/// Converts a phase to radians, from -pi to pi.
 #[inline(always)]
 fn radians(phase: Phase) -> f32 {
     phase.to_bits() as i32 as f32 * RADIANS

@@ -1,9 +1,9 @@
-//! Kernels of the accumulate stage: ways to the same coefficients that differ in run time and error.
+//! Kernels of the accumulate stage: different ways to compute the same coefficients, with different run time and
+//! error.
 //!
-//! The encoder takes what [`Kernel::in_use`] names, through [`Basis::accumulate`]; the others are
-//! here to be measured against it (`eecvs bench`), and a host can encode with them ([`WithKernel`],
-//! `eecvs encode --kernel`). A further kernel is one new file with a type that implements
-//! [`Accumulate`], and one entry of [`Kernel`].
+//! The encoder uses the kernel that [`Kernel::in_use`] returns, through [`Basis::accumulate`]. The others exist to
+//! be measured against it (`eecvs bench`), and a host can encode with them ([`WithKernel`], `eecvs encode
+//! --kernel`). To add a kernel, add a file with a type that implements [`Accumulate`], and a variant of [`Kernel`].
 //!
 //! | kernel | transforms | arithmetic | error per event at most |
 //! |---|---|---|---|
@@ -14,9 +14,9 @@
 //! | `Libm` | DCT, DTFT | Chebyshev recurrence, f32 | 2^-14 |
 //! | [`Haar`] | Haar DWT | bytes for K up to 32, else histogram and butterflies, integers | 0 |
 //!
-//! The error is |c_k - c_ref| of any coefficient, complex where c_k is, over the number of events in
-//! the pixel, for K up to 1,024 and any window; `tests/kernels.rs` enforces it. The two in f32 are
-//! behind the feature `float`.
+//! The error is |c_k - c_ref| of any coefficient, as a complex magnitude for the DTFT, divided by the number of
+//! events in the pixel, for K up to 1,024 and any window; `tests/kernels.rs` enforces it. The two f32 kernels need
+//! the feature `float`.
 
 mod haar;
 #[cfg(feature = "float")]
@@ -46,26 +46,26 @@ pub use recurrence::Recurrence;
 pub use table::Table;
 pub use with_kernel::{KernelSum, WithKernel};
 
-/// A kernel by name.
+/// The kernels, by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Kernel {
-    /// [`Table`]
+    /// [`Table`]: table with linear interpolation, the encoder's kernel for DCT and DTFT.
     Table,
-    /// [`Recurrence`]
+    /// [`Recurrence`]: Chebyshev recurrence in fixed point.
     Recurrence,
-    /// [`Precise`]
+    /// [`Precise`]: single atoms with 30 fractional bits.
     Precise,
-    /// `Micromath`, with the feature `float`
+    /// `Micromath`: single atoms in f32; needs the feature `float`.
     Micromath,
-    /// `Libm`, with the feature `float`
+    /// `Libm`: Chebyshev recurrence in f32; needs the feature `float`.
     Libm,
-    /// [`Haar`]
+    /// [`Haar`]: exact integers, the encoder's kernel for the Haar DWT.
     Haar,
 }
 
 impl Kernel {
-    /// Every kernel.
+    /// Every kernel, in the order of the variants.
     pub const ALL: [Self; 6] = [
         Self::Table,
         Self::Recurrence,
@@ -75,7 +75,7 @@ impl Kernel {
         Self::Haar,
     ];
 
-    /// Lower-case name.
+    /// Returns the kernel's lower-case name.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -88,7 +88,7 @@ impl Kernel {
         }
     }
 
-    /// The kernel behind [`Basis::accumulate`], which the encoder takes: bit by bit the same sums.
+    /// Returns the kernel whose sums [`Basis::accumulate`] computes for the encoder, bit by bit.
     #[must_use]
     pub const fn in_use(transform: Transform) -> Self {
         match transform {
@@ -97,7 +97,7 @@ impl Kernel {
         }
     }
 
-    /// log2 of the bound on a coefficient's error per event; `None` where there is no error.
+    /// Returns log2 of the bound on a coefficient's error per event, or `None` if there is no error.
     #[must_use]
     pub const fn error_log2(self) -> Option<i8> {
         match self {
@@ -110,17 +110,17 @@ impl Kernel {
     }
 }
 
-/// A kernel for the transform `B`.
+/// A kernel that computes the coefficients of the transform `B`.
 pub trait Accumulate<B: Basis> {
-    /// Its name.
+    /// The kernel's name.
     const KERNEL: Kernel;
-    /// A sum of the signed atoms of a chunk.
+    /// Type of a sum of the signed atoms of a chunk.
     type Sum: KernelSum;
-    /// Memory that it needs beside the sums.
+    /// Memory that the kernel needs in addition to the sums.
     type Work: Default;
 
-    /// As [`Basis::accumulate`], whose contract this is: at most a chunk of impulses, 2K or more
-    /// `sums`, of which c_0 is left as it was.
+    /// Computes the coefficients, by the contract of [`Basis::accumulate`]: over at most a chunk of impulses, into
+    /// 2K or more `sums`, leaving c_0 as it is.
     fn accumulate(
         impulses: impl Iterator<Item = Impulse> + Clone,
         scale: PhaseScale,
@@ -129,7 +129,7 @@ pub trait Accumulate<B: Basis> {
         sums: &mut [Self::Sum],
     );
 
-    /// As [`Basis::accumulate_list`].
+    /// Computes the coefficients of a pixel's list, by the contract of [`Basis::accumulate_list`].
     #[inline(always)]
     fn accumulate_list<'s>(
         impulses: &Impulses<'s>,
@@ -143,20 +143,20 @@ pub trait Accumulate<B: Basis> {
     }
 }
 
-/// u / 2, the DCT's step from k to k + 1 as a turn.
+/// Returns u / 2, the phase step of the DCT from k to k + 1, as a turn.
 #[inline(always)]
 fn dct_turn(scale: PhaseScale, impulse: Impulse) -> Phase {
     scale.half(impulse.offset_us)
 }
 
-/// -u, the DTFT's: exp(-i x) = cos(-x) + i sin(-x).
+/// Returns -u, the phase step of the DTFT: exp(-i x) = cos(-x) + i sin(-x).
 #[inline(always)]
 fn dtft_turn(scale: PhaseScale, impulse: Impulse) -> Phase {
     let half = scale.half(impulse.offset_us).to_bits();
     Phase::from_bits((half << 1).wrapping_neg())
 }
 
-/// The sums of k = 1 to K - 1, zeroed.
+/// Zeroes and returns the sums of k = 1 to K - 1.
 #[inline(always)]
 fn zeroed<T: Default + Copy>(sums: &mut [T], grid: usize) -> Option<&mut [T]> {
     let sums = sums.get_mut(1..grid)?;
@@ -164,7 +164,7 @@ fn zeroed<T: Default + Copy>(sums: &mut [T], grid: usize) -> Option<&mut [T]> {
     Some(sums)
 }
 
-/// The real and the imaginary sums of k = 1 to K - 1, zeroed.
+/// Zeroes and returns the real and imaginary sums of k = 1 to K - 1.
 #[inline(always)]
 fn zeroed_pairs<T: Default + Copy>(sums: &mut [T], grid: usize) -> Option<&mut [[T; 2]]> {
     let (pairs, _) = sums.as_chunks_mut::<2>();
@@ -173,7 +173,7 @@ fn zeroed_pairs<T: Default + Copy>(sums: &mut [T], grid: usize) -> Option<&mut [
     Some(pairs)
 }
 
-/// The phases of k = 1, 2, ...
+/// Returns the phases of k = 1, 2, ...
 #[cfg(feature = "float")]
 #[inline(always)]
 fn multiples(turn: Phase) -> impl Iterator<Item = Phase> {

@@ -1,7 +1,7 @@
-//! Atoms of [`crate::accumulate::cosine`] at phases of 64 bits, each on its own.
+//! Atoms of [`crate::accumulate::cosine`] at 64-bit phases, computed one by one.
 //!
-//! A recurrence would need more than 30 fractional bits, and products of three instructions, to stay
-//! within the bound; here no error grows with k.
+//! A recurrence would need more than 30 fractional bits, and thus products of three instructions, to stay within
+//! the bound. Here no error grows with k.
 
 use fixed::types::I34F30;
 
@@ -10,14 +10,14 @@ use crate::accumulate::cosine::{cos, cos_sin};
 use crate::fixed_point::{Atom, CHUNK_EVENTS, Phase};
 use crate::transform::{Dct, Dtft};
 
-/// Sum of a chunk's signed atoms.
+/// Sum of the signed atoms of a chunk.
 pub type PreciseSum = I34F30;
 
 /// The high-precision kernel.
 ///
-/// Error of an atom at the most: 2^-27 of [`crate::accumulate::cosine`], and 2^-30.3 of the phase, which has 64
-/// bits until k times it is rounded to 32. Measured for K = 1,024, |c_k - c_ref| per event: DCT
-/// 2^-27.2, DTFT 2^-27.1; `tests/kernels.rs` enforces 2^-26.
+/// The error of an atom is at most 2^-27 from [`crate::accumulate::cosine`] plus 2^-30.3 from the phase, which has
+/// 64 bits until k times it is rounded to 32. Measured |c_k - c_ref| per event for K = 1,024: DCT 2^-27.2, DTFT
+/// 2^-27.1; `tests/kernels.rs` enforces 2^-26.
 #[derive(Debug, Clone, Copy)]
 pub struct Precise;
 
@@ -63,7 +63,7 @@ impl Accumulate<Dtft> for Precise {
             return;
         };
         for impulse in impulses.take(CHUNK_EVENTS) {
-            // exp(-i x) = cos(-x) + i sin(-x): the turn is -u.
+            // exp(-i x) = cos(-x) + i sin(-x), so the turn is -u.
             let turn = (scale.half_wide(impulse.offset_us) << 1).wrapping_neg();
             for ([re, im], phase) in sums.iter_mut().zip(multiples(turn)) {
                 let (cos, sin) = cos_sin(phase);
@@ -74,7 +74,7 @@ impl Accumulate<Dtft> for Precise {
     }
 }
 
-/// The phases of k = 1, 2, ... to the nearest of 32 bits.
+/// Returns the phases of k = 1, 2, ..., rounded to the nearest of 32 bits.
 #[inline(always)]
 fn multiples(turn: u64) -> impl Iterator<Item = Phase> {
     let mut phase = 0_u64;
@@ -84,7 +84,7 @@ fn multiples(turn: u64) -> impl Iterator<Item = Phase> {
     })
 }
 
-/// Adds p times an atom; a chunk's sum is far from the 2^33 that it holds.
+/// Adds p times an atom. A chunk's sum stays far below the type's limit of 2^33.
 #[inline(always)]
 fn add(sum: &mut PreciseSum, atom: Atom, is_on: bool) {
     let atom = i64::from(atom.to_bits());

@@ -1,4 +1,4 @@
-//! A transform whose coefficients another kernel computes, as the encoder takes them.
+//! A transform whose coefficients another kernel computes, for use by the encoder.
 
 use core::marker::PhantomData;
 
@@ -12,17 +12,17 @@ use crate::transform::{Basis, GRID_MAX, Rule, Transform};
 
 /// The transform `B` with the accumulate stage of the kernel `A`; all other stages are those of `B`.
 ///
-/// `[Impulse; n] -> [Sum; K]` or `[Sum; 2K]`, |c_k| < n. Error of each number: that of the kernel,
-/// and less than 2^-25 of every chunk, as the sums get 25 fractional bits and stay below n, which is
-/// what lets the levels of a pixel of n events do without a bit for n itself.
+/// `[Impulse; n] -> [Sum; K]` or `[Sum; 2K]`, |c_k| < n. The error of each number is that of the kernel plus less
+/// than 2^-25 per chunk, because sums are converted to 25 fractional bits and kept below n. The levels of a pixel
+/// of n events therefore need no extra bit for n itself.
 ///
-/// For a host: up to 16 KiB of the stack hold the kernel's sums.
+/// Meant for hosts: the kernel's sums take up to 16 KiB of the stack.
 #[derive(Debug, Clone, Copy)]
 pub struct WithKernel<B, A>(PhantomData<(B, A)>);
 
-/// A sum of a kernel.
+/// A kernel's sum, convertible to the encoder's format.
 pub trait KernelSum: Copy + Default {
-    /// Its value, to less than 2^-25.
+    /// Returns the value, to within less than 2^-25.
     fn to_wide(self) -> WideSum;
 }
 
@@ -34,25 +34,25 @@ impl KernelSum for Sum {
 }
 
 impl KernelSum for PreciseSum {
-    /// To the nearest.
+    /// Rounds to the nearest.
     #[inline(always)]
     fn to_wide(self) -> WideSum {
         const LOST: u32 = PreciseSum::FRAC_NBITS - FRACTION_BITS;
-        // A chunk's sum is far from the 2^33 that it holds.
+        // A chunk's sum stays far below the type's limit of 2^33.
         WideSum::from_bits(self.to_bits().wrapping_add(1 << (LOST - 1)) >> LOST)
     }
 }
 
 #[cfg(feature = "float")]
 impl KernelSum for f32 {
-    /// Towards 0.
+    /// Rounds towards 0.
     #[inline(always)]
     fn to_wide(self) -> WideSum {
         WideSum::from_bits((self * (1_u32 << FRACTION_BITS) as f32) as i64)
     }
 }
 
-/// Sums of the usual grids: those of the largest take longer to clear than a pixel of these takes.
+/// Numbers for the usual grids. Clearing those of the largest grid takes longer than a whole pixel of a usual one.
 const USUAL_NUMBERS: usize = 256;
 
 impl<B: Basis, A: Accumulate<B>> Basis for WithKernel<B, A> {
@@ -104,7 +104,7 @@ impl<B: Basis, A: Accumulate<B>> Basis for WithKernel<B, A> {
     }
 }
 
-/// The kernel's sums, then the encoder's; K is at most half of `NUMBERS`.
+/// Computes the kernel's sums and converts them to the encoder's format. K is at most half of `NUMBERS`.
 #[inline(never)]
 fn accumulate<B: Basis, A: Accumulate<B>, const NUMBERS: usize>(
     impulses: impl Iterator<Item = Impulse> + Clone,

@@ -1,10 +1,10 @@
-//! What the target has, for choices between pieces of code that all targets compile.
+//! Properties of the target, for choices between pieces of code that compile on every target.
 //!
-//! A choice between files is that of the stage's `mod.rs`.
+//! Choices between files are made in each stage's `mod.rs`.
 
-/// Whether the core has Arm's DSP instructions, and the assembly of these is not left out.
+/// Whether the core has Arm's DSP instructions and the assembly that uses them is compiled in.
 pub(crate) const HAS_DSP: bool = cfg!(eecvs_dsp);
-/// Whether a product of 64 bits is one instruction of a core of 32.
+/// Whether a 32-bit core multiplies to 64 bits in one instruction.
 #[allow(dead_code, reason = "cores of 32 bits alone ask")]
 pub(crate) const HAS_LONG_PRODUCT: bool = cfg!(eecvs_thumb2);
 /// Whether a register holds 64 bits.

@@ -1,4 +1,4 @@
-//! The meaning of one encoded pixel.
+//! One encoded pixel: its event counts and its kept coefficients.
 
 use heapless::Vec;
 
@@ -6,7 +6,7 @@ use crate::quantise::Level;
 use crate::transform::shape::Packing;
 use crate::transform::{Basis, Dct, Dtft, Dwt, M_MAX, Transform};
 
-/// What the link says of a pixel's coefficients.
+/// A pixel's coefficients, as they are sent.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[expect(
@@ -14,18 +14,16 @@ use crate::transform::{Basis, Dct, Dtft, Dwt, M_MAX, Transform};
     reason = "there is no heap to put it on, and one descriptor exists at a time"
 )]
 pub enum Coded {
-    /// A single event, whose time every coefficient follows from: floor(2^b u), b being
-    /// [`Packing::cells_log2`].
+    /// A single event, whose time determines every coefficient: floor(2^b u), where b is [`Packing::cells_log2`].
     Cell(u32),
-    /// Several: the kept coefficients, k ascending.
+    /// Several events: the kept coefficients, k ascending.
     ///
-    /// c_0 = on - off in every transform; where k = 0 is kept it stands here but costs nothing on
-    /// the link. The DCT has k = 0..r, the DTFT r of its K; of the DWT those that are 0 are left
-    /// out.
+    /// c_0 = on - off in every transform; if k = 0 is kept, it is in this list but takes no bits. The DCT has k =
+    /// 0..r, the DTFT r of its K; of the DWT those that are 0 are left out.
     Levels(Vec<Level, M_MAX>),
 }
 
-/// One pixel's window: its event counts, and what tells the coefficients that were kept.
+/// One pixel's window: its event counts and its kept coefficients.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Descriptor {
@@ -42,7 +40,7 @@ pub struct Descriptor {
 }
 
 impl Descriptor {
-    /// A pixel without events.
+    /// A pixel without events, at column 0 and row 0.
     pub const EMPTY: Self = Self {
         x: 0,
         y: 0,
@@ -51,14 +49,14 @@ impl Descriptor {
         coded: Coded::Levels(Vec::new()),
     };
 
-    /// n = on + off.
+    /// Returns the number of events, n = on + off.
     #[must_use]
     pub const fn events(&self) -> u32 {
         self.on + self.off
     }
 
-    /// Calls `each` with k, re and im of the kept coefficients, k ascending, each within half a
-    /// step of what the encoder had.
+    /// Calls `each` with k, re and im of every kept coefficient, k ascending, each within half a quantiser step of
+    /// the encoder's value.
     pub fn dequantise(&self, packing: &Packing, mut each: impl FnMut(u16, f64, f64)) {
         let transform = packing.transform;
         match &self.coded {
@@ -81,7 +79,8 @@ impl Descriptor {
         }
     }
 
-    /// u of a single event, the middle of its cell; `None` where there are more.
+    /// Returns the time u of a single event, 0 to 1 within the window, as the middle of its cell; `None` for
+    /// several events.
     #[must_use]
     pub fn single_u(&self, packing: &Packing) -> Option<f64> {
         match self.coded {

@@ -1,4 +1,4 @@
-//! Pack: descriptors to bits, and back.
+//! Packs descriptors to bits, and unpacks them.
 
 pub mod bits_lsb_first;
 pub mod descriptor;

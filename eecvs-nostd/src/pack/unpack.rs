@@ -1,4 +1,4 @@
-//! Bits to descriptors: the inverse of [`crate::pack::packer`].
+//! Unpacks bits to descriptors: the inverse of [`crate::pack::packer`].
 
 use heapless::Vec;
 
@@ -8,17 +8,17 @@ use crate::quantise::Level;
 use crate::transform::shape::{MASK_GRID_MAX, Packing, width_of};
 use crate::transform::{M_MAX, Transform};
 
-/// How a payload is malformed.
+/// Why a payload is malformed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum UnpackError {
-    /// The payload ends inside of a pixel.
+    /// The payload ends inside a pixel.
     Ended,
     /// A pixel lies beyond the sensor.
     Position,
-    /// A pixel's counts are more than what the header has left.
+    /// The pixels' counts contradict the header.
     Events,
-    /// More coefficients than M, or an index beyond the grid.
+    /// More coefficients than M, an index beyond the grid, or a level that no encoder writes.
     Levels,
     /// Bits are left after the last pixel.
     Trailing,
@@ -45,10 +45,11 @@ impl From<Ended> for UnpackError {
 }
 
 impl Packing {
-    /// Reads the next pixel; the inverse of [`Packing::pack`]. At most `events_left` events.
+    /// Reads the next pixel, of at most `events_left` events; the inverse of [`Packing::pack`]. `next_index` is the
+    /// raster index after the previous pixel's, and is moved on.
     ///
     /// # Errors
-    /// [`UnpackError`] for bits that no encoder writes; no input makes it panic or loop.
+    /// [`UnpackError`] for bits that no encoder writes; no input makes it panic or loop for ever.
     pub fn unpack(
         &self,
         next_index: &mut u32,
@@ -112,7 +113,7 @@ impl Packing {
                 (_, Transform::Dtft) => (next()?, next()?),
                 (_, Transform::Dwt) => {
                     let re = next()?;
-                    // 25 bits at the most.
+                    // At most 25 bits, so the sum does not overflow.
                     (re + i32::from(re >= 0), 0)
                 }
             };
@@ -123,14 +124,14 @@ impl Packing {
                 .push(Level { k, re, im })
                 .map_err(|_| UnpackError::Levels)?;
         }
-        // Narrower levels have a narrower width: a pixel has one encoding.
+        // The width has to be the narrowest that fits, so that a pixel has only one encoding.
         if has_width && width_of(spread) + 1 != bits {
             return Err(UnpackError::Levels);
         }
         Ok(levels)
     }
 
-    /// Indices of the coefficients that are sent, k = 0 among them where it is kept.
+    /// Reads the indices of the coefficients that are sent, including k = 0 where it is kept.
     fn unpack_set(&self, reader: &mut BitReader<'_>) -> Result<Vec<u16, M_MAX>, UnpackError> {
         let r = self.kept() as u32;
         let mut ks = Vec::new();
@@ -204,8 +205,7 @@ mod tests {
         }
     }
 
-    /// Unpacks a pixel at (0, 0) with `on` ON events whose `fields` (value, bits) follow its
-    /// counts.
+    /// Unpacks a pixel at (0, 0) with `on` ON events, whose counts are followed by `fields` (value, bits).
     fn unpack(packing: Packing, on: u32, fields: &[(u32, u32)]) -> Result<Descriptor, UnpackError> {
         let mut bytes = [0; 64];
         let mut writer = BitWriter::new(&mut bytes);
@@ -219,7 +219,7 @@ mod tests {
         packing.unpack(&mut 0, on, &mut BitReader::new(&bytes[..len]))
     }
 
-    /// Levels' widths of the widest possible, and of one and two less.
+    /// Codes of the levels' width: the widest possible, one less, and two less.
     const WIDEST: (u32, u32) = (1, 1);
     const ONE_LESS: (u32, u32) = (2, 2);
     const TWO_LESS: (u32, u32) = (4, 3);
@@ -236,7 +236,7 @@ mod tests {
                 .map(|l| (l.k, l.re, l.im))
                 .collect::<std::vec::Vec<_>>()
         };
-        // Two events: Haar levels of -2 to 2, of which the positive ones move down.
+        // Two events: Haar levels of -2 to 2, the positive ones sent as one less.
         let set = packing(Transform::Dwt, 4, 16, 0);
         let mask = |mask: u32, width, first: (u32, u32), second: (u32, u32)| {
             unpack(set, 2, &[(mask, 16), width, first, second])
@@ -257,7 +257,7 @@ mod tests {
         assert_eq!(levels(unpack(set, 2, &[(1, 16)])), [(0, 2, 0)]);
         assert_eq!(levels(unpack(set, 2, &[(0, 16)])), []);
 
-        // More than 32 coefficients: as many as are sent, and a list.
+        // More than 32 coefficients: the number that is sent, and a list.
         let wide = packing(Transform::Dwt, 4, 64, 0);
         let list = |first, second| {
             let fields = [(2, 3), (first, 6), (second, 6), ONE_LESS, (0, 1), (0, 1)];
@@ -292,7 +292,8 @@ mod tests {
 
     #[test]
     fn a_single_event_is_its_cell() {
-        // pi 7 / 2^-6 = 1,407 and twice that of the Fourier atoms; the bins of K.
+        // At least pi 7 / 2^-6 = 1,407 cells for the DCT; 4 times that for the DTFT, 13 bits, of which 12 are
+        // written here and the last is padding; K bins for the DWT.
         for (transform, grid, bits) in [
             (Transform::Dct, 8, 11),
             (Transform::Dtft, 16, 12),

@@ -1,7 +1,6 @@
-//! The choice of the largest of up to 32 magnitudes on a core with DSP instructions: eight bits of
-//! each, four to a word, are searched for a value that exactly as many reach as are kept, and the
-//! eight bits below where these do not tell. Equals are left to [`crate::prune`], which gives the same
-//! set.
+//! Selects the largest of up to 32 magnitudes on a core with DSP instructions. It searches eight bits of each, four
+//! to a word, for a value that exactly as many reach as are kept; where these bits do not separate them, it
+//! searches the eight bits below. Equal magnitudes are left to [`crate::prune`], which gives the same set.
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;
@@ -10,16 +9,16 @@ use crate::fixed_point::Sum;
 use crate::prune;
 use crate::transform::shape::Shape;
 
-/// Largest K.
+/// Largest K that this file handles.
 pub const GRID_MAX: usize = 32;
 
-/// Whether [`of_two`] and [`largest`] are for this shape: lanes are four to a word.
+/// Returns whether [`of_two`] and [`largest`] handle this shape: lanes are four to a word.
 pub const fn is_for(shape: Shape) -> bool {
     shape.grid.is_multiple_of(4) && shape.grid <= GRID_MAX && shape.r < shape.grid && shape.r > 0
 }
 
-/// What a search begins with: its first value and the lowest that is in question, in every byte;
-/// above 0 the latter asks for a margin, and 255 less it is the highest.
+/// How a search begins: its first value and the lowest in question, in every byte. A lowest value above 0 asks for
+/// a margin, and the highest value is 255 minus it.
 #[derive(Debug, Clone, Copy)]
 struct Search {
     first: u32,
@@ -31,25 +30,25 @@ const SQUARES: Search = Search {
     first: 0x4040_4040,
     lowest: 0,
 };
-/// Within a byte of those all are as likely.
+/// Bits below those searched: within a byte all values are equally likely.
 const REST: Search = Search {
     first: 0x8080_8080,
     lowest: 0,
 };
-/// Distances on a circle are as likely one as the other.
+/// Distances on a circle: all are equally likely.
 const DISTANCES: Search = Search {
     first: 0x8080_8080,
     lowest: 0x0808_0808,
 };
 
-/// The r largest |c_k| of a pixel's pairs of sums of up to a chunk of `events`, as a bit each, ties
-/// to the lower k.
+/// Returns the r largest |c_k| of a pixel's pairs of sums, of up to a chunk of `events`, as a bit each; ties go to
+/// the lower k.
 ///
 /// # Safety
-/// [`is_for`] holds of `shape`, there are 2K `sums`, and `keys` has room for K.
+/// [`is_for`] has to hold for `shape`, there have to be 2K `sums`, and `keys` has to have room for K.
 #[inline(always)]
 pub unsafe fn largest(sums: *const Sum, events: u32, shape: Shape, keys: *mut u32) -> u32 {
-    // SAFETY: by the caller.
+    // SAFETY: the caller ensures all but the bound of K, which the branch does.
     unsafe {
         if shape.grid <= GRID_MAX / 2 {
             largest_in::<4>(sums, events, shape, keys)
@@ -59,6 +58,8 @@ pub unsafe fn largest(sums: *const Sum, events: u32, shape: Shape, keys: *mut u3
     }
 }
 
+/// As [`largest`], with W words of lanes.
+///
 /// # Safety
 /// As for [`largest`]; K is at most 4 W.
 #[inline(always)]
@@ -70,10 +71,10 @@ unsafe fn largest_in<const W: usize>(
 ) -> u32 {
     let Shape { grid, r, .. } = shape;
     let mut lanes = [0; W];
-    // As `Coefficient::relative`.
+    // Scaled as by `Coefficient::relative`.
     let shift = events.leading_zeros().wrapping_sub(26) & 31;
-    // SAFETY: `squares` reads 2K sums and writes K keys and K / 4 words, 1 to W. This file is built
-    // only for cores that have the instructions.
+    // SAFETY: `squares` reads 2K sums and writes K keys and K / 4 words, 1 to W. This file is compiled only for
+    // cores that have the instructions.
     let mut below = unsafe { squares(sums, keys, grid, shift, lanes.as_mut_ptr()) };
     let (mut base, mut search) = (0, SQUARES);
     loop {
@@ -82,12 +83,12 @@ unsafe fn largest_in<const W: usize>(
             return kept;
         }
         if below == 0 {
-            // Equal ones.
+            // Equal magnitudes are left.
             // SAFETY: `squares` has written K keys.
             let keys = unsafe { core::slice::from_raw_parts(keys, grid) };
             return prune::largest_bits(keys, r as u32);
         }
-        // More than r have this byte or a higher one, fewer a higher one: the eight bits below it.
+        // More than r have this byte or a higher one, fewer a higher one: search the eight bits below it.
         base += (lanes[0] & 0xff) << (below & 31);
         below = below.saturating_sub(8);
         search = REST;
@@ -96,13 +97,13 @@ unsafe fn largest_in<const W: usize>(
     }
 }
 
-/// The `r` bytes of `lanes` that are above all others, as a bit each; 0 where none was found, and in
-/// every byte of the first word one that more than r reach.
+/// Returns the `r` bytes of `lanes` that are above all others, as a bit each. If no value separates them, returns
+/// 0, and every byte of the first word is then a value that more than r reach.
 #[inline(always)]
 fn separate<const W: usize>(lanes: &mut [u32; W], r: u32, search: Search) -> u32 {
     let Search { first, lowest } = search;
-    // SAFETY: both read W words and write the first. This file is built only for cores that have
-    // the instructions.
+    // SAFETY: both read W words and write the first. This file is compiled only for cores that have the
+    // instructions.
     unsafe {
         if W == 4 {
             separate_16(lanes.as_mut_ptr(), r, first, lowest)
@@ -112,22 +113,21 @@ fn separate<const W: usize>(lanes: &mut [u32; W], r: u32, search: Search) -> u32
     }
 }
 
-/// The r largest |c_k| of a pixel of two events, as a bit each; 0 where another way has to tell them.
+/// Returns the r largest |c_k| of a pixel of two events, as a bit each; 0 if they have to be found in another way.
 ///
-/// With d the distance of k (u - u') from the nearest integer, or from the nearest odd half where
-/// both have the same polarity, |c_k|^2 = 2 - 2 cos(2 pi d): it grows with d, and no atom is needed
-/// to order them. A margin keeps the set that of the fixed-point sums: bytes are floor(512 d), the
-/// byte below the first one that is kept is empty, and rounding u - u' to 2^-15 and the odd start
-/// move d by at most 2^-11, so d of what is kept is 2^-10 above that of the rest. With the threshold
-/// between 8 / 512 and 248 / 512, |c|^2 is more than 1.2e-3 above; atoms within 2^-14.08
-/// ([`crate::accumulate::dtft16`]; [`crate::accumulate::any_grid`] has them within 2^-14.6) make at most
-/// 2 * 4 * 2 * 2^-14.08 = 9.3e-4.
+/// With d the distance of k (u - u') from the nearest integer, or from the nearest odd half if both have the same
+/// polarity, |c_k|^2 = 2 - 2 cos(2 pi d). That grows with d, so no atom is needed to order the coefficients. A
+/// margin makes the set that of the fixed-point sums: bytes are floor(512 d), the value below the first byte that
+/// is kept does not occur, and rounding u - u' to 2^-15 and the odd start move d by at most 2^-11, so d of what is
+/// kept is 2^-10 above that of the rest. With the threshold between 8 / 512 and 248 / 512, |c|^2 is more than
+/// 1.2e-3 above; atoms within 2^-14.08 ([`crate::accumulate::dtft16`]; [`crate::accumulate::any_grid`] has them
+/// within 2^-14.6) make at most 2 * 4 * 2 * 2^-14.08 = 9.3e-4.
 ///
-/// For assembly alone. r0: 9 words for the bytes; r1: polarities that differ << 31; r2: K; r3: r; r4:
-/// u - u'. Overwrites r5 to r8, r10 and r11 too.
+/// To be called from assembly only. r0: 9 words for the bytes; r1: whether polarities differ << 31; r2: K; r3: r;
+/// r4: u - u'. Also overwrites r5 to r8, r10 and r11.
 ///
 /// # Safety
-/// [`is_for`] holds of K and r.
+/// [`is_for`] has to hold for K and r.
 #[unsafe(naked)]
 pub unsafe extern "C" fn of_two() {
     // The bytes of four k.
@@ -146,8 +146,8 @@ pub unsafe extern "C" fn of_two() {
         };
     }
     naked_asm!(
-        // r1: 1, and half a turn of 16 bits where the polarities are the same: all multiples of the
-        // difference are even, and none is -2^15, which has no magnitude.
+        // r1: 1, plus half a turn of 16 bits if the polarities are the same: all multiples of the difference are
+        // even, and none is -2^15, which has no magnitude.
         "mvns r1, r1",
         "lsrs r1, r1, #31",
         "lsls r1, r1, #15",
@@ -200,12 +200,12 @@ pub unsafe extern "C" fn of_two() {
     )
 }
 
-/// re^2 + im^2 of every pair as [`crate::transform::Dtft`] has it, and the upper 8 bits of each in a
-/// byte. Returns how many bits are below those.
+/// Computes re^2 + im^2 of every pair as [`crate::transform::Dtft`] does, and the upper 8 bits of each in a byte.
+/// Returns how many bits are below those.
 ///
 /// # Safety
-/// `sums` has 2 `grid` numbers, `keys` has room for `grid`, `lanes` for a quarter of them, and `grid`
-/// is a multiple of 4 above 0.
+/// `sums` has to have 2 `grid` numbers, `keys` room for `grid`, `lanes` room for a quarter of them, and `grid` has
+/// to be a multiple of 4 above 0.
 #[unsafe(naked)]
 unsafe extern "C" fn squares(
     sums: *const Sum,
@@ -235,7 +235,7 @@ unsafe extern "C" fn squares(
         "push {{r4-r9, lr}}",
         "mov r8, r1",
         "mov r9, r2",
-        // r12: the bits of any.
+        // r12: the bits that any key has.
         "mov r12, #0",
         "2:",
         two!(),
@@ -264,10 +264,11 @@ unsafe extern "C" fn squares(
     )
 }
 
-/// (key - `base`) / 2^`shift` of every key, cut to a byte.
+/// Computes (key - `base`) / 2^`shift` of every key, saturated to a byte.
 ///
 /// # Safety
-/// `keys` has `grid` numbers, `lanes` room for a quarter of them, and `grid` is a multiple of 4 above 0.
+/// `keys` has to have `grid` numbers, `lanes` room for a quarter of them, and `grid` has to be a multiple of 4
+/// above 0.
 #[unsafe(naked)]
 unsafe extern "C" fn zoom(keys: *const u32, lanes: *mut u32, grid: usize, base: u32, shift: u32) {
     macro_rules! byte {
@@ -297,7 +298,8 @@ unsafe extern "C" fn zoom(keys: *const u32, lanes: *mut u32, grid: usize, base: 
     )
 }
 
-/// 1 in every byte of `$lane` that is not below that of r2, added to r12 or its first.
+/// Computes a 1 in every byte of `$lane` that is not below that of r2, and adds it to r12 or, `first`, sets r12 to
+/// it.
 macro_rules! reach {
     ($lane:literal, $ones:literal, $zero:literal) => {
         concat!(
@@ -326,7 +328,7 @@ macro_rules! reach {
     };
 }
 
-/// The bits of the eight lanes of `$low` and `$high` that are not below those of r2, in `$low`. r3
+/// Leaves in `$low` the bits of those of the eight lanes in `$low` and `$high` that are not below that of r2. r3
 /// and r12: bits of the lanes; `$zero`: 0.
 macro_rules! bits {
     ($low:literal, $high:literal, $zero:literal) => {
@@ -365,8 +367,10 @@ macro_rules! bits {
     };
 }
 
+/// [`separate`] for 16 lanes.
+///
 /// # Safety
-/// `lanes` has 4 words.
+/// `lanes` has to have 4 words.
 #[unsafe(naked)]
 unsafe extern "C" fn separate_16(lanes: *mut u32, r: u32, first: u32, lowest: u32) -> u32 {
     macro_rules! count {
@@ -383,7 +387,7 @@ unsafe extern "C" fn separate_16(lanes: *mut u32, r: u32, first: u32, lowest: u3
     naked_asm!(
         "push {{r4-r11, lr}}",
         "ldm r0, {{r4-r7}}",
-        // More than r reach r8, fewer r9.
+        // More than r reach r8, fewer reach r9.
         "mov r8, r3",
         "mvn r9, r3",
         "mov r10, #0x01010101",
@@ -405,7 +409,7 @@ unsafe extern "C" fn separate_16(lanes: *mut u32, r: u32, first: u32, lowest: u3
         "4:",
         "cmp r3, #0",
         "beq 5f",
-        // The value below is as good, or the one above.
+        // The value below has to separate them as well, or the one above.
         "sub r2, r2, r10",
         count!(),
         "cmp r12, r1",
@@ -425,8 +429,10 @@ unsafe extern "C" fn separate_16(lanes: *mut u32, r: u32, first: u32, lowest: u3
     )
 }
 
+/// [`separate`] for 32 lanes.
+///
 /// # Safety
-/// `lanes` has 8 words.
+/// `lanes` has to have 8 words.
 #[unsafe(naked)]
 unsafe extern "C" fn separate_32(lanes: *mut u32, r: u32, first: u32, lowest: u32) -> u32 {
     macro_rules! count {
@@ -447,7 +453,7 @@ unsafe extern "C" fn separate_32(lanes: *mut u32, r: u32, first: u32, lowest: u3
     naked_asm!(
         "push {{r4-r11, lr}}",
         "mvn r12, r3",
-        // At sp: the lowest, lanes, what more than r reach, what fewer do.
+        // At sp: the lowest value, `lanes`, what more than r reach, what fewer reach.
         "push {{r3, r12}}",
         "sub sp, #8",
         "strd r3, r0, [sp]",

@@ -1,23 +1,23 @@
-//! Which coefficients of a pixel are kept.
+//! Selects the coefficients of a pixel that are kept.
 
 #[cfg(eecvs_dsp)]
 pub(crate) mod armv7em;
 
 use crate::transform::name::GRID_MAX;
 
-/// A set of grid indices: bit k of its words.
+/// A set of grid indices, as bits: bit k of its words.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Kept {
     words: [u32; GRID_MAX / 32],
 }
 
 impl Kept {
-    /// No index.
+    /// The empty set, without any index.
     pub const NONE: Self = Self {
         words: [0; GRID_MAX / 32],
     };
 
-    /// Empties the words that a grid of `grid` uses.
+    /// Empties the words that a grid of size `grid` uses.
     #[inline(always)]
     pub fn clear(&mut self, grid: usize) {
         for word in self.words.iter_mut().take(grid.div_ceil(32)) {
@@ -25,47 +25,47 @@ impl Kept {
         }
     }
 
-    /// Adds `k`, below [`GRID_MAX`].
+    /// Adds `k`, which is below [`GRID_MAX`].
     #[inline(always)]
     pub fn insert(&mut self, k: usize) {
         self.words[k / 32 % (GRID_MAX / 32)] |= 1 << (k % 32);
     }
 
-    /// Takes `k` out.
+    /// Removes `k`, which is below [`GRID_MAX`].
     #[inline(always)]
     pub fn remove(&mut self, k: usize) {
         self.words[k / 32 % (GRID_MAX / 32)] &= !(1 << (k % 32));
     }
 
-    /// Whether `k` is among them.
+    /// Returns whether `k` is in the set.
     #[inline(always)]
     #[must_use]
     pub fn contains(&self, k: usize) -> bool {
         (self.words[k / 32 % (GRID_MAX / 32)] >> (k % 32)) & 1 == 1
     }
 
-    /// The words of a grid of `grid`, k = 0 in the lowest bit of the first.
+    /// Returns the words of a grid of size `grid`, with k = 0 in the lowest bit of the first.
     #[inline(always)]
     #[must_use]
     pub fn words(&self, grid: usize) -> &[u32] {
         self.words.get(..grid.div_ceil(32)).unwrap_or(&self.words)
     }
 
-    /// The same, to be written.
+    /// As [`Self::words`], for writing: mutable words.
     #[inline(always)]
     pub fn words_mut(&mut self, grid: usize) -> &mut [u32] {
         let words = grid.div_ceil(32).min(GRID_MAX / 32);
         &mut self.words[..words]
     }
 
-    /// How many there are below `grid`.
+    /// Returns how many indices below `grid` are in the set.
     #[inline]
     #[must_use]
     pub fn count(&self, grid: usize) -> u32 {
         self.words(grid).iter().map(|word| word.count_ones()).sum()
     }
 
-    /// Calls `each` with every index below `grid`, ascending.
+    /// Calls `each` with every index of the set below `grid`, ascending.
     #[inline(always)]
     pub fn for_each(&self, grid: usize, mut each: impl FnMut(usize)) {
         for (index, word) in self.words(grid).iter().enumerate() {
@@ -92,10 +92,10 @@ pub fn low_frequency(r: usize, kept: &mut Kept) {
     }
 }
 
-/// Adds the `r` largest of `keys` to `kept`, ties to the lower k.
+/// Adds the indices of the `r` largest of `keys` to `kept`; ties go to the lower k.
 ///
-/// Everything above the r-th largest value is kept, and the places left go to its equals from k = 0
-/// up. At most 34 passes over the keys.
+/// All keys above the r-th largest value are kept, and the places left go to keys equal to it, from k = 0 up. Takes
+/// at most 34 passes over the keys.
 #[cfg_attr(eecvs_dsp, inline(never))]
 #[cfg_attr(not(eecvs_dsp), inline(always))]
 pub fn largest(keys: &[u32], r: usize, kept: &mut Kept) {
@@ -112,11 +112,11 @@ pub fn largest(keys: &[u32], r: usize, kept: &mut Kept) {
     }
 }
 
-/// [`largest`] of up to 32 keys, as a bit per key; `r` is 1 to one less than their number.
+/// As [`largest`], for up to 32 keys: returns a bit per key. `r` is 1 to one less than their number.
 #[inline(always)]
 #[must_use]
 pub(crate) fn largest_bits(keys: &[u32], r: u32) -> u32 {
-    // In an image one has to do for both: few pixels come here.
+    // In firmware one function has to do for both sizes, as few pixels come here.
     if !cfg!(eecvs_dsp) && keys.len() <= 16 {
         largest_of::<4>(keys, r)
     } else {
@@ -124,18 +124,18 @@ pub(crate) fn largest_bits(keys: &[u32], r: u32) -> u32 {
     }
 }
 
-/// [`largest_bits`] of up to 4W keys.
+/// As [`largest_bits`], for up to 4W keys.
 ///
-/// Bisects for a value that exactly `r` of the keys reach, on the upper 7 bits of each, four to a
-/// word: a bit more than them is left after a subtraction where the key is not below the value.
-/// Counting takes the same few instructions whatever the keys are, where a selection's branches and
-/// exchanges take more. Keys that 7 bits do not tell apart are compared whole.
+/// Bisects for a value that exactly `r` of the keys reach, on the upper 7 bits of each key, four to a word: after a
+/// subtraction the bit above these is left if the key is not below the value. Counting takes the same few
+/// instructions whatever the keys are, while the branches and exchanges of a selection take more. Keys whose 7 bits
+/// are equal are compared whole.
 #[inline(never)]
 fn largest_of<const W: usize>(keys: &[u32], r: u32) -> u32 {
     let most = keys.iter().fold(0, |most, key| most | key);
     let shift = 25_u32.saturating_sub(most.leading_zeros());
     let lanes = Lanes::<W>::new(keys, shift);
-    // More than r keys reach `low`, fewer reach `high`: all reach 0, and none has an eighth bit.
+    // More than r keys reach `low` and fewer reach `high`: all reach 0, and none has an eighth bit.
     let (mut low, mut high) = (0, 128);
     let mut value = FIRST_VALUE;
     loop {
@@ -175,7 +175,7 @@ fn largest_of<const W: usize>(keys: &[u32], r: u32) -> u32 {
     kept
 }
 
-/// Where the search begins: squares of magnitudes have their middle far below their largest.
+/// First value of the search: squares of magnitudes have their middle far below their largest.
 const FIRST_VALUE: u32 = 24;
 
 /// Keys of 7 bits, four to a word, with the highest bit of each byte set.
@@ -184,7 +184,7 @@ struct Lanes<const W: usize>([u32; W]);
 impl<const W: usize> Lanes<W> {
     const HIGHEST: u32 = 0x8080_8080;
 
-    /// `shift` leaves 7 bits of every key.
+    /// Packs the keys; `shift` leaves 7 bits of each.
     #[inline(always)]
     fn new(keys: &[u32], shift: u32) -> Self {
         let word = |[a, b, c, d]: [u32; 4]| {
@@ -205,7 +205,7 @@ impl<const W: usize> Lanes<W> {
         Self(words)
     }
 
-    /// 1 in the byte of every key that is `value`, 0 to 127, or more.
+    /// Returns a 1 in the byte of every key that is at least `value` (0 to 127).
     #[inline(always)]
     fn reach(&self, value: u32) -> [u32; W] {
         let values = value * 0x0101_0101;
@@ -213,14 +213,14 @@ impl<const W: usize> Lanes<W> {
             .map(|word| (word.wrapping_sub(values) & Self::HIGHEST) >> 7)
     }
 
-    /// How many bytes of `reach` are 1.
+    /// Returns how many bytes of `reach` are 1.
     #[inline(always)]
     fn count(reach: &[u32; W]) -> u32 {
         let sum = reach.iter().sum::<u32>();
         sum.wrapping_mul(0x0101_0101) >> 24
     }
 
-    /// A bit for every byte of `reach`.
+    /// Returns a bit for every byte of `reach`.
     #[inline(always)]
     fn bits(reach: &[u32; W]) -> u32 {
         let four = |word: &u32| word.wrapping_mul(0x0102_0408) >> 24;
@@ -231,11 +231,11 @@ impl<const W: usize> Lanes<W> {
     }
 }
 
-/// [`largest`] of any number.
+/// As [`largest`], for any number of keys.
 #[inline(never)]
 fn largest_of_many(keys: &[u32], r: usize, kept: &mut Kept) {
     let at_least = |key: u32| keys.iter().filter(|k| **k >= key).count();
-    // The r-th largest, bit by bit from the top: the greatest that r of them reach.
+    // Find the r-th largest key bit by bit from the top: the greatest value that r keys reach.
     let mut threshold = 0;
     for bit in (0..u32::BITS).rev() {
         let higher = threshold | (1 << bit);

@@ -1,11 +1,11 @@
-//! Density regime of a window, and the transform it asks for.
+//! Density regime of a window, and the transform that it selects.
 
 pub mod density;
 
 use crate::regime::density::Density;
 use crate::transform::Transform;
 
-/// Regime of a window (eq. 2).
+/// Density regime of a window (eq. 2).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
@@ -19,10 +19,10 @@ pub enum Regime {
 }
 
 impl Regime {
-    /// Every regime, in the order of its code on the link.
+    /// Every regime, in the order of the codes on the link.
     pub const ALL: [Self; 3] = [Self::Sparse, Self::Moderate, Self::Dense];
 
-    /// The regime with this code on the link.
+    /// Returns the regime with this code on the link, or `None` for any other code.
     #[must_use]
     pub const fn from_code(code: u8) -> Option<Self> {
         match code {
@@ -33,7 +33,7 @@ impl Regime {
         }
     }
 
-    /// Lower-case name.
+    /// Returns the regime's lower-case name.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -43,7 +43,7 @@ impl Regime {
         }
     }
 
-    /// Transform of the regime (eq. 3).
+    /// Returns the transform of the regime (eq. 3).
     #[must_use]
     pub const fn transform(self) -> Transform {
         match self {
@@ -54,7 +54,7 @@ impl Regime {
     }
 }
 
-/// The two densities between the regimes, in 10^-12 events per pixel per second.
+/// The two densities that separate the regimes, in 10^-12 events per pixel per second.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Thresholds {
@@ -63,7 +63,7 @@ pub struct Thresholds {
 }
 
 impl Thresholds {
-    /// Thresholds, or `None` where tau_low > tau_high.
+    /// Creates thresholds, or returns `None` if tau_low > tau_high.
     #[must_use]
     pub const fn new(tau_low_pico: u64, tau_high_pico: u64) -> Option<Self> {
         if tau_low_pico > tau_high_pico {
@@ -76,19 +76,19 @@ impl Thresholds {
         }
     }
 
-    /// tau_low.
+    /// Returns tau_low, in 10^-12 events per pixel per second.
     #[must_use]
     pub const fn tau_low_pico(self) -> u64 {
         self.tau_low_pico
     }
 
-    /// tau_high.
+    /// Returns tau_high, in 10^-12 events per pixel per second.
     #[must_use]
     pub const fn tau_high_pico(self) -> u64 {
         self.tau_high_pico
     }
 
-    /// Regime of a window of this density (eq. 2).
+    /// Returns the regime of a window of this density (eq. 2).
     #[must_use]
     pub const fn regime(self, density: Density) -> Regime {
         if density.is_below(self.tau_low_pico) {

@@ -1,4 +1,4 @@
-//! DCT: c_k = sum_i p_i cos(pi k u_i), the low frequencies kept.
+//! DCT: c_k = sum_i p_i cos(pi k u_i). The low frequencies are kept.
 
 use core::f64::consts::PI;
 
@@ -15,10 +15,11 @@ use crate::transform::shape::Shape;
 
 /// The cosine transform (eq. 6 with phi_k(u) = cos(pi k u)), for dense windows.
 ///
-/// `[Impulse; n] -> [Sum; K]`, |c_k| < n. Measured error against f64, per event: at most 2^-15.0
-/// for K = 1,024 (`tests/fixed_vs_float.rs` enforces 2^-14.9, and n * 2^-14 for n events); for K up
-/// to 8, where [`dct8`] has the atoms, 2^-14.28, and up to 16, where [`dct16`] has them, 2^-14.21,
-/// of which these enforce 2^-14.2.
+/// `[Impulse; n] -> [Sum; K]`, |c_k| < n. Measured error against f64, per event:
+///
+/// - K = 1,024: at most 2^-15.0 (`tests/fixed_vs_float.rs` enforces 2^-14.9, and n * 2^-14 for n events);
+/// - K up to 8, by the table of [`dct8`]: at most 2^-14.28 (its tests enforce 2^-14.2);
+/// - K up to 16, by the table of [`dct16`]: at most 2^-14.21 (its tests enforce 2^-14.2).
 #[derive(Debug, Clone, Copy)]
 pub struct Dct;
 
@@ -94,8 +95,8 @@ impl Basis for Dct {
     }
 }
 
-/// [`Dct::accumulate`] of what has no assembly. Apart, so that what has some does not wait for its
-/// registers to be saved.
+/// [`Dct::accumulate`] for grids without assembly. Out of line, so that the path with assembly need not save this
+/// one's registers.
 #[inline(never)]
 fn accumulate_apart(impulses: &Impulses<'_>, scale: PhaseScale, grid: usize, sums: &mut [Sum]) {
     Dct::accumulate(impulses.clone(), scale, grid, sums);

@@ -1,4 +1,4 @@
-//! DTFT: c_k = sum_i p_i exp(-i 2 pi k u_i), the largest kept.
+//! DTFT: c_k = sum_i p_i exp(-i 2 pi k u_i). The r largest are kept.
 
 use core::f64::consts::TAU;
 
@@ -13,13 +13,14 @@ use crate::transform::name::{Rule, Transform};
 use crate::transform::phase::PhaseScale;
 use crate::transform::shape::Shape;
 
-/// The Fourier transform of the impulse train (eq. 6 with phi_k(u) = exp(-i 2 pi k u)), for
-/// moderate windows.
+/// The Fourier transform of the impulse train (eq. 6 with phi_k(u) = exp(-i 2 pi k u)), for moderate windows.
 ///
-/// `[Impulse; n] -> [Sum; 2K]`, K pairs of real and imaginary part, each of magnitude < n;
-/// s(t) is real, so negative k are conjugates. Measured error of each part against f64, per event:
-/// at most 2^-15.0 for K = 1,024 (`tests/fixed_vs_float.rs` enforces 2^-14.9, and n * 2^-14 for n
-/// events); for K = 16, where [`dtft16`] has the atoms, 2^-14.18, of which it enforces 2^-14.15.
+/// `[Impulse; n] -> [Sum; 2K]`: K pairs of real and imaginary part, each of magnitude < n. As s(t) is real, the
+/// coefficients of negative k are the conjugates and are not computed. Measured error of each part against f64, per
+/// event, both enforced by `tests/fixed_vs_float.rs`:
+///
+/// - K = 1,024: at most 2^-15.0 (enforced: 2^-14.9, and n * 2^-14 for n events);
+/// - K = 16, by the table of [`dtft16`]: at most 2^-14.18 (enforced: 2^-14.15).
 #[derive(Debug, Clone, Copy)]
 pub struct Dtft;
 
@@ -62,7 +63,7 @@ impl Basis for Dtft {
         })
     }
 
-    /// The r largest by re^2 + im^2, whose rounding moves |c| by less than n 2^-14.
+    /// Keeps the r largest by re^2 + im^2. Rounding of the squares shifts |c| by less than n 2^-14.
     #[inline(always)]
     fn prune<C: Coefficient>(
         sums: &[C],
@@ -76,7 +77,7 @@ impl Basis for Dtft {
             return low_frequency(r, kept);
         }
         let width = u32::BITS - events.leading_zeros();
-        // Always there: `Config::check` asks for room.
+        // Always present: `Config::check` requires this much memory.
         let Some(magnitudes) = magnitudes.get_mut(..grid) else {
             return;
         };
@@ -100,10 +101,10 @@ impl Basis for Dtft {
         });
     }
 
-    /// All coefficients of a single event have the magnitude 1 and tie: k = 0..r are kept.
+    /// All coefficients of a single event have magnitude 1 and tie, so k = 0..r are kept.
     fn cells_log2(shape: Shape) -> u32 {
-        // Within a quarter of a step: by the levels of two events their times come back closer than a
-        // cell of half a step is wide, and a single event is not to be worse.
+        // Within a quarter of a step: the levels of two events determine their times more finely than a cell of
+        // half a step would, and a single event must not be worse.
         let half_turns = 2 * shape.r.saturating_sub(1);
         cells_log2_of(2 * half_turns, shape.quantiser).min(CELLS_LOG2_MAX)
     }
@@ -121,17 +122,17 @@ impl Basis for Dtft {
     }
 }
 
-/// [`Dtft::accumulate`] of what has no assembly over a list. Apart, so that what has some does not wait
-/// for its registers to be saved.
+/// [`Dtft::accumulate`] over a list without assembly. Out of line, so that the path with assembly need not save
+/// this one's registers.
 #[inline(never)]
 fn accumulate_apart(impulses: &Impulses<'_>, scale: PhaseScale, grid: usize, sums: &mut [Sum]) {
     Dtft::accumulate(impulses.clone(), scale, grid, sums);
 }
 
-/// What a reader takes for a cell at the most.
+/// Largest b that a reader accepts.
 const CELLS_LOG2_MAX: u32 = 24;
 
-/// x^2 / 2^32
+/// Returns x^2 / 2^32.
 #[inline(always)]
 fn square(x: i32) -> u32 {
     mul_high(x, x) as u32
@@ -146,7 +147,7 @@ mod tests {
 
     const WINDOW_US: u32 = 1 << 20;
 
-    /// Which k `prune` keeps of two events.
+    /// Returns the set of k that `prune` keeps for two events.
     fn pruned(events: [Impulse; 2], shape: Shape) -> u32 {
         let mut sums = [Sum::ZERO; 64];
         let scale = PhaseScale::new(WINDOW_US);
@@ -158,7 +159,7 @@ mod tests {
         kept.words(shape.grid)[0]
     }
 
-    /// The k whose floor(512 d), with d as the assembly rounds it, is `value` or more.
+    /// Returns the set of k for which floor(512 d), with d rounded as in the assembly, is at least `value`.
     fn reach(events: [Impulse; 2], shape: Shape, value: u32) -> u32 {
         let scale = PhaseScale::new(WINDOW_US);
         let [a, b] = events.map(|event| scale.half(event.offset_us).to_bits() << 1);
@@ -172,7 +173,7 @@ mod tests {
     }
 
     proptest! {
-        /// What lets the assembly order the magnitudes of two events by their distance.
+        /// The reason why the assembly may order the magnitudes of two events by their distance.
         #[test]
         fn two_events_are_ordered_by_their_distance(
             first in 0..WINDOW_US,
@@ -187,7 +188,7 @@ mod tests {
             let kept = pruned(events, shape);
             for value in 9..=248 {
                 let found = reach(events, shape, value);
-                // The margin: nothing is between.
+                // The margin: no k lies between the two values.
                 if found.count_ones() == shape.r as u32 && reach(events, shape, value - 1) == found {
                     prop_assert_eq!(found, kept, "{}", value);
                 }

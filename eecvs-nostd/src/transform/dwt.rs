@@ -1,4 +1,4 @@
-//! Haar DWT: c_0 = sum_i p_i, c_(2^j + m) = sum_i p_i 2^(j/2) h(2^j u_i - m), the largest kept.
+//! Haar DWT: c_0 = sum_i p_i, c_(2^j + m) = sum_i p_i 2^(j/2) h(2^j u_i - m). The r largest are kept.
 
 use core::cell::Cell;
 
@@ -17,14 +17,14 @@ use crate::transform::shape::Shape;
 
 /// The Haar wavelet transform (eq. 6), for sparse windows; h is +1 on [0, 1/2), -1 on [1/2, 1).
 ///
-/// `[Impulse; n] -> [Sum; K]`, K a power of two. The sums hold the integers
-/// D_k = c_k / 2^(j/2), |D_k| <= n, exact: rows of bytes for K up to 32, as `haar_bytes` has them, else
-/// a fine histogram and K - 1 butterflies. The irrational scale is left to whoever needs the value, so
-/// that pruning compares D^2 2^j, an integer, and ties are exact.
+/// `[Impulse; n] -> [Sum; K]`, K a power of two. The sums hold the integers D_k = c_k / 2^(j/2), |D_k| <= n, which
+/// are exact. For K up to 32 they are accumulated in rows of bytes (`haar_bytes`), otherwise from a fine histogram
+/// with K - 1 butterflies. The irrational factor is left to whoever needs the value, so pruning compares the
+/// integers D^2 2^j and finds ties exactly.
 #[derive(Debug, Clone, Copy)]
 pub struct Dwt;
 
-/// Up to so many events are added one by one: less than the butterflies take.
+/// Up to this many events are added one by one, which is cheaper than the butterflies.
 const FEW_EVENTS: usize = 6;
 
 impl Basis for Dwt {
@@ -40,7 +40,7 @@ impl Basis for Dwt {
     ) {
         debug_assert!(grid.is_power_of_two());
         let bins_log2 = grid.trailing_zeros();
-        // Where few pixels come this way, an image has the histogram alone.
+        // With the DSP assembly few pixels come this way, so the firmware image contains the histogram alone.
         if grid <= haar_bytes::GRID && !HAS_DSP {
             if grid <= haar_bytes::GRID / 2 {
                 widen(haar_bytes::sum::<4>(impulses, scale, bins_log2), grid, sums);
@@ -52,8 +52,8 @@ impl Basis for Dwt {
         accumulate_many(impulses, scale, grid, sums);
     }
 
-    /// Those that are not 0, the r largest of them where they are more; out of these go the ones
-    /// whose level is 0.
+    /// Keeps the coefficients that are not 0, or the r largest if there are more than r, and then drops those whose
+    /// level is 0.
     #[inline(always)]
     fn prune<C: Coefficient>(
         sums: &[C],
@@ -92,7 +92,7 @@ impl Basis for Dwt {
         }
     }
 
-    /// None is 0: positive ones are moved down by one.
+    /// No kept level is 0, so positive levels are moved down by one.
     #[inline(always)]
     fn quantise<C: Coefficient>(sums: &[C], shape: Shape, kept: &Kept, levels: &mut Levels<'_>) {
         kept.for_each(shape.grid, |k| {
@@ -105,9 +105,9 @@ impl Basis for Dwt {
         });
     }
 
-    /// The coefficients of a single event are those of the atoms that hold it, +-2^(j/2), and so
-    /// the finest are kept: K cells tell them. None where the finest is not kept or so far below
-    /// the step that its level is 0.
+    /// A single event has non-zero coefficients only for the atoms whose support contains it, +-2^(j/2); the finest
+    /// are kept, and one of K cells determines them. Returns 0 if the finest is not kept, or is so far below the
+    /// step that its level is 0.
     fn cells_log2(shape: Shape) -> u32 {
         let cells_log2 = (shape.grid | 1).ilog2();
         let is_told = coarsest_kept(cells_log2, shape.r) < cells_log2
@@ -122,7 +122,7 @@ impl Basis for Dwt {
 
     fn single(u: f64, sign: f64, shape: Shape, mut each: impl FnMut(u16, f64, f64)) {
         let scales = (shape.grid | 1).ilog2();
-        // Among the r largest, since only the `scales - 1` finest come before it.
+        // c_0 is among the r largest, because only the `scales - 1` finest coefficients precede it.
         if shape.r >= scales as usize {
             each(0, sign, 0.0);
         }
@@ -140,7 +140,7 @@ impl Basis for Dwt {
     }
 }
 
-/// [`Dwt`]'s sums on any grid. Apart: once for pixels of one chunk and of several.
+/// Accumulates [`Dwt`]'s sums on any grid. Out of line, so that pixels of one chunk and of several share the code.
 #[inline(never)]
 fn accumulate_many(
     impulses: impl Iterator<Item = Impulse> + Clone,
@@ -158,7 +158,7 @@ fn accumulate_many(
         }
     };
     if impulses.clone().nth(FEW_EVENTS).is_none() {
-        // Each adds to one coefficient of every scale, from the finest on.
+        // Each event adds to one coefficient of every scale, from the finest to the coarsest.
         let differences = sums.get_mut(..grid).unwrap_or_default();
         differences.fill(Sum::ZERO);
         for impulse in impulses {
@@ -178,13 +178,13 @@ fn accumulate_many(
     let bins = bins.get_mut(..grid).unwrap_or_default();
     bins.fill(Sum::ZERO);
     for impulse in impulses.take(CHUNK_EVENTS) {
-        // Always there: the offset is below T.
+        // Always present: the offset is below T.
         if let Some(sum) = bins.get_mut(bin(&impulse)) {
             *sum += sign(&impulse);
         }
     }
-    // At scale j the pairs of 2^(j+1) bins become their sum, a bin of the next coarser scale,
-    // and their difference, D at k = 2^j + m.
+    // At scale j each pair of the 2^(j+1) bins is replaced by its sum, a bin of the next coarser scale, and its
+    // difference, D_k of k = 2^j + m.
     let bins = Cell::from_mut(bins).as_slice_of_cells();
     let (pairs, _) = bins.as_chunks::<2>();
     let mut half = grid / 2;
@@ -199,7 +199,7 @@ fn accumulate_many(
     }
 }
 
-/// Bytes to sums, but for c_0.
+/// Widens bytes to sums, except c_0.
 #[inline(always)]
 fn widen<const W: usize>(lanes: Lanes<W>, grid: usize, sums: &mut [Sum]) {
     let bytes = lanes.into_bytes();
@@ -209,21 +209,21 @@ fn widen<const W: usize>(lanes: Lanes<W>, grid: usize, sums: &mut [Sum]) {
     }
 }
 
-/// The coarsest scale of K = 2^`scales` whose atom is kept of a single event, `scales` where none
-/// is: the finest r but for c_0, which ties with c_1 and comes before it.
+/// Returns the coarsest scale, for K = 2^`scales`, at which the atom of a single event is kept, or `scales` if
+/// there is none. The r finest are kept, except that c_0 ties with c_1 and precedes it.
 const fn coarsest_kept(scales: u32, r: usize) -> u32 {
     if r as u32 > scales {
         return 0;
     }
     let coarsest = scales - r as u32;
-    // Scale 0 gives its place to c_0.
+    // c_0 takes the place of scale 0.
     if coarsest == 0 { 1 } else { coarsest }
 }
 
-/// A number that orders coefficients as |D_k| 2^(j/2) does, ties exact; |D_k| < 2^24, j < 10.
+/// Returns a number that orders coefficients as |D_k| 2^(j/2) does, with exact ties, for |D_k| < 2^24 and j < 10.
 ///
-/// |D| 2^(j/2) is A for even j and B sqrt 2 for odd j, with integers A, B < 2^29; as sqrt 2 is
-/// irrational, A against B sqrt 2 is 2 A against 2 floor(B sqrt 2) + 1.
+/// |D| 2^(j/2) is A for even j and B sqrt 2 for odd j, with integers A, B < 2^29. As sqrt 2 is irrational, comparing A
+/// with B sqrt 2 is the same as comparing 2 A with 2 floor(B sqrt 2) + 1.
 #[must_use]
 pub fn magnitude(difference: i32, k: usize) -> u32 {
     let scale = scale_of(k);
@@ -239,7 +239,7 @@ pub fn magnitude(difference: i32, k: usize) -> u32 {
     }
 }
 
-/// The same for |D_k| < 256: D_k^2 2^j.
+/// Returns D_k^2 2^j, which orders coefficients like [`magnitude`] for |D_k| < 256.
 #[inline(always)]
 #[must_use]
 pub fn small_magnitude(difference: i32, k: usize) -> u32 {
@@ -252,7 +252,7 @@ mod tests {
     use crate::quantise::Quantiser;
     use std::vec::Vec;
 
-    /// One impulse per count of each of 8 bins of a window of 8 us.
+    /// Transforms a window of 8 us that has as many impulses in each of its 8 bins as `bins` counts.
     fn transform(bins: &[i32]) -> [i32; 8] {
         let impulses: Vec<Impulse> = bins
             .iter()
@@ -318,7 +318,8 @@ mod tests {
         }
     }
 
-    /// By the definition: transform one event, sort stably by magnitude.
+    /// Computes a single event's coefficients by the definition: transforms the event, then sorts stably by
+    /// magnitude.
     fn expected(bin: u32, sign: i32, shape: Shape) -> Vec<(u16, f64)> {
         let grid = shape.grid;
         let mut sums = std::vec![Sum::ZERO; 2 * grid];
@@ -360,7 +361,7 @@ mod tests {
                         Dwt::single(u, f64::from(sign), shape, |k, re, _| found.push((k, re)));
                         let mut expected = expected(bin, sign, shape);
                         if cells_log2 == 0 {
-                            // All that is left out is within half of a step.
+                            // Whatever is left out is within half a step.
                             let (sent, cut) = expected.into_iter().partition(|(k, _)| *k == 0);
                             expected = sent;
                             let half_step = libm::exp2(f64::from(step_log2) - 1.0);

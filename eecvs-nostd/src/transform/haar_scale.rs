@@ -1,6 +1,6 @@
 //! The scale 2^(j/2) of a Haar coefficient.
 
-/// j of coefficient k = 2^j + m; 0 for k = 0.
+/// Returns the scale j of coefficient k = 2^j + m; 0 for k = 0.
 #[inline(always)]
 #[must_use]
 pub const fn scale_of(k: usize) -> u32 {

@@ -1,7 +1,7 @@
-//! The transforms: a file each, what all of them do, and their names.
+//! The transforms: one file each, the trait that they share, and their names.
 //!
-//! A further transform is one new file with a type that implements [`Basis`], one entry of
-//! [`Transform`], and one oracle in the host's `reference`.
+//! To add a transform, add a file with a type that implements [`Basis`], a variant of [`Transform`], and an oracle
+//! in the host's `reference`.
 
 pub mod basis;
 pub mod dct;

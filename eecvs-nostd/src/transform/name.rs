@@ -1,11 +1,11 @@
-//! The transforms by name, and how large they may be.
+//! The transforms by name, and their largest sizes.
 
-/// Largest M: coefficients kept of a pixel.
+/// Largest M, the number of coefficients kept per pixel.
 pub const M_MAX: usize = 64;
-/// Largest K: grid size of any transform.
+/// Largest K, the grid size of any transform.
 pub const GRID_MAX: usize = 1024;
 
-/// A transform by name.
+/// The transform of a window, as named on the link and on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
@@ -19,10 +19,10 @@ pub enum Transform {
 }
 
 impl Transform {
-    /// Every transform, in the order of its code on the link.
+    /// Every transform, in the order of the codes on the link.
     pub const ALL: [Self; 3] = [Self::Dct, Self::Dtft, Self::Dwt];
 
-    /// The transform with this code on the link.
+    /// Returns the transform with this code on the link, or `None` for any other code.
     #[must_use]
     pub const fn from_code(code: u8) -> Option<Self> {
         match code {
@@ -33,7 +33,7 @@ impl Transform {
         }
     }
 
-    /// Lower-case name, as on the command line.
+    /// Returns the lower-case name, as on the command line.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -43,10 +43,10 @@ impl Transform {
         }
     }
 
-    /// K: the grid size for `m` kept coefficients, from `grid` where one is asked for.
+    /// Returns K, the grid size for `m` kept coefficients: `grid`, or else the default.
     ///
-    /// Default K: M for the DCT, 2M for the DTFT, 2M rounded up to a power of two for the DWT,
-    /// whose K is always rounded up so.
+    /// The default K is M for the DCT and 2M for the DTFT and the DWT. For the DWT, K is always rounded up to a
+    /// power of two.
     #[must_use]
     pub const fn grid_size(self, m: u8, grid: Option<u16>) -> u16 {
         let k = match (grid, self) {
@@ -60,7 +60,7 @@ impl Transform {
         }
     }
 
-    /// Which coefficients are kept.
+    /// Returns the rule that selects the kept coefficients.
     #[must_use]
     pub const fn rule(self) -> Rule {
         match self {
@@ -69,19 +69,19 @@ impl Transform {
         }
     }
 
-    /// Whether a coefficient is two numbers, re and im.
+    /// Returns whether a coefficient is two numbers, re and im.
     #[must_use]
     pub const fn is_complex(self) -> bool {
         matches!(self, Self::Dtft)
     }
 }
 
-/// Which r of the K coefficients are kept.
+/// Selects which r of the K coefficients are kept.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Rule {
-    /// k = 0..r.
+    /// The lowest frequencies, k = 0..r.
     LowFrequency,
-    /// The r largest |c_k|, ties to the lower k.
+    /// The r largest |c_k|; of equal ones, those with the lower k.
     Magnitude,
 }

@@ -1,23 +1,23 @@
-//! u = (t - t0) / T as a fraction of a turn, or as one of 2^J bins.
+//! Converts an offset to u = (t - t0) / T, as a fraction of a turn or as one of 2^J bins.
 
 use core::num::NonZeroU32;
 
 use crate::fixed_point::Phase;
 use crate::machine::IS_64_BIT;
 
-/// Divides by one window's duration: a multiplication per event instead of a division.
+/// Divides offsets by one window's duration T, with a multiplication per event instead of a division.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct PhaseScale {
     duration_us: NonZeroU32,
-    /// What brings T to 32 significant bits.
+    /// Number of bits to shift T left so that it has 32 significant bits.
     shift: u32,
-    /// floor(2^63 / (T 2^shift)), 32 significant bits.
+    /// floor(2^63 / (T 2^`shift`)), which has 32 significant bits.
     reciprocal: u32,
 }
 
 impl PhaseScale {
-    /// Scale of a window of `duration_us`, at least 1 (0 is taken as 1).
+    /// Returns the scale of a window of `duration_us`; 0 is taken as 1.
     #[must_use]
     pub const fn new(duration_us: u32) -> Self {
         let duration_us = match NonZeroU32::new(duration_us) {
@@ -29,7 +29,7 @@ impl PhaseScale {
         Self {
             duration_us,
             shift,
-            // 2^32 for a power of two: one less is still within the bound of `half`.
+            // 2^32 for a power of two: one less stays within the error bound of `half`.
             reciprocal: if reciprocal > u32::MAX as u64 {
                 u32::MAX
             } else {
@@ -38,10 +38,10 @@ impl PhaseScale {
         }
     }
 
-    /// u / 2 for an offset below T: less than 3 * 2^-32 below it.
+    /// Returns u / 2 in turns for an offset below T. The result is less than 3 * 2^-32 turns too low.
     ///
-    /// Half a turn of the cosine is one window; the Fourier atoms' phase u is twice this one. k
-    /// times the error is below 2^-17 radians for k < 1,024 in the DCT, twice that in the DTFT.
+    /// Half a turn of the DCT's cosine is one window; the phase of the Fourier atoms is twice the result. k times
+    /// the error is below 2^-17 radians for k < 1,024 in the DCT, and twice that in the DTFT.
     #[inline(always)]
     #[must_use]
     pub const fn half(self, offset_us: u32) -> Phase {
@@ -49,25 +49,26 @@ impl PhaseScale {
         Phase::from_bits((product >> 32) as u32)
     }
 
-    /// What [`Self::half`] shifts and multiplies by.
+    /// Returns the shift and the factor of [`Self::half`].
     #[allow(dead_code, reason = "assembly alone asks")]
     pub(crate) const fn parts(self) -> (u32, u32) {
         (self.shift, self.reciprocal)
     }
 
-    /// u / 2 for an offset below T as a fraction of a turn with 64 bits: less than 13 * 2^-64 below
-    /// it. For kernels whose error must not grow with k.
+    /// Returns u / 2 in units of 2^-64 turns for an offset below T. The result is less than 13 units too low.
+    ///
+    /// For kernels whose error must not grow with k.
     #[inline(always)]
     #[must_use]
     pub const fn half_wide(self, offset_us: u32) -> u64 {
         let half = self.half(offset_us).to_bits() as u64;
-        // What is left of the division, below 3 T, divided the same way.
+        // The remainder of the division, below 3 T, divided the same way.
         let rest = ((offset_us as u64) << 31) - half * self.duration_us.get() as u64;
         let below = ((rest << (self.shift & 31)) >> 2) * self.reciprocal as u64;
         (half << 32) + (below >> 29)
     }
 
-    /// T, where a division of 32 bits gives [`Self::bin`].
+    /// Returns T if a 32-bit division is enough for [`Self::bin`].
     #[allow(dead_code, reason = "assembly alone asks")]
     pub(crate) const fn divisor(self, bins_log2: u32) -> Option<u32> {
         if self.shift >= bins_log2 {
@@ -77,14 +78,14 @@ impl PhaseScale {
         }
     }
 
-    /// floor(2^`bins_log2` u) for an offset below T, exact: the Haar atoms' discontinuities ask
-    /// for it. `bins_log2` is at most 10.
+    /// Returns floor(2^`bins_log2` u) for an offset below T, `bins_log2` 0 to 10. The result is exact, as the
+    /// discontinuities of the Haar atoms require.
     #[inline(always)]
     #[must_use]
     pub const fn bin(self, offset_us: u32, bins_log2: u32) -> u32 {
         if IS_64_BIT {
-            // A multiplication where that is one instruction: `half` is up to 2 below floor(2^31 u),
-            // which seldom leaves the bin open.
+            // Multiplies, which takes one instruction here. `half` is at most 2 below floor(2^31 u), which rarely
+            // leaves the bin undecided.
             let half = self.half(offset_us).to_bits();
             let below = 31_u32.wrapping_sub(bins_log2) & 31;
             let bin = half >> below;
@@ -92,7 +93,7 @@ impl PhaseScale {
                 return bin;
             }
         }
-        // Never 0; asking leaves no panic in the code.
+        // T is never 0; the checked division leaves no panic in the code.
         let bin = if self.shift >= bins_log2 {
             (offset_us << bins_log2).checked_div(self.duration_us.get())
         } else {

@@ -1,59 +1,58 @@
-//! What packing and unpacking agree on before the first pixel.
+//! What packing and unpacking know before the first pixel.
 //!
-//! Pixels follow each other in raster order. Per pixel: the event counts, the gap to the previous
-//! pixel, and what tells its coefficients; docs/wire-format.md has every field. Nothing adapts:
-//! every code parameter follows from the header and from what the pixel sent before, so a frame
-//! decodes by itself.
+//! Pixels follow in raster order. Each has its event counts, the gap to the previous pixel, and what determines its
+//! coefficients; docs/wire-format.md describes every field. Nothing adapts: every code parameter follows from the
+//! header and from the pixel's earlier fields, so each frame decodes by itself.
 
 use crate::quantise::Quantiser;
 use crate::transform::{Basis, Dct, Dtft, Dwt, Transform};
 use event_types::Sensor;
 
-/// Bytes that one packed pixel can take at the most: gap and counts 15, which coefficients 81,
-/// 128 numbers of 4; `the_largest_pixel_fits_its_bound` packs it.
+/// Largest size of a packed pixel in bytes: at most 15 for gap and counts, 81 for the set of coefficients, and 128
+/// numbers of 4. `the_largest_pixel_fits_its_bound` packs a pixel of this size.
 pub const PIXEL_BYTES_MAX: usize = 620;
 
-/// Largest K whose set of coefficients is always sent as a bit each.
+/// Largest K for which the set of coefficients is always sent as one bit per coefficient.
 pub(crate) const MASK_GRID_MAX: u16 = 32;
 
-/// What both directions know of a frame before its payload.
+/// What the encoder and the decoder know of a frame before its payload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Packing {
-    /// Sensor size.
+    /// Size of the sensor.
     pub sensor: Sensor,
-    /// N_w, which sets the order of the gap code.
+    /// N_w, the number of events in the window; it sets the order of the gap code.
     pub window_events: u32,
-    /// Transform.
+    /// Transform of the window.
     pub transform: Transform,
-    /// M, 1 to 64.
+    /// M, the number of coefficients to keep per pixel, 1 to 64.
     pub m: u8,
-    /// K, 1 to 1024.
+    /// K, the size of the grid, 1 to 1024.
     pub grid: u16,
-    /// Quantiser.
+    /// Quantiser of the coefficients.
     pub quantiser: Quantiser,
 }
 
-/// What a pixel's coefficients have in common with those of all others.
+/// The parameters that the coefficients of all pixels share.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Shape {
-    /// K
+    /// K, the size of the grid.
     pub grid: usize,
-    /// r = min(M, K): how many are kept.
+    /// r = min(M, K), the number of coefficients kept per pixel.
     pub r: usize,
-    /// Quantiser.
+    /// Quantiser of the coefficients.
     pub quantiser: Quantiser,
 }
 
-/// Bits that hold a value from 0 to `most`.
+/// Returns the number of bits that hold any value from 0 to `most`.
 #[inline(always)]
 pub(crate) const fn width_of(most: u32) -> u32 {
     u32::BITS - most.leading_zeros()
 }
 
 impl Packing {
-    /// r = min(M, K).
+    /// Returns r = min(M, K), the number of coefficients kept per pixel.
     #[must_use]
     pub const fn kept(&self) -> usize {
         if (self.m as u16) < self.grid {
@@ -63,7 +62,7 @@ impl Packing {
         }
     }
 
-    /// K, r and the quantiser.
+    /// Returns K, r and the quantiser as a [`Shape`].
     #[must_use]
     pub const fn shape(&self) -> Shape {
         Shape {
@@ -73,7 +72,7 @@ impl Packing {
         }
     }
 
-    /// b: the time of a single event is told as one of 2^b cells of the window, 0 to 24.
+    /// Returns b, 0 to 24: the time of a single event is sent as one of 2^b cells of the window.
     #[must_use]
     pub fn cells_log2(&self) -> u32 {
         let shape = self.shape();
@@ -84,7 +83,7 @@ impl Packing {
         }
     }
 
-    /// Order of the gap code: log2 of the mean gap, were every event alone in its pixel.
+    /// Returns the order of the gap code: log2 of the mean gap if every event were alone in its pixel.
     pub(crate) const fn gap_order(&self) -> u32 {
         let pixels = self.sensor.pixels();
         let events = if self.window_events == 0 {
@@ -99,12 +98,12 @@ impl Packing {
         }
     }
 
-    /// Bits of the widest level that a pixel of `events` can have: |c| < n.
+    /// Returns the width in bits of the widest level of a pixel with `events` events, which follows from |c| < n.
     #[inline(always)]
     pub(crate) const fn level_bits_max(&self, events: u32) -> u32 {
         let fraction_bits = match self.transform {
             Transform::Dct | Transform::Dtft => -(self.quantiser.step_log2() as i32),
-            // Haar levels count events, or several of them at a coarse step.
+            // Haar levels count events, or several events at a coarse step.
             Transform::Dwt => 0,
         };
         let bits = width_of(events.wrapping_sub(1)) as i32 + fraction_bits;
@@ -116,7 +115,7 @@ impl Packing {
         width_of((self.grid as u32).wrapping_sub(1))
     }
 
-    /// Whether a list of indices is shorter than a bit per grid point.
+    /// Returns whether a list of indices is shorter than one bit per grid point.
     pub(crate) const fn lists_indices(&self, count: u32) -> bool {
         self.grid > MASK_GRID_MAX && count * self.index_bits() < self.grid as u32
     }
@@ -183,8 +182,8 @@ mod tests {
         }
     }
 
-    /// Every coefficient of an event anywhere in a cell is within half a step of the cell's
-    /// middle, in the DTFT within a quarter, and with a cell fewer in two it would not be.
+    /// Every coefficient of an event anywhere in a cell is within half a step, or a quarter in the DTFT, of that of
+    /// the cell's middle. With half as many cells it would not be.
     #[test]
     fn cells_are_as_wide_as_half_a_step_allows() {
         for step_log2 in -15..=8 {
@@ -197,7 +196,7 @@ mod tests {
                     let slope = core::f64::consts::TAU * turns * f64::from(m - 1);
                     let step = libm::exp2(f64::from(step_log2));
                     let half_cell = |b: i32| libm::exp2(f64::from(-b - 1));
-                    // The finest cells are as narrow as they get.
+                    // b cannot exceed 24, so the error of the finest cells may be larger.
                     let most = if b == 24 { 0.5 } else { part };
                     assert!(slope * half_cell(b as i32) <= step * most);
                     assert!(b == 0 || slope * half_cell(b as i32 - 1) > step * part * 0.999_99);

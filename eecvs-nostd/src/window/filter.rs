@@ -1,8 +1,7 @@
-//! What the user does not want sent: pixels outside of a region, pixels known to be hot, and events
-//! that nothing around them supports.
+//! Removes events that the user does not want sent: those outside a region, those of hot pixels, and isolated ones.
 //!
-//! A closed window is filtered, so that one pass serves every source of events and the cost follows
-//! the window's events. What is kept out is counted.
+//! The filter runs on a closed window. One pass thus serves every source of events, at a cost that grows with the
+//! window's events. Removed events are counted.
 
 use crate::window::hot_pixels::HotPixels;
 use crate::window::{SEGMENT_PIXELS, Window};
@@ -11,18 +10,19 @@ use crate::window::{SEGMENT_PIXELS, Window};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Region {
-    /// First column.
+    /// First column, from 0.
     pub x: u16,
-    /// First row.
+    /// First row, from 0.
     pub y: u16,
-    /// Columns.
+    /// Number of columns.
     pub width: u16,
-    /// Rows.
+    /// Number of rows.
     pub height: u16,
 }
 
 impl Region {
-    /// Which columns of the segment that begins at a position lie within: bit i is column i's.
+    /// Returns the columns of a segment that lie in the region, bit i for column i. The segment's first pixel is
+    /// (x, y).
     const fn columns(self, (x, y): (u16, u16)) -> u32 {
         if y < self.y || y as u32 >= self.y as u32 + self.height as u32 {
             return 0;
@@ -33,7 +33,7 @@ impl Region {
     }
 }
 
-/// The bits below one.
+/// Returns a mask of all bits below `bit`.
 const fn below(bit: u32) -> u32 {
     if bit >= u32::BITS {
         u32::MAX
@@ -42,25 +42,25 @@ const fn below(bit: u32) -> u32 {
     }
 }
 
-/// What is kept out of every window.
+/// What is removed from every window.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Filter {
-    /// Only pixels within are kept.
+    /// If set, only events inside this region are kept.
     pub region: Option<Region>,
-    /// An event alone is kept out: its pixel has no other in the window, and its eight neighbours
-    /// have none. That is background activity where windows are short for the scene.
+    /// Whether to remove isolated events: those whose pixel has no other event in the window and whose eight
+    /// neighbours have none. These are background activity if windows are short for the scene.
     pub isolated: bool,
 }
 
 impl Filter {
-    /// Everything is kept.
+    /// The filter that keeps every event.
     pub const NONE: Self = Self {
         region: None,
         isolated: false,
     };
 
-    /// Keeps out events of a closed window, those of `hot` among them; returns how many.
+    /// Removes unwanted events, including those of `hot`, from a closed window; returns how many it removed.
     pub(crate) fn apply(self, hot: &HotPixels<'_>, window: &mut Window<'_>) -> u32 {
         let mut removed = hot.remove(window);
         if let Some(region) = self.region {
@@ -78,9 +78,9 @@ impl Filter {
     }
 }
 
-/// Removes events that are alone; returns how many.
+/// Removes isolated events; returns how many.
 ///
-/// What is removed was nobody's neighbour, so that it does not matter which goes first.
+/// A removed event was nobody's neighbour, so the order of removal does not matter.
 pub(crate) fn remove_isolated(window: &mut Window<'_>) -> u32 {
     let sensor = window.config().sensor;
     let stride = u32::from(sensor.width.div_ceil(SEGMENT_PIXELS));
@@ -89,7 +89,7 @@ pub(crate) fn remove_isolated(window: &mut Window<'_>) -> u32 {
     while let Some(segment) = window.next_used(from) {
         let (x, y) = window.segment_origin(segment);
         let (x, y) = (u32::from(x) / u32::from(SEGMENT_PIXELS), u32::from(y));
-        // Columns with events of a segment so many to the east.
+        // The columns with events of the segment in `row`, `east` - 1 segments to the east of this one.
         let occupied = |row: u32, east: u32| {
             let at = (x + east).wrapping_sub(1);
             if row < rows && at < stride {
@@ -133,7 +133,7 @@ mod tests {
         }
     }
 
-    /// What is left of a window's events, and how many are not.
+    /// Returns the events that the filter leaves in a window, and the number it removes.
     fn left(
         sensor: Sensor,
         events: &[(u16, u16)],
@@ -172,7 +172,7 @@ mod tests {
     }
 
     proptest! {
-        /// As a filter that looks at every event says.
+        /// The same events remain as in a filter that looks at each event by itself.
         #[test]
         fn what_is_kept_is_what_was_asked_for(
             (width, height, events) in (1_u16..150, 1_u16..40).prop_flat_map(|(width, height)| {

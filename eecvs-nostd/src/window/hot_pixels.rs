@@ -1,45 +1,47 @@
-//! Pixels that are never sent: a sorted list in lent memory, so that a sensor of any size takes four
-//! bytes a hot pixel and no mask.
+//! Pixels that are never sent, as a sorted list in lent memory.
+//!
+//! The list takes four bytes per hot pixel on a sensor of any size, and no mask.
 
 use crate::window::{SEGMENT_PIXELS, Window};
 
-/// The memory has no room for a further pixel.
+/// The lent memory has no room for a further pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct NoRoom;
 
 const COLUMNS: u32 = SEGMENT_PIXELS as u32;
 
-/// The pixels of one sensor.
+/// The hot pixels of one sensor.
 #[derive(Debug)]
 pub struct HotPixels<'b> {
-    /// Where they lie, ascending: 32 times a segment's number, and the column in it.
+    /// Positions of the pixels, ascending: 32 times the segment's number, plus the column within the segment.
     places: &'b mut [u32],
     count: usize,
 }
 
 impl<'b> HotPixels<'b> {
-    /// None, in memory for as many as it has words.
+    /// Creates an empty list in lent memory, with room for one pixel per word.
     #[must_use]
     pub const fn new(places: &'b mut [u32]) -> Self {
         Self { places, count: 0 }
     }
 
-    /// Forgets all of them.
+    /// Removes all pixels from the list.
     pub const fn clear(&mut self) {
         self.count = 0;
     }
 
-    /// How many there are.
+    /// Returns the number of pixels in the list.
     #[must_use]
     pub const fn count(&self) -> usize {
         self.count
     }
 
-    /// Adds column `x` and row `y` of a sensor of `width` columns; one that is there stays as it is.
+    /// Adds the pixel in column `x` and row `y` of a sensor of `width` columns. Does nothing if it is already
+    /// listed.
     ///
     /// # Errors
-    /// [`NoRoom`].
+    /// [`NoRoom`] if the memory is full.
     pub fn add(&mut self, (x, y): (u16, u16), width: u16) -> Result<(), NoRoom> {
         let stride = u32::from(width.div_ceil(SEGMENT_PIXELS));
         let place = u32::from(y) * stride * COLUMNS + u32::from(x);
@@ -47,7 +49,7 @@ impl<'b> HotPixels<'b> {
             Ok(_) => return Ok(()),
             Err(at) => at,
         };
-        // They mostly come in order, and then nothing moves.
+        // Pixels mostly arrive in raster order, and then nothing moves.
         let moved = self.places.get_mut(at..=self.count).ok_or(NoRoom)?;
         let mut carried = place;
         for place in moved {
@@ -61,7 +63,7 @@ impl<'b> HotPixels<'b> {
         self.places.get(..self.count).unwrap_or_default()
     }
 
-    /// Keeps their events out of a closed window; returns how many.
+    /// Removes the listed pixels' events from a closed window; returns how many it removed.
     pub(crate) fn remove(&self, window: &mut Window<'_>) -> u32 {
         let mut rest = self.all().iter().copied().peekable();
         let mut removed = 0;
@@ -91,7 +93,7 @@ mod tests {
     use std::vec::Vec;
 
     proptest! {
-        /// The list is the set of what was added, in raster order, up to its room.
+        /// The list is the set of the pixels added, in raster order, as far as there is room.
         #[test]
         fn a_set_in_order(
             width in 1_u16..100, room in 0_usize..30,

@@ -1,4 +1,4 @@
-//! The open window: its event buffer and its closing rule.
+//! The open window: its event buffer and the rule that closes it.
 
 pub mod filter;
 pub mod hot_pixels;
@@ -12,7 +12,7 @@ use crate::window::take_words::Intake;
 use event_types::evt2::{Evt2Decoder, SPAN_US, Word, X_SHIFT, is_event, low_us};
 use event_types::{Event, Sensor};
 
-/// One buffered event: 8 bytes. All zero is a valid empty slot, so buffers live in `.bss`.
+/// A buffered event of 8 bytes. An all-zero slot is valid and empty, so buffers can lie in `.bss`.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, Default, FromBytes, Immutable, IntoBytes, KnownLayout,
 )]
@@ -21,21 +21,21 @@ use event_types::{Event, Sensor};
 pub struct Slot {
     /// t - t0 in microseconds.
     offset_us: u32,
-    /// From the top: the next slot of the list, x modulo 32 (5 bits), and in the lowest bit the
-    /// polarity. [`LINK`] has the places.
+    /// From the highest bit down: the next slot of the list, x modulo 32 (5 bits) and, in the lowest bit, the
+    /// polarity. [`LINK`] holds the positions.
     link: u32,
 }
 
-/// Where a link's next slot and its x begin. On a microcontroller the former, of 16 bits, is a
-/// halfword, x is where an EVT 2.0 word has it, and the polarity has a byte for itself: each is
-/// taken, changed or added in one instruction. A host's slots have 24 bits.
+/// Bit positions of the next slot and of x in a link. On a microcontroller the next slot is a halfword (16 bits),
+/// x is where an EVT 2.0 word has it, and the polarity has a byte to itself, so each field takes one instruction
+/// to read, change or add. On a host slots are numbered with 24 bits.
 #[cfg(all(target_os = "none", target_pointer_width = "32"))]
 const LINK: (u32, u32) = (16, X_SHIFT);
 #[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
 const LINK: (u32, u32) = (8, 3);
 pub(crate) const NEXT_SHIFT: u32 = LINK.0;
 pub(crate) const COLUMN_SHIFT: u32 = LINK.1;
-/// The polarity's bits, of which the lowest is in use.
+/// Width of the polarity's field; only its lowest bit is used.
 const SIGN_BITS: u32 = if COLUMN_SHIFT < 8 { COLUMN_SHIFT } else { 8 };
 const _: () = assert!(COLUMN_SHIFT <= X_SHIFT && COLUMN_SHIFT + COLUMN_BITS <= NEXT_SHIFT);
 
@@ -46,7 +46,8 @@ impl Slot {
         link: 0,
     };
 
-    /// `next` as [`Self::next`]; `column_and_sign` is x modulo 32 at [`COLUMN_SHIFT`], plus 1 for ON.
+    /// Builds a slot. `next` is what [`Self::next`] returns; `column_and_sign` is x modulo 32 shifted left by
+    /// [`COLUMN_SHIFT`], plus 1 for ON.
     #[inline]
     pub(crate) const fn new(offset_us: u32, next: u32, column_and_sign: u32) -> Self {
         Self {
@@ -59,7 +60,7 @@ impl Slot {
         self.offset_us
     }
 
-    /// The next slot, [`NO_SLOT`] at the end of the list.
+    /// Returns the next slot of the list, or [`NO_SLOT`] at its end.
     pub(crate) const fn next(self) -> u32 {
         self.link >> NEXT_SHIFT
     }
@@ -72,12 +73,12 @@ impl Slot {
         Self::new(self.offset_us, next, self.link)
     }
 
-    /// x modulo 32.
+    /// Returns x modulo 32.
     pub(crate) const fn column(self) -> u32 {
         (self.link >> COLUMN_SHIFT) % SEGMENT_PIXELS as u32
     }
 
-    /// 1 for ON, 0 for OFF.
+    /// Returns 1 for ON, 0 for OFF.
     pub(crate) const fn sign(self) -> u32 {
         self.link & ((1 << SIGN_BITS) - 1)
     }
@@ -88,69 +89,71 @@ impl Slot {
 }
 
 pub(crate) const COLUMN_BITS: u32 = 5;
-/// Columns of a segment: the run of pixels whose events share one list.
+/// Columns of a segment, the run of pixels in a row whose events share one list.
 pub const SEGMENT_PIXELS: u16 = 1 << COLUMN_BITS;
 
-/// Most events that a window's buffer can hold: keeps |c|^2 of any pixel within 64 bits, and the
-/// 24 bits of a link address them.
+/// Largest number of events in a window's buffer on any target. It keeps |c|^2 of any pixel within 64 bits and
+/// fits the 24 bits of a host's link.
 pub const EVENTS_MAX: usize = (1 << 24) - 1;
 
-/// A slot, all ones for none. On a microcontroller, whose windows are short, 16 bits halve the heads.
+/// A slot number, all ones for an empty list. A microcontroller's windows are short, so 16 bits are enough there
+/// and halve the memory for heads.
 #[cfg(all(target_os = "none", target_pointer_width = "32"))]
 pub type Head = u16;
-/// A slot, all ones for none.
+/// A slot number, all ones for an empty list.
 #[cfg(not(all(target_os = "none", target_pointer_width = "32")))]
 pub type Head = u32;
 
-/// The end of a list, in place of a slot: beyond those of any window.
+/// The end of a list, in place of a slot number; larger than that of any slot.
 pub(crate) const NO_SLOT: u32 = u32::MAX >> NEXT_SHIFT;
 const _: () = assert!(SLOTS_MAX <= NO_SLOT as usize);
 
-/// The head of an empty list. Assembly also leaves others beyond [`SLOTS_MAX`], which mean the same.
+/// The head of an empty list. The assembly also writes other values above [`SLOTS_MAX`], which mean the same.
 pub(crate) const NO_HEAD: Head = NO_SLOT as Head;
 
-/// Most slots of a window on this target: [`EVENTS_MAX`], or what a [`Head`] can address with a bit
-/// to spare, which is the sign that ends a list.
+/// Largest number of slots in a window on this target: [`EVENTS_MAX`], or as many as a [`Head`] can number with
+/// its sign bit clear, because a set sign bit marks the end of a list.
 pub const SLOTS_MAX: usize = if (Head::MAX as usize >> 1) < EVENTS_MAX {
     Head::MAX as usize >> 1
 } else {
     EVENTS_MAX
 };
 
-/// Segments of a sensor: rows of ceil(width / 32).
+/// Returns the number of segments of a sensor: `height` rows of ceil(`width` / 32).
 #[must_use]
 pub const fn segments(width: u16, height: u16) -> usize {
     width.div_ceil(SEGMENT_PIXELS) as usize * height as usize
 }
 
-/// Words of the bitmap over `segments`.
+/// Returns the number of 32-bit words in a bitmap over `segments` segments.
 #[must_use]
 pub const fn bitmap_words(segments: usize) -> usize {
     segments.div_ceil(32)
 }
 
-/// Windows without events in a row that [`WindowConfig::every_window`] closes, at most: a longer gap is a clock's
-/// jump rather than a scene without motion, and is skipped.
+/// Largest number of consecutive empty windows that [`WindowConfig::every_window`] closes. A longer gap is taken
+/// for a jump of the clock, rather than a scene without motion, and is skipped.
 pub const EMPTY_WINDOWS_MAX: u64 = 1 << 16;
 
-/// Which sensor, how long a window is, and where windows begin.
+/// Configures a window: its sensor, its length, and where windows begin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct WindowConfig {
-    /// Sensor that the events come from.
+    /// The sensor that the events come from.
     pub sensor: Sensor,
     /// T in microseconds, at least 1.
     pub window_us: u32,
-    /// A boundary of the grid of windows in microseconds: they begin at `origin_us` + i T for whole i, so that
-    /// those of several sensors match. `None`: the grid begins with each run's first event.
+    /// A boundary of the grid of windows, in microseconds: windows begin at `origin_us` + i T for integer i, so
+    /// that the windows of several sensors line up. `None`: the grid begins with each run's first event.
     pub origin_us: Option<u64>,
-    /// Windows without events are closed too, [`EMPTY_WINDOWS_MAX`] of them in a row at most, so that a receiver
-    /// knows that the sensor is there and saw nothing.
+    /// Whether to close windows without events too, at most [`EMPTY_WINDOWS_MAX`] in a row, so that a receiver
+    /// can tell a sensor that sees nothing from one that is gone.
     pub every_window: bool,
 }
 
 impl WindowConfig {
-    /// Windows of `window_us` that begin with the first event; those without events are skipped.
+    /// Returns a configuration for windows of `window_us` microseconds that begin with the first event. Windows
+    /// without events are skipped.
     #[must_use]
     pub const fn new(sensor: Sensor, window_us: u32) -> Self {
         Self {
@@ -161,7 +164,7 @@ impl WindowConfig {
         }
     }
 
-    /// Time from the last boundary of the grid to `t_us`; 0 without an origin.
+    /// Returns the time from the last boundary of the grid to `t_us`; 0 without an origin.
     const fn since_boundary_us(&self, t_us: u64) -> u64 {
         let (Some(origin_us), Some(window_us)) =
             (self.origin_us, NonZeroU64::new(self.window_us as u64))
@@ -176,12 +179,12 @@ impl WindowConfig {
         }
     }
 
-    /// Where a window begins that nothing is before and that holds `t_us`.
+    /// Returns the start of a window that holds `t_us` and follows no other window.
     const fn start_us(&self, t_us: u64) -> u64 {
         t_us.saturating_sub(self.since_boundary_us(t_us))
     }
 
-    /// Time from a window's start to its end: T, or less where it begins within the grid.
+    /// Returns the time from a window's start to its end: T, or less if it starts between two boundaries.
     const fn duration_us(&self, start_us: u64) -> u32 {
         self.window_us - self.since_boundary_us(start_us) as u32
     }
@@ -190,21 +193,21 @@ impl WindowConfig {
 /// Memory lent to a window, zeroed.
 #[derive(Debug)]
 pub struct WindowBuffers<'b> {
-    /// The events; as many as the window may hold, at most [`SLOTS_MAX`].
+    /// The events: as many slots as the window may hold events, 1 to [`SLOTS_MAX`].
     pub slots: &'b mut [Slot],
-    /// [`segments`] of them: the newest event of each segment.
+    /// The newest event of each segment: at least [`segments`] heads.
     pub heads: &'b mut [Head],
-    /// [`bitmap_words`] words: which segments have events.
+    /// The segments that have events: at least [`bitmap_words`] words.
     pub bitmap: &'b mut [u32],
 }
 
 impl<'b> WindowBuffers<'b> {
-    /// Divides memory between the buffers of `windows` windows of a sensor, in equal shares, and
-    /// zeroes them; each holds as many events as its share has room for. `None` where a share has
-    /// no room for an event.
+    /// Divides `memory` in equal shares between the buffers of `windows` windows of a sensor, and zeroes it. Each
+    /// window holds as many events as its share has room for. Returns `None` if a share has no room for even one
+    /// event.
     ///
-    /// So one image serves every sensor that fits: what a smaller sensor's segments leave holds
-    /// events.
+    /// One firmware image can thus serve every sensor that fits: a smaller sensor has fewer segments, which
+    /// leaves more memory for events.
     pub fn share(
         memory: &'b mut [u32],
         windows: usize,
@@ -239,48 +242,49 @@ impl<'b> WindowBuffers<'b> {
     }
 }
 
-/// Words taken at once of a time that lies in a window in part.
+/// Largest number of words taken at once while the span of the current `TIME_HIGH` lies only partly in the
+/// window.
 const STRADDLING_WORDS: usize = 64;
 
-/// Events of a segment that [`Window::sample`] hands out.
+/// Largest number of events per segment that [`Window::sample`] passes on.
 const SAMPLES_OF_SEGMENT: u32 = 4;
 
 const SLOT_WORDS: usize = size_of::<Slot>() / size_of::<u32>();
 
-/// What became of a pushed event.
+/// The result of pushing an event.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Push {
-    /// It is in the window.
+    /// The event is in the window.
     Stored,
-    /// Its pixel is not on the sensor: counted as dropped.
+    /// Its pixel is not on the sensor. The event is counted as dropped.
     Outside,
-    /// The window is closed and the event is not in it: encode the window, then push it again.
+    /// The window is closed and does not hold the event: encode the window, then push the event again.
     Closed,
 }
 
-/// What [`Window::push_words`] took.
+/// What [`Window::push_words`] took from the front of the words.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Taken {
-    /// Words taken from the front. Fewer than there were: the window is closed, and the next word
-    /// is the event that is not in it.
+    /// Number of words taken from the front. If fewer than given, the window is closed and the next word is an
+    /// event that it does not hold.
     pub words: usize,
-    /// Events among them, those outside of the sensor included.
+    /// Events among them, including those outside the sensor.
     pub events: u32,
-    /// Words among them that were no events and no times, and events before the first time.
+    /// Words among them that were neither events nor times, and events before the first time.
     pub ignored: u32,
 }
 
-/// Events that are in no window, by cause, since the last frame.
+/// Events since the last frame that are in no window, by cause.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Counts {
-    /// Too old for their window: none of this encoder, whose windows begin anew for them.
+    /// Too late for their window. Always 0 from this encoder, which begins a new run of windows instead.
     pub late: u32,
-    /// Kept out by a filter that the user asked for.
+    /// Removed by a filter that the user configured.
     pub filtered: u32,
-    /// Lost: outside of the sensor, or reported with [`Window::count_dropped`].
+    /// Lost: outside the sensor, or reported with [`Window::count_dropped`].
     pub dropped: u32,
 }
 
@@ -296,38 +300,38 @@ impl Counts {
     }
 }
 
-/// How a window ended.
+/// How a window ended: its start, its duration, and why.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Closed {
-    /// t0.
+    /// Start t0 of the window, in microseconds.
     pub t0_us: u64,
-    /// T of the formulas: see [`Window`].
+    /// Duration T that the formulas use, in microseconds: see [`Window`].
     pub duration_us: u32,
-    /// The buffer was full before the window's time was up.
+    /// The buffer was full before the window's time was over.
     pub truncated: bool,
-    /// The clock fell back before the window: a new run of windows begins with it.
+    /// The clock fell back before this window, which begins a new run.
     pub begins_run: bool,
 }
 
-/// Where a window starts that follows another one.
+/// Where the window after another one starts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct NextStart {
-    /// In microseconds; `None` where the next event will be the start.
+    /// Start in microseconds; `None` if the next event sets it.
     pub us: Option<u64>,
-    /// A new run begins there.
+    /// Whether a new run begins there.
     pub begins_run: bool,
 }
 
 impl NextStart {
-    /// At the next event.
+    /// Starts at the next event.
     pub const ANY: Self = Self {
         us: None,
         begins_run: false,
     };
 
-    /// At a time, on the same run.
+    /// Returns a start at `start_us` within the same run.
     #[must_use]
     pub const fn at(start_us: u64) -> Self {
         Self {
@@ -339,45 +343,49 @@ impl NextStart {
 
 /// A window [t0, t0 + T) that collects events by segment.
 ///
-/// Windows are half-open, consecutive and aligned to the first event, or to [`WindowConfig::origin_us`]. A window
-/// closes
+/// Windows are half-open and consecutive. They are aligned to the first event, or to [`WindowConfig::origin_us`].
+/// A window closes
 ///
-/// * when an event at or after t0 + T comes: duration T, and the next window starts on the grid
-///   t0 + i T at or before that event;
-/// * early, when an event comes and the buffer is full: the duration is the time up to that
-///   event, and at least one microsecond beyond the latest event held, so that u < 1 for all of
-///   them; the next window starts at that event, and with an origin ends where the grid's window does;
-/// * when an event before t0 comes: duration T, and the next window starts at that event and begins
-///   a new *run*, so that no event is too late ([`crate::ingest::reorder`] keeps small disorder from it);
-/// * on [`Window::flush`]: duration T; the next window is aligned to the next event.
+/// * when an event at or after t0 + T arrives. Its duration is T, and the next window starts on the grid t0 + i
+///   T, at or before that event;
+/// * early, when an event arrives while the buffer is full. Its duration is the time up to that event, but at
+///   least until one microsecond after the latest event held, so that u < 1 for every event. The next window
+///   starts at that event and, with an origin, ends at the next boundary of the grid;
+/// * when an event before t0 arrives. Its duration is T, and the next window starts at that event, or with an
+///   origin at the boundary before it. It begins a new *run*, so that no event is too late
+///   ([`crate::ingest::reorder`] prevents this for small disorder);
+/// * on [`Window::flush`]. Its duration is T, and the next window is aligned to the next event.
 ///
-/// Order inside a window does not matter. An event costs O(1); memory is what was lent.
+/// With an origin, a window that starts between two boundaries ends at the second one, so T is shorter there.
+///
+/// The order of events inside a window does not matter. An event costs O(1), and no memory is used beyond what
+/// was lent.
 #[derive(Debug)]
 pub struct Window<'b> {
     config: WindowConfig,
     slots: &'b mut [Slot],
-    /// Exactly as many as the sensor has segments.
+    /// One head per segment of the sensor.
     heads: &'b mut [Head],
-    /// As many bits as there are segments, from [`FIRST`] on.
+    /// One bit per segment, starting from [`FIRST`].
     bitmap: &'b mut [u32],
     /// Segments in a row.
     stride: NonZeroU32,
     len: u32,
     latest: Latest,
-    /// Start of the open window, or of the next where none is open; None before the first event.
+    /// Start of the open window, or of the next one while this one is closed; `None` before the first event.
     start_us: Option<u64>,
-    /// Time from there to the window's end.
+    /// Time from `start_us` to that window's end.
     duration_us: u32,
-    /// A run begins with the open window, or with the next where none is open.
+    /// Whether that window begins a run.
     begins_run: bool,
     closed: Option<Closed>,
     counts: Counts,
 }
 
 impl<'b> Window<'b> {
-    /// A window over lent buffers, or `None` where they are too small for the sensor, there is no
-    /// room for an event, there are more than [`SLOTS_MAX`] slots, T is 0, or a side of the sensor
-    /// is 0 or above [`Sensor::SIDE_MAX`].
+    /// Creates an empty window over lent buffers. Returns `None` if they are too small for the sensor or have no
+    /// slot, if there are more than [`SLOTS_MAX`] slots, if T is 0, or if a side of the sensor is 0 or above
+    /// [`Sensor::SIDE_MAX`].
     #[must_use]
     pub const fn new(config: WindowConfig, buffers: WindowBuffers<'b>) -> Option<Self> {
         let segments = segments(config.sensor.width, config.sensor.height);
@@ -386,7 +394,7 @@ impl<'b> Window<'b> {
             heads,
             bitmap,
         } = buffers;
-        // A frame of a sensor that `Sensor::new` refuses would be refused by every reader.
+        // Every reader would refuse a frame of a sensor that `Sensor::new` refuses.
         if Sensor::new(config.sensor.width, config.sensor.height).is_none()
             || config.window_us == 0
             || slots.is_empty()
@@ -401,7 +409,7 @@ impl<'b> Window<'b> {
             return None;
         };
         let (heads, _) = heads.split_at_mut(segments);
-        // Not 0, which is a slot: so an index needs no 1 off on its way.
+        // Not 0, which is a valid slot: an index then needs no offset of 1.
         let mut segment = 0;
         while segment < segments {
             heads[segment] = NO_HEAD;
@@ -424,10 +432,10 @@ impl<'b> Window<'b> {
         })
     }
 
-    /// Adds an event, or says why not.
+    /// Adds an event, or reports why it cannot.
     #[cfg_attr(target_pointer_width = "64", inline)]
     pub fn push(&mut self, event: Event) -> Push {
-        // On a host the events of a window are stored in place, wherever they come from.
+        // The common case on a host, inlined: the event lies in the open window.
         if cfg!(target_pointer_width = "64")
             && self.closed.is_none()
             && self.config.sensor.contains(event.x, event.y)
@@ -442,7 +450,7 @@ impl<'b> Window<'b> {
         self.push_apart(event)
     }
 
-    /// [`Self::push`] of any event.
+    /// [`Self::push`] for any event, kept out of line on a host.
     #[cfg_attr(target_pointer_width = "64", inline(never))]
     #[cfg_attr(not(target_pointer_width = "64"), inline(always))]
     fn push_apart(&mut self, event: Event) -> Push {
@@ -512,11 +520,10 @@ impl<'b> Window<'b> {
         self.latest.event_us = self.latest.event_us.max(offset_us);
     }
 
-    /// Adds the events of EVT 2.0 words, little-endian, up to the one that closes the window: what
-    /// [`Evt2Decoder::decode`] and [`Self::push`] do a word at a time, at less than half of their
-    /// cost.
+    /// Adds the events of little-endian EVT 2.0 words, up to the event that closes the window.
     ///
-    /// Where fewer words are taken than there are, encode the window and push the rest again.
+    /// Gives the same result as [`Evt2Decoder::decode`] and [`Self::push`] word by word, at less than half the
+    /// cost. If it takes fewer words than given, encode the window and push the rest again.
     pub fn push_words(&mut self, decoder: &mut Evt2Decoder, words: &[[u8; 4]]) -> Taken {
         let mut taken = Taken::default();
         while taken.words < words.len() {
@@ -524,7 +531,7 @@ impl<'b> Window<'b> {
             let before = self.len;
             taken.words += self.store_words(decoder, rest);
             taken.events += self.len - before;
-            // What ended the run: anything out of the ordinary.
+            // This word ended the fast path: anything out of the ordinary.
             let Some(word) = words.get(taken.words) else {
                 break;
             };
@@ -543,14 +550,14 @@ impl<'b> Window<'b> {
         taken
     }
 
-    /// Stores events on the sensor while there are slots, and follows the decoder's time forwards
-    /// while it lies in the window; returns how many words it took.
+    /// Stores events on the sensor while there are free slots, and follows the decoder's time forwards while it
+    /// lies in the window. Returns the number of words taken.
     fn store_words(&mut self, decoder: &mut Evt2Decoder, words: &[[u8; 4]]) -> usize {
         let (Some(time_us), Some(start_us), None) = (decoder.span_us(), self.start_us, self.closed)
         else {
             return 0;
         };
-        // The last windows end with the last microsecond there is.
+        // The last windows of the clock's range end with its last microsecond.
         let window_us = u64::from(self.duration_us).min((u64::MAX - start_us).saturating_add(1));
         let since_start = time_us.wrapping_sub(start_us) as i64;
         let to_end = (window_us as i64).saturating_sub(since_start);
@@ -559,14 +566,14 @@ impl<'b> Window<'b> {
         }
         let (mut words, mut ahead_us) = (words, 0);
         if since_start < 0 || to_end < i64::from(SPAN_US) {
-            // Some of the times that a word can add are not in the window: without the words of
-            // those, and of the next time, the rest is as always.
+            // Some of the times that a word can add lie outside the window. Once the words with those times, and
+            // any further `TIME_HIGH`, are cut off, the rest is handled as usual.
             let inside = (-since_start).max(0) as u32..to_end.min(i64::from(SPAN_US)) as u32;
             let is_inside = |word: &[u8; 4]| {
                 let word = u32::from_le_bytes(*word);
                 is_event(word) && inside.contains(&low_us(word))
             };
-            // A few at a time: the first one off the sensor has the rest looked at again.
+            // A few at a time: after one that is off the sensor, the rest is checked again.
             let few = words.iter().take(STRADDLING_WORDS);
             let few = few.take_while(|word| is_inside(word)).count();
             words = words.get(..few).unwrap_or_default();
@@ -599,7 +606,7 @@ impl<'b> Window<'b> {
             ..
         } = intake;
         self.latest.span(before_us, before_at, span_at);
-        // One from before the window is the first: no events are earlier than its own.
+        // A span that begins before the window is its first one: `Latest` starts out with it.
         if since_start >= 0 {
             self.latest.span(span_us, span_at, len);
         }
@@ -608,7 +615,8 @@ impl<'b> Window<'b> {
         taken
     }
 
-    /// Largest offset of the events held, or less where that is below `at_least_us` anyway.
+    /// Returns the largest offset of the events held, or a smaller one if the largest is below `at_least_us`
+    /// anyway.
     fn latest_us(&self, at_least_us: u32) -> u32 {
         let Latest {
             event_us,
@@ -623,8 +631,8 @@ impl<'b> Window<'b> {
         offsets.fold(event_us, u32::max)
     }
 
-    /// Stores events from the front while they lie in the open window and on the sensor and there is
-    /// room; returns how many.
+    /// Stores events from the front while they lie in the open window and on the sensor and there is room.
+    /// Returns how many it stored.
     #[cfg_attr(target_pointer_width = "64", inline)]
     pub(crate) fn push_inside(&mut self, events: &[Event]) -> usize {
         let (Some(start_us), None) = (self.start_us, self.closed) else {
@@ -658,7 +666,7 @@ impl<'b> Window<'b> {
         self.follow_on(next);
     }
 
-    /// Opens at `start_us`, which is returned.
+    /// Sets the open window's start and duration, and returns the start.
     const fn start(&mut self, start_us: u64) -> u64 {
         self.start_us = Some(start_us);
         self.duration_us = self.config.duration_us(start_us);
@@ -673,12 +681,12 @@ impl<'b> Window<'b> {
         }
     }
 
-    /// Begins a new run with an event at `t_us`, after the events that the window holds.
+    /// Closes a window that holds events and begins a new run, whose first window holds `t_us`.
     pub(crate) fn fall_back(&mut self, t_us: u64) {
         self.begin_run(Some(self.config.start_us(t_us)));
     }
 
-    /// Begins a new run with the next event, after the events that the window holds.
+    /// Closes a window that holds events and begins a new run with the next event.
     pub(crate) fn end_run(&mut self) {
         self.begin_run(None);
     }
@@ -698,7 +706,7 @@ impl<'b> Window<'b> {
         }
     }
 
-    /// Closes the open window, whose time has run: the next one goes on along the grid.
+    /// Closes the open window because its time is over; the next one follows it on the grid.
     pub(crate) fn advance(&mut self) {
         if let (Some(start_us), None) = (self.start_us, self.closed) {
             let next_us = start_us.saturating_add(u64::from(self.duration_us));
@@ -706,8 +714,9 @@ impl<'b> Window<'b> {
         }
     }
 
-    /// Moves an empty open window along the grid to where it holds `t_us`, which is not before it; one
-    /// that has no start starts there. Where windows without events are wanted, it is closed instead.
+    /// Moves an empty open window along the grid until it holds `t_us`, which must not be before its start. A
+    /// window without a start is given one that holds `t_us`. With [`WindowConfig::every_window`] the window is
+    /// closed instead, unless the gap is too long.
     pub(crate) fn skip_to(&mut self, t_us: u64) {
         if self.len > 0 || self.closed.is_some() {
             return;
@@ -736,16 +745,17 @@ impl<'b> Window<'b> {
         self.start(start_us);
     }
 
-    /// Closes the window where it holds events or counts; the stream starts anew after it.
+    /// Closes the window if it holds events or counts. The next window is aligned to the next event.
     pub fn flush(&mut self) {
         if self.closed.is_none() && (self.len > 0 || self.counts.any()) {
             self.close(self.duration_us, false, NextStart::ANY);
         }
     }
 
-    /// Closes the window where it holds events, or where those without are wanted, and its time has run at
-    /// `now_us`, before which no event will come any more: a live sensor that sees nothing does not hold its
-    /// last events back. The next window goes on along the grid.
+    /// Closes the window if its time is over at `now_us`, before which no event will arrive any more, and if it
+    /// holds events or empty windows are wanted. The next window follows on the grid.
+    ///
+    /// A live sensor that sees nothing thus does not hold its last events back.
     pub fn pass(&mut self, now_us: u64) {
         if self.closed.is_some() {
             return;
@@ -767,7 +777,7 @@ impl<'b> Window<'b> {
         }
     }
 
-    /// Start of the window after this one, or of this one while it is open.
+    /// Returns the start of the window after this one, or of this one while it is open.
     #[must_use]
     pub const fn next_start(&self) -> NextStart {
         NextStart {
@@ -776,54 +786,54 @@ impl<'b> Window<'b> {
         }
     }
 
-    /// Continues the grid of another window: this one, empty and open, starts where the other's
-    /// [`Window::next_start`] says.
+    /// Continues another window's grid: if this window is empty and open, it starts at `start`, the other's
+    /// [`Window::next_start`].
     pub const fn follow(&mut self, start: NextStart) {
         if self.len == 0 && self.closed.is_none() {
             self.follow_on(start);
         }
     }
 
-    /// Counts events that were lost before they came here, as on a link that overran.
+    /// Counts events that were lost before they arrived here, for example on a link that overran.
     pub const fn count_dropped(&mut self, events: u32) {
         self.counts.dropped = self.counts.dropped.saturating_add(events);
     }
 
-    /// Counts events that a filter kept out.
+    /// Counts events that a filter removed.
     pub const fn count_filtered(&mut self, events: u32) {
         self.counts.filtered = self.counts.filtered.saturating_add(events);
     }
 
-    /// Sensor and T.
+    /// Returns the configuration that the window was created with.
     #[must_use]
     pub const fn config(&self) -> WindowConfig {
         self.config
     }
 
-    /// Time from the open window's start to its end: T, or less where it begins within the grid.
+    /// Returns the time from the open window's start to its end: T, or less if it starts between two boundaries.
     #[must_use]
     pub const fn duration_us(&self) -> u32 {
         self.duration_us
     }
 
-    /// N_w so far.
+    /// Returns the number of events in the window so far, N_w.
     #[must_use]
     pub const fn events(&self) -> u32 {
         self.len
     }
 
-    /// How the window ended, or `None` while it is open.
+    /// Returns how the window ended, or `None` while it is open.
     #[must_use]
     pub const fn closed(&self) -> Option<Closed> {
         self.closed
     }
 
-    /// Hands out the counts, which start again at 0.
+    /// Returns the counts and resets them to 0.
     pub(crate) const fn take_counts(&mut self) -> Counts {
         core::mem::replace(&mut self.counts, Counts::NONE)
     }
 
-    /// Opens the next window; the segments must have been taken.
+    /// Opens the next window. All segments must have been taken.
     pub(crate) fn reopen(&mut self) {
         debug_assert!(self.bitmap.iter().all(|word| *word == 0));
         self.len = 0;
@@ -831,10 +841,10 @@ impl<'b> Window<'b> {
         self.closed = None;
     }
 
-    /// Takes the next 32 segments of which some have events: the first one's index, and a bit for
-    /// each.
+    /// Takes the next 32 segments if any of them has events, or a later group of 32: returns the index of the
+    /// first, and a bit per segment from [`FIRST`] on.
     ///
-    /// The cost follows the segments that have events and 1/32 of all segments.
+    /// The cost grows with the segments that have events, plus 1/32 of all segments.
     #[inline]
     pub(crate) fn take_segments(&mut self, cursor: &mut usize) -> Option<(u32, u32)> {
         let words = self.bitmap.get_mut(*cursor..)?;
@@ -844,14 +854,15 @@ impl<'b> Window<'b> {
         Some((segment, core::mem::take(words.get_mut(at)?)))
     }
 
-    /// Takes a segment's list: the slot of its newest event.
+    /// Takes a segment's list: returns the slot of its newest event and empties the list.
     #[inline]
     pub(crate) fn take_head(&mut self, segment: u32) -> u32 {
         let head = self.heads.get_mut(segment as usize);
         head.map_or(NO_SLOT, |head| index(core::mem::replace(head, NO_HEAD)))
     }
 
-    /// Position and time of up to `most` events, of every segment the newest ones, before they are taken.
+    /// Passes position and time of up to `most` events to `each`, the newest of every segment, before they are
+    /// taken.
     pub(crate) fn sample(&self, most: u32, mut each: impl FnMut((u16, u16), u32)) {
         let (mut left, mut from) = (most, 0);
         while let Some(segment) = self.next_used(from).filter(|_| left > 0) {
@@ -869,7 +880,7 @@ impl<'b> Window<'b> {
         }
     }
 
-    /// The first segment from one on that has events.
+    /// Returns the first segment at or after `from` that has events.
     pub(crate) fn next_used(&self, from: u32) -> Option<u32> {
         let at = from as usize / 32;
         let first = self.bitmap.get(at)? & (u32::MAX >> (from % 32));
@@ -882,11 +893,11 @@ impl<'b> Window<'b> {
         Some((at + 1 + next) as u32 * 32 + word.leading_zeros())
     }
 
-    /// Which columns of a segment have events, and which have several.
+    /// Returns two bit sets of a segment's columns: those that have events, and those that have several.
     pub(crate) fn columns_of(&self, segment: u32) -> (u32, u32) {
         let (mut occupied, mut crowded) = (0, 0);
         let bits = self.bitmap.get(segment as usize / 32).copied();
-        // Of a segment without events the list may be an old one.
+        // A segment without events may still have an old list.
         let mut at = match bits {
             Some(bits) if bits & FIRST.rotate_right(segment) != 0 => self.head_of(segment),
             _ => NO_SLOT,
@@ -900,23 +911,23 @@ impl<'b> Window<'b> {
         (occupied, crowded)
     }
 
-    /// A used segment's list: the slot of its newest event.
+    /// Returns the slot of the newest event of a segment that has events.
     pub(crate) fn head_of(&self, segment: u32) -> u32 {
         let head = self.heads.get(segment as usize).copied();
         head.map_or(NO_SLOT, index)
     }
 
-    /// Leaves of a used segment the events of these columns; returns how many went.
+    /// Removes from a used segment all events outside `columns`; returns how many it removed.
     pub(crate) fn keep_columns(&mut self, segment: u32, columns: u32) -> u32 {
         self.keep(segment, |_, slot| columns >> slot.column() & 1 == 1)
     }
 
-    /// Leaves `share_q16` of 2^16 events, evenly by when they came; returns how many went.
+    /// Keeps `share_q16` / 2^16 of the events, spread evenly in order of arrival; returns how many it removed.
     pub(crate) fn thin(&mut self, share_q16: u32) -> u32 {
         let (mut removed, mut from) = (0, 0);
         while let Some(segment) = self.next_used(from) {
             removed += self.keep(segment, |at, _| {
-                // Those at which a sum of shares passes a whole number.
+                // The events at which the running sum of shares passes a whole number.
                 at.wrapping_mul(share_q16) % (1 << 16) < share_q16
             });
             from = segment + 1;
@@ -924,11 +935,12 @@ impl<'b> Window<'b> {
         removed
     }
 
-    /// Leaves of a used segment what is to be kept, of a closed window.
+    /// Removes the events of a used segment that `is_kept` refuses, after the window has closed; returns how
+    /// many.
     fn keep(&mut self, segment: u32, is_kept: impl Fn(u32, Slot) -> bool) -> u32 {
         let mut removed = 0;
         let mut at = self.head_of(segment);
-        // The last one kept.
+        // The last slot that was kept.
         let mut last: Option<u32> = None;
         let mut head = NO_HEAD;
         while let Some(slot) = self.slots.get(at as usize).copied() {
@@ -959,25 +971,25 @@ impl<'b> Window<'b> {
         removed
     }
 
-    /// The buffered events.
+    /// Returns the buffered events.
     #[inline]
     pub(crate) const fn slots(&mut self) -> &mut [Slot] {
         self.slots
     }
 
-    /// The same to look at.
+    /// Returns the buffered events for reading only.
     #[inline]
     pub(crate) const fn slots_now(&self) -> &[Slot] {
         self.slots
     }
 
-    /// Slots, heads, and segments in a row, for assembly.
+    /// Returns the slots, the heads and the number of segments in a row, for the assembly.
     #[allow(dead_code, reason = "assembly alone asks")]
     pub(crate) const fn parts(&mut self) -> (&mut [Slot], &mut [Head], NonZeroU32) {
         (self.slots, self.heads, self.stride)
     }
 
-    /// Position of a segment's first pixel.
+    /// Returns the position of a segment's first pixel.
     #[inline]
     pub(crate) fn segment_origin(&self, segment: u32) -> (u16, u16) {
         let y = segment / self.stride;
@@ -986,10 +998,10 @@ impl<'b> Window<'b> {
     }
 }
 
-/// Index of the first word that has bits.
+/// Returns the index of the first word that is not 0.
 #[inline(always)]
 fn first_used(words: &[u32]) -> Option<usize> {
-    // On a large sensor few of them have: a host looks at several at once.
+    // On a large sensor few words are not 0, so a host tests several at once.
     let mut skipped = 0;
     if cfg!(target_pointer_width = "64") {
         let (chunks, _) = words.as_chunks::<16>();
@@ -1000,17 +1012,17 @@ fn first_used(words: &[u32]) -> Option<usize> {
     Some(skipped + rest.iter().position(|bits| *bits != 0)?)
 }
 
-/// What is known of the largest offset: enough to find it in the slots when it is asked for.
+/// What is known of the largest offset: enough to find it in the slots on demand.
 ///
-/// Events of words are not looked at one by one as they come; the latest of them is in the latest
-/// span of time, the events that share a `TIME_HIGH`.
+/// Events from words are not compared one by one as they arrive; the latest of them lies in the latest span, the
+/// events that share a `TIME_HIGH`.
 #[derive(Debug, Clone, Copy)]
 struct Latest {
-    /// Largest offset of the events that were pushed as events.
+    /// Largest offset of the events that were pushed one by one.
     event_us: u32,
-    /// Offset of the latest span that had events.
+    /// Offset of the latest span that has events.
     span_us: u32,
-    /// Slot of its first event.
+    /// Slot of that span's first event.
     span_at: u32,
 }
 
@@ -1021,7 +1033,7 @@ impl Latest {
         span_at: 0,
     };
 
-    /// The slots `from..to` were filled in this span.
+    /// Notes that the slots `from..to` were filled in the span that begins at `span_us`.
     #[inline]
     const fn span(&mut self, span_us: u32, from: u32, to: u32) {
         if from < to && span_us > self.span_us {
@@ -1031,12 +1043,13 @@ impl Latest {
     }
 }
 
-/// What a head holds, whatever its width here.
+/// Returns the slot number in a head, whatever the head's width on this target.
 #[allow(clippy::unnecessary_cast)]
 #[inline]
 pub(crate) const fn index(head: Head) -> u32 {
     head as u32
 }
 
-/// The first of 32 in a word: the highest bit, since a word is turned and counted from there.
+/// The bit of the first of 32 segments in a word: the highest one, because words are rotated and their leading
+/// zeros counted.
 pub(crate) const FIRST: u32 = 1 << 31;

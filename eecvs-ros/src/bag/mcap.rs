@@ -1,4 +1,4 @@
-//! Bags in MCAP files, by the crate `mcap`.
+//! Bags in MCAP files, by means of the crate `mcap`.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -18,13 +18,13 @@ use super::metadata::OFFERS;
 use super::{ReadFile, Stored, Topic, WriteFile};
 use crate::message::Type;
 
-/// Longest record.
+/// Longest record accepted, in bytes.
 const RECORD_MAX: usize = 1 << 29;
 
-/// Bytes of a chunk, about.
+/// Approximate size of a chunk, in bytes.
 const CHUNK_BYTES: u64 = 1 << 20;
 
-/// A file that is written.
+/// An MCAP file being written.
 pub struct McapWriter {
     name: String,
     writer: mcap::Writer<BufWriter<File>>,
@@ -32,7 +32,7 @@ pub struct McapWriter {
 }
 
 impl McapWriter {
-    /// Creates the file with its channels.
+    /// Creates the file with one channel per topic.
     pub fn create(path: &Path, topics: &[(Topic, Type)]) -> Result<Self> {
         let name = path.display().to_string();
         let file = File::create(path).with_context(|| format!("{name}: cannot be created"))?;
@@ -71,7 +71,7 @@ impl WriteFile for McapWriter {
     fn message(&mut self, topic: usize, sequence: u64, time_ns: u64, cdr: &[u8]) -> Result<()> {
         let header = MessageHeader {
             channel_id: self.channels.get(topic).copied().context("a topic")?,
-            // MCAP's number has 32 bits and may wrap.
+            // MCAP's sequence number has 32 bits and may wrap.
             sequence: sequence as u32,
             log_time: time_ns,
             publish_time: time_ns,
@@ -93,26 +93,27 @@ impl WriteFile for McapWriter {
     }
 }
 
-/// A file that is read by its index, in the order of times; or from front to back, where it has no chunks and so no index.
+/// An MCAP file being read: in time order by means of its index, or from front to back if it has no chunks and
+/// therefore no index.
 pub struct McapReader {
     name: String,
     file: File,
     topics: Vec<Topic>,
-    /// Numbers of topics by those of channels.
+    /// Maps channel IDs to indices in `topics`.
     channels: BTreeMap<u16, usize>,
     way: Way,
     chunk: Vec<u8>,
     from_ns: u64,
 }
 
-/// How messages are found.
+/// How the messages are found.
 enum Way {
     Indexed(Box<IndexedReader>),
     Linear(Box<LinearReader>),
 }
 
 impl McapReader {
-    /// Opens a file with its summary; messages before `from_ns` are left out.
+    /// Opens a file, which must have a summary; messages before `from_ns` are left out.
     pub fn open(path: &Path, from_ns: u64) -> Result<Self> {
         let name = path.display().to_string();
         let mut file = File::open(path).with_context(|| format!("{name}: cannot be read"))?;
@@ -121,7 +122,7 @@ impl McapReader {
         })?;
         let mut topics = Vec::new();
         let mut channels = BTreeMap::new();
-        // By their numbers, in which they were made.
+        // In the order of their IDs, which is the order of creation.
         let sorted: BTreeMap<_, _> = summary.channels.iter().collect();
         for (id, channel) in sorted {
             let schema = channel.schema.as_ref();
@@ -156,7 +157,7 @@ impl McapReader {
     }
 }
 
-/// The summary at the end of a file.
+/// Reads the summary at the end of a file.
 fn summary(file: &mut File) -> Result<Summary> {
     let options = SummaryReaderOptions::default().with_record_length_limit(RECORD_MAX);
     let mut reader = SummaryReader::new_with_options(options);
@@ -246,7 +247,7 @@ mod tests {
     use super::*;
     use crate::message::{EventPacket, Message};
 
-    /// A file as `ros2 bag record --storage-preset-profile fastwrite` makes it: without chunks.
+    /// A file as written by `ros2 bag record --storage-preset-profile fastwrite`, without chunks.
     #[test]
     fn files_without_chunks_are_read_from_front_to_back() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,7 +1,7 @@
-//! `metadata.yaml` of a bag.
+//! A bag's `metadata.yaml`.
 //!
-//! Version 8, the newest that Humble, Jazzy and Kilted all read. Offers of quality of service there are none, here as
-//! in the files, whose own must be the same: a player takes its default.
+//! It has version 8, the newest that Humble, Jazzy and Kilted all read. The lists of offered quality-of-service
+//! profiles are empty, here as in the message files, which must agree with it: a player then uses its default.
 
 use std::path::Path;
 
@@ -11,22 +11,22 @@ use serde::Deserialize;
 use super::{Storage, Topic};
 use crate::message::Type;
 
-/// The file that makes a folder a bag.
+/// Name of the file that makes a folder a bag.
 pub const METADATA: &str = "metadata.yaml";
 
-/// Offers of quality of service.
+/// Empty list of offered quality-of-service profiles.
 pub const OFFERS: &str = "[]";
 
-/// What stands for the distribution of ROS.
+/// Value of the field for the ROS distribution that wrote the bag.
 pub const WRITTEN_BY: &str = "eecvs";
 
-/// Version of the metadata.
+/// Version of the metadata format.
 pub const VERSION: i64 = 8;
 
-/// Longest metadata.
+/// Largest metadata file accepted, in bytes.
 const BYTES_MAX: u64 = 1 << 24;
 
-/// What is counted of a bag.
+/// Message counts and time range of a bag.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Counts {
     of_topics: Vec<u64>,
@@ -34,7 +34,7 @@ pub struct Counts {
 }
 
 impl Counts {
-    /// Of so many topics.
+    /// Starts the counts of a bag with this number of topics.
     pub fn new(topics: usize) -> Self {
         Self {
             of_topics: vec![0; topics],
@@ -42,7 +42,7 @@ impl Counts {
         }
     }
 
-    /// Counts a message; its number among those of its topic.
+    /// Counts a message and returns its number among those of its topic, from 0.
     pub fn add(&mut self, topic: usize, time_ns: u64) -> u64 {
         let (first_ns, last_ns) = self.times_ns.unwrap_or((time_ns, time_ns));
         self.times_ns = Some((first_ns.min(time_ns), last_ns.max(time_ns)));
@@ -53,18 +53,18 @@ impl Counts {
         *messages - 1
     }
 
-    /// Messages of all topics.
+    /// Returns the number of messages of all topics.
     pub fn messages(&self) -> u64 {
         self.of_topics.iter().sum()
     }
 }
 
-/// What rosbag2's `BagMetadata` of a bag of one file is as text.
+/// Returns rosbag2's `BagMetadata` of a bag with one file, as YAML.
 pub fn text(storage: Storage, file: &str, topics: &[(Topic, Type)], counts: &Counts) -> String {
     let (first_ns, last_ns) = counts.times_ns.unwrap_or_default();
     let (messages, duration_ns) = (counts.messages(), last_ns - first_ns);
     let storage = storage.name();
-    // JSON's strings are YAML's.
+    // A JSON string is a valid YAML string.
     let file = serde_json::Value::from(file);
     let mut listed = String::new();
     for ((topic, kind), messages) in topics.iter().zip(&counts.of_topics) {
@@ -107,7 +107,7 @@ ros_distro: {WRITTEN_BY}
     )
 }
 
-/// The same as a file of its own.
+/// Wraps the metadata `text` into the content of a `metadata.yaml` file.
 pub fn document(text: &str) -> String {
     let lines = text.lines().map(|line| format!("  {line}\n"));
     format!(
@@ -121,18 +121,18 @@ struct Document {
     rosbag2_bagfile_information: Metadata,
 }
 
-/// What a reader asks of metadata.
+/// The part of the metadata that a reader needs.
 #[derive(Debug, Deserialize)]
 pub struct Metadata {
-    /// Files, in their order.
+    /// Message files, in their order.
     pub relative_file_paths: Vec<String>,
 }
 
 impl Metadata {
-    /// Of the bag in a folder.
+    /// Reads the metadata of the bag in a folder.
     ///
     /// # Errors
-    /// There are none, or they cannot be read.
+    /// The file is missing, too long, or not the metadata of a bag.
     pub fn read(folder: &Path) -> Result<Self> {
         let path = folder.join(METADATA);
         let name = path.display();

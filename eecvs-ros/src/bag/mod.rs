@@ -1,6 +1,7 @@
-//! Bags of ROS 2: folders with `metadata.yaml` and a file of messages, which `ros2 bag` reads and writes.
+//! ROS 2 bags: folders with `metadata.yaml` and a file of messages, as `ros2 bag` reads and writes them.
 //!
-//! A folder of several files, or a file alone, is read as well.
+//! Bags are written with one message file. A folder with several message files, or a message file alone, can also
+//! be read.
 
 mod mcap;
 mod metadata;
@@ -16,17 +17,17 @@ use mcap::{McapReader, McapWriter};
 use metadata::{Counts, METADATA, Metadata};
 use sqlite::{SqliteReader, SqliteWriter};
 
-/// What a bag's messages are stored in.
+/// Storage format of a bag's messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Storage {
-    /// Chunks in LZ4, with an index
+    /// LZ4-compressed chunks with an index
     Mcap,
-    /// A database
+    /// An SQLite database
     Sqlite3,
 }
 
 impl Storage {
-    /// As metadata call it.
+    /// Returns the format's identifier in the metadata.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -50,51 +51,51 @@ impl Storage {
     }
 }
 
-/// A topic of a bag.
+/// A topic recorded in a bag.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Topic {
-    /// Its absolute name.
+    /// The topic's absolute name.
     pub name: String,
-    /// Its type's name: `std_msgs/msg/Header`.
+    /// Name of the message type: `std_msgs/msg/Header`.
     pub kind: String,
 }
 
 impl Topic {
-    /// Its type, where that is one of ours.
+    /// Returns the message type if it is one of [`TYPES`].
     #[must_use]
     pub fn known(&self) -> Option<Type> {
         TYPES.into_iter().find(|kind| kind.name == self.kind)
     }
 }
 
-/// A message of a bag.
+/// A serialised message in a bag.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Stored {
-    /// Number of its topic in [`Reader::topics`].
+    /// Index of its topic in [`Reader::topics`].
     pub topic: usize,
-    /// When it was received, since 1970.
+    /// Time of reception, in nanoseconds since 1970.
     pub time_ns: u64,
-    /// Its bytes.
+    /// The message as CDR bytes, with the encapsulation in front.
     pub cdr: Vec<u8>,
 }
 
-/// A file of messages that is written.
+/// A message file being written.
 trait WriteFile {
-    /// Takes a message of topic number `topic`.
+    /// Appends a message of the topic with index `topic`; `sequence` counts the topic's messages from 0.
     fn message(&mut self, topic: usize, sequence: u64, time_ns: u64, cdr: &[u8]) -> Result<()>;
 
-    /// Writes what ends the file; `metadata` are the bag's.
+    /// Completes the file; `metadata` is the bag's, as text.
     fn finish(self: Box<Self>, metadata: &str) -> Result<()>;
 }
 
-/// A file of messages that is read, in the order of their times.
+/// A message file being read: in time order, or from front to back if it has no index.
 trait ReadFile {
     fn topics(&self) -> &[Topic];
 
     fn next(&mut self) -> Result<Option<Stored>>;
 }
 
-/// A bag that is being written.
+/// Writer of a bag.
 pub struct Writer {
     folder: PathBuf,
     storage: Storage,
@@ -105,10 +106,10 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Creates the folder, which must not be there, and the file in it.
+    /// Creates the bag's folder, which must not exist yet, and the message file in it.
     ///
     /// # Errors
-    /// It is there, or cannot be created.
+    /// The folder exists or cannot be created, or the file cannot be created.
     pub fn create(folder: &Path, storage: Storage, topics: Vec<(Topic, Type)>) -> Result<Self> {
         let name = folder.display();
         std::fs::create_dir(folder)
@@ -131,25 +132,25 @@ impl Writer {
         })
     }
 
-    /// Takes a message of topic number `topic`, received at `time_ns`.
+    /// Appends a message, received at `time_ns` since 1970, of the topic with index `topic`.
     ///
     /// # Errors
-    /// I/O.
+    /// Writing fails, or the storage cannot represent the time.
     pub fn message(&mut self, topic: usize, time_ns: u64, cdr: &[u8]) -> Result<()> {
         let sequence = self.counts.add(topic, time_ns);
         self.file.message(topic, sequence, time_ns, cdr)
     }
 
-    /// Messages so far.
+    /// Returns the number of messages so far.
     #[must_use]
     pub fn messages(&self) -> u64 {
         self.counts.messages()
     }
 
-    /// Writes what ends the file, and the metadata.
+    /// Completes the message file and writes the metadata.
     ///
     /// # Errors
-    /// I/O.
+    /// Writing fails.
     pub fn finish(self) -> Result<()> {
         let Self {
             folder,
@@ -167,22 +168,23 @@ impl Writer {
     }
 }
 
-/// A bag that is being read, in the order of its files and, within each, of times.
+/// Reader of a bag: file by file, and within each file by time. An MCAP file without an index is read from front to
+/// back.
 pub struct Reader {
     files: Vec<PathBuf>,
     next: usize,
     from_ns: u64,
     file: Box<dyn ReadFile>,
     topics: Vec<Topic>,
-    /// Numbers of the present file's topics among all.
+    /// For each topic of the open file, its index in `topics`.
     numbers: Vec<usize>,
 }
 
 impl Reader {
-    /// Opens a folder or a file, and leaves out messages before `from_ns`.
+    /// Opens a folder or a single file; messages before `from_ns` are left out.
     ///
     /// # Errors
-    /// No bag, or a damaged one.
+    /// The path is not a bag, or the bag is damaged.
     pub fn open(path: &Path, from_ns: u64) -> Result<Self> {
         let files = if path.is_dir() {
             let files = Metadata::read(path)?.relative_file_paths;
@@ -209,13 +211,13 @@ impl Reader {
         Ok(reader)
     }
 
-    /// The topics so far: those of the files that were opened.
+    /// Returns the topics of the files opened so far.
     #[must_use]
     pub fn topics(&self) -> &[Topic] {
         &self.topics
     }
 
-    /// Finds the present file's topics among all.
+    /// Looks up the open file's topics in `topics`, and adds new ones.
     fn number(&mut self) {
         let all = &mut self.topics;
         self.numbers.clear();
@@ -228,10 +230,10 @@ impl Reader {
         }
     }
 
-    /// The next message; `None` at the end.
+    /// Returns the next message, or `None` at the end.
     ///
     /// # Errors
-    /// A damaged file.
+    /// A file is damaged.
     pub fn next_message(&mut self) -> Result<Option<Stored>> {
         loop {
             if let Some(mut stored) = self.file.next()? {
@@ -314,7 +316,7 @@ mod tests {
             assert!(rest(&bag, from_ns) == want[700..]);
             assert!(rest(&bag, from_ns + 1) == want[701..]);
             assert!(rest(&bag, u64::MAX).is_empty());
-            // The file alone is one too.
+            // The file alone can be read too.
             let file = bag.join(format!("{}_0.{}", storage.name(), storage.ending()));
             assert!(rest(&file, 0) == want);
             assert!(Writer::create(&bag, storage, topics()).is_err());

@@ -1,7 +1,7 @@
-//! Bags in SQLite, by version 4 of rosbag2's schema.
+//! Bags in SQLite files, with version 4 of rosbag2's schema.
 //!
-//! The file is touched by the ends of transactions alone, and no journal is beside it: a run that is killed leaves a
-//! database of all transactions but the last.
+//! The file is written only when a transaction ends, and there is no journal file beside it: a run that is killed
+//! leaves a database with all transactions but the last.
 
 use std::path::Path;
 
@@ -12,10 +12,10 @@ use super::metadata::{OFFERS, VERSION, WRITTEN_BY};
 use super::{ReadFile, Stored, Topic, WriteFile};
 use crate::message::Type;
 
-/// Bytes of a transaction, which waits in memory.
+/// Bytes of messages per transaction, which is held in memory.
 const TRANSACTION_BYTES: usize = 8 << 20;
 
-/// Messages that are asked for at once.
+/// Number of messages per query.
 const ROWS: i64 = 64;
 
 const TABLES: &str = "
@@ -40,7 +40,7 @@ fn failed(name: &str, error: rusqlite::Error) -> anyhow::Error {
     anyhow::Error::new(error).context(format!("{name}: SQLite"))
 }
 
-/// A file that is written.
+/// An SQLite file being written.
 pub struct SqliteWriter {
     name: String,
     connection: Connection,
@@ -48,7 +48,7 @@ pub struct SqliteWriter {
 }
 
 impl SqliteWriter {
-    /// Creates the file with its topics.
+    /// Creates the file with its tables and topics.
     pub fn create(path: &Path, topics: &[(Topic, Type)]) -> Result<Self> {
         let name = path.display().to_string();
         let begin = || {
@@ -112,16 +112,16 @@ impl WriteFile for SqliteWriter {
     }
 }
 
-/// A file that is read, in the order of times.
+/// An SQLite file being read, in time order.
 pub struct SqliteReader {
     name: String,
     connection: Connection,
     topics: Vec<Topic>,
-    /// The topics' own numbers.
+    /// IDs of the topics in the database.
     ids: Vec<i64>,
-    /// Where reading goes on: behind this message.
+    /// Time and ID of the last message read; reading continues after it.
     behind: (i64, i64),
-    /// Messages that were asked for, the next one last.
+    /// Messages already read, in reverse order.
     waiting: Vec<Stored>,
 }
 
@@ -132,7 +132,7 @@ impl SqliteReader {
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let begin = || {
             let connection = Connection::open_with_flags(path, flags)?;
-            // A file that is cut off has zeros in their place.
+            // SQLite would read the missing pages of a truncated file as zeros: the size is compared below.
             let pages: i64 = connection.query_row("PRAGMA page_count", [], |row| row.get(0))?;
             let bytes: i64 = connection.query_row("PRAGMA page_size", [], |row| row.get(0))?;
             let mut ids = Vec::new();
@@ -168,7 +168,7 @@ impl SqliteReader {
         })
     }
 
-    /// Asks for the next messages.
+    /// Queries the next messages.
     fn fill(&mut self) -> rusqlite::Result<()> {
         let question = "SELECT id, topic_id, timestamp, data FROM messages \
              WHERE (timestamp, id) > (?1, ?2) ORDER BY timestamp, id LIMIT ?3";
@@ -179,7 +179,7 @@ impl SqliteReader {
             self.behind = (time_ns, id);
             let topic = self.ids.iter().position(|known| *known == topic);
             self.waiting.push(Stored {
-                // Of no topic: told by the caller.
+                // An index out of range: the caller reports the unknown topic.
                 topic: topic.unwrap_or(usize::MAX),
                 time_ns: u64::try_from(time_ns).unwrap_or(0),
                 cdr: row.get(3)?,
@@ -199,7 +199,7 @@ impl ReadFile for SqliteReader {
         if self.waiting.is_empty() {
             let before = self.behind;
             self.fill().map_err(|error| failed(&self.name, error))?;
-            // A damaged index gives the same rows for ever.
+            // A damaged index would yield the same rows for ever.
             let has_gone_on = self.waiting.is_empty() || self.behind > before;
             ensure!(
                 has_gone_on,

@@ -1,40 +1,40 @@
-//! `eecvs_msgs/msg/Density`: how dense a window is.
+//! `eecvs_msgs/msg/Density`: the event density of a window.
 
 use serde::{Deserialize, Serialize};
 
 use super::header::with_header;
 use super::{Header, Message, Type};
 
-/// Density of a window of events, and the transform that it chooses.
+/// Event density of a window, and the transform that it selects.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Density {
-    /// The computer's time at the window's end.
+    /// The computer's time at the end of the window.
     pub header: Header,
-    /// Number of the message: a gap is a loss.
+    /// Sequence number of the message: a gap means a loss.
     pub seq: u64,
-    /// Start of the window, in the sensor's time.
+    /// Start of the window in the sensor's time, in microseconds.
     pub t0_us: u64,
-    /// Its duration.
+    /// Duration of the window in microseconds.
     pub duration_us: u32,
     /// Rows of the sensor.
     pub height: u32,
-    /// Columns.
+    /// Columns of the sensor.
     pub width: u32,
-    /// Events of the window.
+    /// Events in the window.
     pub events: u32,
-    /// Messages of events that never came, since the start.
+    /// Event messages lost since the start.
     pub packets_lost: u64,
     /// Events per second.
     pub rate_eps: f64,
     /// Events per pixel and second (eq. 1).
     pub density: f64,
-    /// Below it, the window is sparse.
+    /// Density below which a window is sparse.
     pub tau_low: f64,
-    /// From it on, the window is dense.
+    /// Density from which a window is dense.
     pub tau_high: f64,
     /// 0 sparse, 1 moderate, 2 dense.
     pub regime: u8,
-    /// `dwt`, `dtft` or `dct`.
+    /// Transform for this regime: `dwt`, `dtft` or `dct`.
     pub transform: String,
 }
 

@@ -1,53 +1,53 @@
-//! `diagnostic_msgs/msg/DiagnosticArray`: how a node fares, on `/diagnostics`.
+//! `diagnostic_msgs/msg/DiagnosticArray`: the state of nodes, published on `/diagnostics`.
 
 use serde::{Deserialize, Serialize};
 
 use super::header::with_header;
 use super::{Header, Message, Type};
 
-/// How serious a status is.
+/// Severity of a status.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Level {
     /// All is well.
     Ok,
     /// Something was lost.
     Warn,
-    /// It does not work.
+    /// The node does not work.
     Error,
-    /// Nothing has come for a while.
+    /// Nothing has arrived for a while.
     Stale,
 }
 
-/// What one node says.
+/// Status of one node.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DiagnosticStatus {
     /// 0 ok, 1 warn, 2 error, 3 stale.
     pub level: u8,
-    /// Who says it.
+    /// Who reports it.
     pub name: String,
-    /// In a few words.
+    /// Summary in a few words.
     pub message: String,
     /// The sensor.
     pub hardware_id: String,
-    /// In figures.
+    /// The figures behind the summary.
     pub values: Vec<KeyValue>,
 }
 
-/// A figure and its name.
+/// A named figure.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct KeyValue {
-    /// Name.
+    /// Name of the figure.
     pub key: String,
-    /// Figure.
+    /// The figure as text.
     pub value: String,
 }
 
-/// What several say.
+/// Statuses of several nodes.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DiagnosticArray {
-    /// The computer's time.
+    /// Header with the computer's time.
     pub header: Header,
-    /// One for each who says something.
+    /// One entry per reporting node.
     pub status: Vec<DiagnosticStatus>,
 }
 

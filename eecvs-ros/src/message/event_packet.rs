@@ -1,27 +1,27 @@
-//! `event_camera_msgs/msg/EventPacket`: what drivers of event cameras publish.
+//! `event_camera_msgs/msg/EventPacket`: the messages that drivers of event cameras publish.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Header, Message, Type};
 
-/// Packed events.
+/// A message of packed events.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EventPacket {
     /// The computer's time at the arrival of the first event.
     pub header: Header,
     /// Rows of the sensor.
     pub height: u32,
-    /// Columns.
+    /// Columns of the sensor.
     pub width: u32,
-    /// Number of the message: a gap is a loss.
+    /// Sequence number of the message: a gap means a loss.
     pub seq: u64,
-    /// What times count from, in ns, where the encoding says so.
+    /// Origin of the event times in nanoseconds, if the encoding uses it.
     pub time_base: u64,
     /// How events are packed: `evt3`, `libcaer`, `libcaer_cmp`, `mono`.
     pub encoding: String,
-    /// Whether the words' bytes are swapped.
+    /// Whether the words of `events` are big-endian.
     pub is_bigendian: bool,
-    /// The words.
+    /// The packed events.
     #[serde(with = "serde_bytes")]
     pub events: Vec<u8>,
 }

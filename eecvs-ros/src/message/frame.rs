@@ -1,4 +1,4 @@
-//! `eecvs_msgs/msg/Frame`: a frame of docs/wire-format.md.
+//! `eecvs_msgs/msg/Frame`: a frame of docs/wire-format.md, or of another operator.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,23 +8,23 @@ use super::{Header, Message, Type};
 /// One frame of a window of events.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Frame {
-    /// The computer's time at the window's end.
+    /// The computer's time at the end of the window.
     pub header: Header,
-    /// Number of the message: a gap is a loss.
+    /// Sequence number of the message: a gap means a loss.
     pub seq: u64,
-    /// Start of the window, in the sensor's time.
+    /// Start of the window in the sensor's time, in microseconds.
     pub t0_us: u64,
-    /// Its duration.
+    /// Duration of the window in microseconds.
     pub duration_us: u32,
     /// Rows of the sensor.
     pub height: u32,
-    /// Columns.
+    /// Columns of the sensor.
     pub width: u32,
-    /// Events told in this frame.
+    /// Events encoded in this frame.
     pub events: u32,
-    /// What decodes the data.
+    /// Name of the operator that decodes `data`.
     pub operator_name: String,
-    /// The frame.
+    /// The frame's bytes.
     #[serde(with = "serde_bytes")]
     pub data: Vec<u8>,
 }

@@ -1,32 +1,32 @@
-//! `std_msgs/msg/Header`, and the time in it.
+//! `std_msgs/msg/Header` and the time in it.
 
 use std::time::{Duration, SystemTime};
 
 use serde::{Deserialize, Serialize};
 
-/// `builtin_interfaces/msg/Time`: since 1970.
+/// `builtin_interfaces/msg/Time`: a time since 1970.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Time {
-    /// Seconds.
+    /// Whole seconds.
     pub sec: i32,
-    /// Nanoseconds of a second.
+    /// Nanoseconds within the second.
     pub nanosec: u32,
 }
 
 impl Time {
-    /// The computer's, which is that of the sensor's messages by convention.
+    /// Returns the computer's time, by which messages are stamped by convention.
     #[must_use]
     pub fn now() -> Self {
         Self::from(SystemTime::now())
     }
 
-    /// Nanoseconds since 1970.
+    /// Returns the time in nanoseconds since 1970.
     #[must_use]
     pub const fn ns(self) -> i64 {
         self.sec as i64 * 1_000_000_000 + self.nanosec as i64
     }
 
-    /// Of nanoseconds since 1970; those beyond the seconds' 31 bits are their limit.
+    /// Converts nanoseconds since 1970. Seconds beyond 32 bits are clamped.
     #[must_use]
     pub fn from_ns(ns: i64) -> Self {
         let sec = ns.div_euclid(1_000_000_000);
@@ -46,7 +46,7 @@ impl From<SystemTime> for Time {
     }
 }
 
-/// `std_msgs/msg/Header`.
+/// `std_msgs/msg/Header`: when and by which sensor a message was made.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Header {
     /// The computer's time.
@@ -55,7 +55,7 @@ pub struct Header {
     pub frame_id: String,
 }
 
-/// Fields of a header and of its time, as definitions of messages end with.
+/// Appends the definitions of a header and of its time, with which message definitions end.
 macro_rules! with_header {
     ($fields:expr) => {
         concat!(

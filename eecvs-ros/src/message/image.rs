@@ -1,26 +1,26 @@
-//! `sensor_msgs/msg/Image`: what rqt and RViz show.
+//! `sensor_msgs/msg/Image`: pictures, as rqt and RViz show them.
 
 use serde::{Deserialize, Serialize};
 
 use super::header::with_header;
 use super::{Header, Message, Type};
 
-/// A picture.
+/// An uncompressed picture.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Image {
-    /// The computer's time at the arrival of the last events in it.
+    /// The computer's time at the arrival of the latest events in the picture.
     pub header: Header,
-    /// Rows.
+    /// Number of rows.
     pub height: u32,
-    /// Columns.
+    /// Number of columns.
     pub width: u32,
-    /// What a pixel is: `mono8`, `rgb8`.
+    /// Pixel format: `mono8`, `rgb8`.
     pub encoding: String,
-    /// Whether numbers of several bytes begin with the highest.
+    /// Whether multi-byte values are big-endian.
     pub is_bigendian: u8,
-    /// Bytes of a row.
+    /// Bytes per row.
     pub step: u32,
-    /// Rows, one after the other.
+    /// Pixels, row by row.
     #[serde(with = "serde_bytes")]
     pub data: Vec<u8>,
 }

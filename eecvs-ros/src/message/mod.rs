@@ -1,8 +1,8 @@
-//! Messages, as ROS 2 defines them, and their bytes.
+//! Messages, as ROS 2 defines them, and their serialisation.
 //!
-//! A message travels as CDR of version 1, little-endian, whatever carries it: [`to_cdr`] and [`from_cdr`] are all
-//! that the nodes and the links have to agree on. The messages of other packages are theirs; those of
-//! `eecvs_msgs` are defined in the folder of that name, which builds as a package of ROS 2.
+//! Every transport carries a message as little-endian CDR of version 1: the nodes and the links need to agree on
+//! nothing but [`to_cdr`] and [`from_cdr`]. Messages of other packages keep the definitions of those packages;
+//! those of `eecvs_msgs` are defined in the folder of that name, which builds as a ROS 2 package.
 
 mod density;
 mod diagnostics;
@@ -28,25 +28,26 @@ pub use volume::Volume;
 /// The four bytes in front of a message: CDR of version 1, little-endian, no options.
 pub const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
-/// What ROS 2 knows a message's type by.
+/// Identification of a message type in ROS 2.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Type {
     /// Package and name: `std_msgs/msg/Header`.
     pub name: &'static str,
-    /// The SHA-256 of its description (REP 2016), which Zenoh's keys carry.
+    /// The SHA-256 of the type's description (REP 2016), which Zenoh's keys contain.
     pub hash: &'static str,
-    /// Its fields in the language of ROS 2, those of its parts behind it, as bags store them.
+    /// The fields in ROS 2's definition language, followed by the definitions of the nested types, as bags store
+    /// them.
     pub definition: &'static str,
 }
 
 impl Type {
-    /// Package and name apart: `std_msgs`, `Header`.
+    /// Returns package and name separately: `std_msgs`, `Header`.
     #[must_use]
     pub fn parts(&self) -> (&'static str, &'static str) {
         self.name.split_once("/msg/").unwrap_or(("", self.name))
     }
 
-    /// As DDS and Zenoh spell it: `std_msgs::msg::dds_::Header_`.
+    /// Returns the name as DDS and Zenoh spell it: `std_msgs::msg::dds_::Header_`.
     #[must_use]
     pub fn dds(&self) -> String {
         let (package, name) = self.parts();
@@ -54,13 +55,13 @@ impl Type {
     }
 }
 
-/// A message.
+/// A message that ROS 2 has a type for.
 pub trait Message: Serialize + DeserializeOwned {
-    /// Its type.
+    /// The message's type.
     const TYPE: Type;
 }
 
-/// Every type that is sent or received here.
+/// All message types that the nodes send or receive.
 pub const TYPES: [Type; 6] = [
     EventPacket::TYPE,
     Frame::TYPE,
@@ -70,17 +71,18 @@ pub const TYPES: [Type; 6] = [
     DiagnosticArray::TYPE,
 ];
 
-/// The number of a message among its publisher's, where its type has one.
+/// Returns the sequence number that the publisher gave a serialised message, or `None` if the type has none or the
+/// message is too short.
 #[must_use]
 pub fn sequence_of(kind: Type, cdr: &[u8]) -> Option<u64> {
     let mut fields = Fields::new(cdr, Serialisation::Cdr).ok()?;
     let mut number = || {
-        // The header: its stamp and its name.
+        // Skip the header: its stamp and frame_id.
         fields.u32()?;
         fields.u32()?;
         fields.sequence()?;
         if kind.name == EventPacket::TYPE.name {
-            // Rows and columns.
+            // Skip rows and columns.
             fields.u32()?;
             fields.u32()?;
         }
@@ -90,17 +92,17 @@ pub fn sequence_of(kind: Type, cdr: &[u8]) -> Option<u64> {
     has_one.then(|| number().ok()).flatten()
 }
 
-/// Appends a message's bytes.
+/// Appends a message to `bytes`: the encapsulation, then its CDR serialisation.
 ///
 /// # Panics
-/// Never: a message has no field that CDR lacks, and memory takes all bytes.
+/// Never: every field of a message can be represented in CDR, and writing to memory does not fail.
 pub fn put_cdr<M: Message>(message: &M, bytes: &mut Vec<u8>) {
     bytes.extend_from_slice(&ENCAPSULATION);
     let put = cdr_encoding::to_writer::<M, LittleEndian, _>(bytes, message);
     debug_assert!(put.is_ok(), "{put:?}");
 }
 
-/// A message's bytes.
+/// Returns a message as CDR bytes, with the encapsulation in front.
 #[must_use]
 pub fn to_cdr<M: Message>(message: &M) -> Vec<u8> {
     let mut bytes = Vec::new();
@@ -108,21 +110,21 @@ pub fn to_cdr<M: Message>(message: &M) -> Vec<u8> {
     bytes
 }
 
-/// Bytes that are no message of the type that is wanted.
+/// Error: the bytes are not a message of the expected type.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Malformed {
-    /// Another representation than CDR of version 1, little-endian.
+    /// Not little-endian CDR of version 1.
     #[error("not little-endian CDR of version 1")]
     Representation,
-    /// The fields are others, or the message is damaged.
+    /// The message has other fields, or is damaged.
     #[error("other fields, or a damage: {0}")]
     Fields(String),
 }
 
-/// The message of some bytes.
+/// Decodes a message from CDR bytes, with the encapsulation in front.
 ///
 /// # Errors
-/// [`Malformed`].
+/// [`Malformed`] if the bytes are not a message of type `M`.
 pub fn from_cdr<M: Message>(bytes: &[u8]) -> Result<M, Malformed> {
     let Some((_, fields)) = bytes
         .split_first_chunk()

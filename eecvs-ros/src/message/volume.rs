@@ -1,4 +1,4 @@
-//! `eecvs_msgs/msg/Volume`: what networks take.
+//! `eecvs_msgs/msg/Volume`: the dense input of networks.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,25 +8,26 @@ use super::{Header, Message, Type};
 /// A part of the dense volume of a window: channels x height x width, in C order.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Volume {
-    /// The computer's time at the window's end.
+    /// The computer's time at the end of the window.
     pub header: Header,
-    /// Number of the message: a gap is a loss.
+    /// Sequence number of the message: a gap means a loss.
     pub seq: u64,
-    /// Start of the window, in the sensor's time.
+    /// Start of the window in the sensor's time, in microseconds.
     pub t0_us: u64,
-    /// Its duration.
+    /// Duration of the window in microseconds.
     pub duration_us: u32,
     /// Channels of the volume.
     pub channels: u32,
-    /// Rows.
+    /// Rows of the sensor.
     pub height: u32,
-    /// Columns.
+    /// Columns of the sensor.
     pub width: u32,
-    /// What channels are: `dct`, `dwt`, `dtft` or `bins`.
+    /// Meaning of the channels: coefficients of `dct`, `dwt` or `dtft`, or time bins with `bins` (nearest) or
+    /// `bilinear` weights.
     pub layout: String,
-    /// Index of the first value here.
+    /// Index in the volume of the first value in this message.
     pub offset: u64,
-    /// Values.
+    /// Values from `offset` on.
     pub values: Vec<f32>,
 }
 

@@ -1,4 +1,4 @@
-//! `bridge`: a camera on USB, or an encoder on USB or at a serial port, to topics.
+//! `bridge`: publishes a USB camera, or an encoder on USB or a serial port.
 
 use anyhow::Result;
 use clap::Args;
@@ -15,7 +15,7 @@ use super::{Context, QosOptions};
 use crate::message::{EventPacket, Time};
 use crate::operator::{Eecvs, Encoded, Operator, frames};
 
-/// Topics that it publishes.
+/// Topics that the node publishes.
 pub const PUBLISHES: &[&str] = &["events", "frames"];
 
 /// Publish what a device sends: a camera's events on `events`, an encoder's frames on `frames`
@@ -38,10 +38,10 @@ pub struct Bridge {
 }
 
 impl Bridge {
-    /// Publishes until it is to stop, or the device ends.
+    /// Publishes until a stop is requested or the device ends.
     ///
     /// # Errors
-    /// A device that cannot be reached, a link that fails, the transport.
+    /// The device cannot be reached, its link fails, or the transport fails.
     pub fn run(self, mut context: Context) -> Result<()> {
         let source = self.device.open(&self.codec, &context.stop)?;
         let sends_frames = source.model.name() == mcu::NAME;
@@ -61,8 +61,8 @@ impl Bridge {
         unstopped.map_or(Ok(()), Err)
     }
 
-    /// The encoder's frames as they are. Their stamp is that of their arrival: when their windows have ended, their
-    /// times do not tell.
+    /// Publishes the encoder's frames unchanged. They are stamped on arrival, since the encoder's times do not show
+    /// when, by the computer's clock, the windows ended.
     fn frames(&self, context: &mut Context, session: &Session) -> Result<String> {
         let name = Eecvs.name();
         let mut sender = FrameSender::new(context, self.qos.qos(), name, self.packets.frame_id())?;
@@ -90,7 +90,7 @@ impl Bridge {
                 break;
             }
             packer.push(&events, |packet, _| sender.send(packet))?;
-            // What has come is not kept back.
+            // Publish at once, even if the message is not full.
             packer.flush(&mut |packet: &EventPacket, _| sender.send(packet))?;
             published += events.len() as u64;
         }

@@ -1,4 +1,4 @@
-//! `decode`: frames to messages of events, to volumes, and to pictures.
+//! `decode`: turns frames into messages of events, volumes and pictures.
 
 use std::time::{Duration, Instant};
 
@@ -18,11 +18,11 @@ use super::{Context, QosOptions, Sender};
 use crate::message::{EventPacket, Header, Image, Time, Volume};
 use crate::operator::{Decoded, Operators};
 
-/// Topics that it publishes.
+/// Topics that the node publishes.
 pub const PUBLISHES: &[&str] = &["decoded/events", "volume", "image"];
 
-/// Decode frames: events on `decoded/events`, volumes on `volume`, pictures on `image`; what nobody has
-/// subscribed to is not made
+/// Decode frames: events on `decoded/events`, volumes on `volume`, pictures on `image`; topics without subscribers
+/// are not computed
 #[derive(Debug, Clone, Args)]
 pub struct Decode {
     /// How event times are found in the coefficients of the DCT and the DTFT (mode transform)
@@ -32,19 +32,19 @@ pub struct Decode {
     #[command(flatten)]
     form: VolumeOptions,
 
-    /// Bytes of a message's values, at the most: a larger volume comes in several; 0: always in one
+    /// Maximum bytes of values per message: larger volumes are split into several; 0: never split
     #[arg(long, value_name = "BYTES", default_value_t = 98_000)]
     volume_bytes: u32,
 
-    /// What pictures are
+    /// Pixel format of the pictures
     #[arg(long, value_enum, default_value = "mono8")]
     image: Look,
 
-    /// Pictures per second, at the most
+    /// Maximum pictures per second
     #[arg(long, value_name = "HZ", default_value_t = 30.0)]
     image_hz: f32,
 
-    /// End after so many seconds without frames; of none at all, never
+    /// End after this many seconds without frames, once there was one
     #[arg(long, value_name = "S")]
     idle_s: Option<u32>,
 
@@ -55,23 +55,23 @@ pub struct Decode {
     qos: QosOptions,
 }
 
-/// What a picture is.
+/// Pixel format of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Look {
-    /// A byte per pixel: ON white, OFF black
+    /// One byte per pixel: ON white, OFF black
     Mono8,
-    /// Three: ON red, OFF blue
+    /// Three bytes per pixel: ON red, OFF blue
     Rgb8,
 }
 
-/// Windows that came out of frames.
+/// Counts of decoded windows and events.
 #[derive(Debug, Default)]
 struct Totals {
     windows: u64,
     events: u64,
 }
 
-/// What goes out.
+/// The publishers of the node.
 struct Outputs {
     events: Sender<EventPacket>,
     volume: Sender<Volume>,
@@ -79,10 +79,10 @@ struct Outputs {
 }
 
 impl Decode {
-    /// Decodes until it is to stop.
+    /// Decodes until a stop is requested, or until no frames arrive for the idle time.
     ///
     /// # Errors
-    /// The transport.
+    /// The transport fails, or a volume cannot be computed.
     pub fn run(self, mut context: Context, operators: &Operators) -> Result<()> {
         let qos = self.qos.qos();
         let mut frames = FrameReader::new(&mut context, operators, qos, self.idle_s)?;
@@ -126,7 +126,7 @@ impl Totals {
     }
 }
 
-/// Makes messages of windows.
+/// Turns windows into messages.
 struct Making<'o> {
     options: &'o Decode,
     finder: WindowEvents,
@@ -148,7 +148,7 @@ impl<'o> Making<'o> {
         }
     }
 
-    /// Publishes a window, whose last frame has this header; the number of its events.
+    /// Publishes a window, completed by the frame with this header; returns the number of its events.
     fn window(&mut self, decoded: Decoded, header: &Header, outputs: &mut Outputs) -> Result<u64> {
         let (sensor, events) = match decoded {
             Decoded::Window(mut window) => {
@@ -182,7 +182,7 @@ impl<'o> Making<'o> {
         Ok(events.len() as u64)
     }
 
-    /// Publishes a window's volume in as many messages as it takes.
+    /// Publishes a window's volume, in several messages if it exceeds the size limit.
     fn volume(
         &mut self,
         window: &DecodedWindow,
@@ -246,7 +246,7 @@ impl<'o> Making<'o> {
     }
 }
 
-/// The picture that is being drawn.
+/// The picture being drawn.
 struct Picture {
     look: Look,
     every: Duration,
@@ -304,7 +304,7 @@ impl Picture {
         }
     }
 
-    /// The picture, where it is time for one; the next one begins.
+    /// Returns the picture if one is due, and starts the next one.
     fn take(&mut self, header: &Header) -> Option<Image> {
         if self.sent.is_some_and(|sent| sent.elapsed() < self.every) {
             return None;

@@ -1,4 +1,4 @@
-//! `delay`: how long after its window's end a frame arrives, and what was lost on the way.
+//! `delay`: measures how long after the end of its window a frame arrives, and what was lost.
 
 use std::time::{Duration, Instant};
 
@@ -11,14 +11,14 @@ use super::{Context, QosOptions, receive};
 use crate::message::{Frame, Time};
 use crate::sequence::Sequence;
 
-/// Measure how long after their windows' end frames arrive, and what is lost, on `frames`
+/// Measure how long after the end of their windows frames arrive on `frames`, and what is lost
 #[derive(Debug, Clone, Args)]
 pub struct Delay {
-    /// Seconds from the first frame on
+    /// Seconds to measure, from the first frame on
     #[arg(long, value_name = "S", default_value_t = 10)]
     seconds: u32,
 
-    /// Frames at the beginning that do not count
+    /// Leave out the delays of the first N frames
     #[arg(long, value_name = "N", default_value_t = 0)]
     skip: usize,
 
@@ -30,10 +30,10 @@ pub struct Delay {
     qos: QosOptions,
 }
 
-/// Longest wait between two looks at whether to stop.
+/// Longest wait before the stop request is checked again.
 const WAIT: Duration = Duration::from_millis(20);
 
-/// What was measured; the fields are the JSON keys.
+/// The measurement; the fields are the JSON keys.
 #[derive(Debug, Serialize)]
 struct Measured {
     frames: usize,
@@ -49,10 +49,10 @@ struct Measured {
 }
 
 impl Delay {
-    /// Measures and prints.
+    /// Measures for the set time, and prints the result.
     ///
     /// # Errors
-    /// The transport, or stdout.
+    /// The transport fails, or stdout cannot be written.
     pub fn run(self, mut context: Context) -> Result<()> {
         let mut subscription = context.subscription::<Frame>("frames", self.qos.qos())?;
         let mut delays_ns = Vec::new();
@@ -83,7 +83,7 @@ impl Delay {
         delays_ns.sort_unstable();
         let delay = |part: f64| match delays_ns.len() {
             0 => 0.0,
-            // The nearest rank.
+            // Nearest-rank percentile.
             n => delays_ns[((n as f64 * part).ceil() as usize).clamp(1, n) - 1] as f64 * 1e-6,
         };
         let measured = Measured {

@@ -1,4 +1,4 @@
-//! `density`: how dense every window is, and the transform that this chooses.
+//! `density`: publishes the event density of every window, and the transform that it selects.
 
 use std::num::NonZeroU32;
 use std::time::Duration;
@@ -16,11 +16,11 @@ use crate::message::{
 };
 use crate::packet_reader::{PacketReader, Received, Watch, look};
 
-/// Topics that it publishes.
+/// Topics that the node publishes.
 pub const PUBLISHES: &[&str] = &["density", "/diagnostics"];
 
 /// Publish the density, rate and regime of every window of `events`: eecvs_msgs/msg/Density on `density`, and a
-/// summary a second on `/diagnostics`
+/// summary every second on `/diagnostics`
 #[derive(Debug, Clone, Args)]
 pub struct Monitor {
     /// Duration of a window in microseconds
@@ -31,7 +31,7 @@ pub struct Monitor {
     #[arg(long, value_name = "NAME", default_value = "event_camera")]
     frame_id: String,
 
-    /// End after so many seconds without events; of none at all, never
+    /// End after this many seconds without events, once there was one
     #[arg(long, value_name = "S")]
     idle_s: Option<u32>,
 
@@ -42,10 +42,10 @@ pub struct Monitor {
     qos: QosOptions,
 }
 
-/// How often diagnostics are published.
+/// Interval at which diagnostics are published.
 const DIAGNOSE: Duration = Duration::from_secs(1);
 
-/// Counts events into windows along a grid, as the encoder's are cut.
+/// Counts events in windows on a grid, as the encoder cuts them.
 struct Count {
     window_us: u64,
     t0_us: Option<u64>,
@@ -53,8 +53,8 @@ struct Count {
 }
 
 impl Count {
-    /// Takes an event; a window that it ends: its start and its events. One from before the open window is not
-    /// counted, as the encoder does.
+    /// Counts an event; returns the start and the number of events of a window that it ends. An event from before
+    /// the open window is not counted, as in the encoder.
     fn push(&mut self, t_us: u64) -> Option<(u64, u32)> {
         let ended = self.pass(t_us);
         if t_us >= *self.t0_us.get_or_insert(t_us) {
@@ -63,7 +63,7 @@ impl Count {
         ended
     }
 
-    /// The window that time has ended, where it has events.
+    /// Ends the open window if its time is over at `now_us`; returns its start and number of events if it has any.
     fn pass(&mut self, now_us: u64) -> Option<(u64, u32)> {
         let t0_us = self.t0_us?;
         let passed = now_us.saturating_sub(t0_us) / self.window_us;
@@ -76,7 +76,7 @@ impl Count {
     }
 }
 
-/// What is published.
+/// The publishers of the node, and what they last published.
 struct Outputs<'a> {
     frame_id: &'a str,
     thresholds: Thresholds,
@@ -88,10 +88,10 @@ struct Outputs<'a> {
 }
 
 impl Monitor {
-    /// Publishes until it is to stop.
+    /// Publishes until a stop is requested, or until no events arrive for the idle time.
     ///
     /// # Errors
-    /// A thresholds file that cannot be read, or the transport.
+    /// The thresholds file cannot be read, or the transport fails.
     pub fn run(self, mut context: Context) -> Result<()> {
         let thresholds = self.thresholds.load()?;
         let qos = self.qos.qos();

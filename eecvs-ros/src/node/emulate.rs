@@ -1,4 +1,4 @@
-//! `emulate`: a scene or a recording as a driver would publish it.
+//! `emulate`: publishes a scene or a recording as a driver would.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -16,13 +16,13 @@ use super::{Context, QosOptions, Sender};
 use crate::message::EventPacket;
 use crate::packing::{Encoding, Packer, PacketLimits};
 
-/// Topics that it publishes.
+/// Topics that the node publishes.
 pub const PUBLISHES: &[&str] = &["events"];
 
 /// Publish a scene or a recording as a camera's driver does: event_camera_msgs/msg/EventPacket on `events`
 #[derive(Debug, Clone, Args)]
 pub struct Emulate {
-    /// Scene, as `eecvs emulate --list` shows them
+    /// Scene, one of those that `eecvs emulate --list` shows
     #[arg(long, value_parser = preset(), default_value = "indoor-flying")]
     scene: Preset,
 
@@ -34,22 +34,23 @@ pub struct Emulate {
     #[arg(long, value_name = "D")]
     duration_us: Option<u64>,
 
-    /// A recording in place of the scene
+    /// Recording to publish instead of a scene
     #[arg(long, value_name = "FILE")]
     recording: Option<PathBuf>,
 
     #[command(flatten)]
     reading: ReadingOptions,
 
-    /// Pace: real (as recorded), max (as fast as possible), N events per second, or Fx (F times as fast as recorded)
+    /// Pace: real (as recorded), max (as fast as possible), N events per second, or Fx (F times as fast as
+    /// recorded)
     #[arg(long, value_name = "real|max|N|Fx", default_value = "real")]
     rate: Pace,
 
-    /// Begin anew at the end, with times that go on
+    /// Start again at the end, with times that continue
     #[arg(long)]
     repeat: bool,
 
-    /// Wait at most so many seconds for the first subscriber, so that it gets the first events
+    /// Wait at most this many seconds for the first subscriber, so that it gets the first events
     #[arg(long, value_name = "S", default_value_t = 0)]
     wait_s: u32,
 
@@ -60,18 +61,18 @@ pub struct Emulate {
     qos: QosOptions,
 }
 
-/// How events are packed into messages.
+/// Options for packing events into messages.
 #[derive(Debug, Clone, Args)]
 pub struct PacketOptions {
-    /// How events are packed
+    /// Encoding of events in messages
     #[arg(long, value_enum, default_value = "libcaer")]
     encoding: Encoding,
 
-    /// Time that a message spans, in microseconds
+    /// Maximum time spanned by a message, in microseconds
     #[arg(long, value_name = "T", default_value_t = 1000)]
     packet_us: u32,
 
-    /// Bytes of a message's events, at the most: larger messages get lost on their way
+    /// Maximum bytes of events per message: larger messages are more likely to be lost
     #[arg(long, value_name = "BYTES", default_value_t = 98_000,
           value_parser = clap::value_parser!(u32).range(64..=100_000_000))]
     packet_bytes: u32,
@@ -82,13 +83,13 @@ pub struct PacketOptions {
 }
 
 impl PacketOptions {
-    /// Name of the sensor.
+    /// Returns the name of the sensor.
     #[must_use]
     pub fn frame_id(&self) -> &str {
         &self.frame_id
     }
 
-    /// What packs the events of a sensor.
+    /// Creates a packer for the events of a sensor.
     #[must_use]
     pub fn packer(&self, sensor: Sensor) -> Packer {
         let limits = PacketLimits::of(
@@ -100,19 +101,19 @@ impl PacketOptions {
     }
 }
 
-/// What was published.
+/// Counts of published events.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Published {
     events: u64,
-    /// Longest time for which events were due and not published, in microseconds.
+    /// Longest delay after the time at which events were due, in microseconds.
     late_us: u64,
 }
 
 impl Emulate {
-    /// Publishes until the end, or until it is to stop.
+    /// Publishes until the end, or until a stop is requested.
     ///
     /// # Errors
-    /// A recording that cannot be read, or the transport.
+    /// The recording cannot be read, or the transport fails.
     pub fn run(self, mut context: Context) -> Result<()> {
         let mut sender = context.publisher::<EventPacket>("events", self.qos.qos())?;
         let sensor = self.open()?.sensor();
@@ -159,8 +160,8 @@ impl Emulate {
         }
     }
 
-    /// Plays from the start to the end; the latest time that was published. Of a repetition, `start_us` is the time
-    /// of its first event.
+    /// Publishes the reader's events to the end and returns the latest time published. For a repetition, `start_us`
+    /// is the time that its first event gets.
     #[allow(clippy::too_many_arguments)]
     fn play(
         &self,
@@ -193,7 +194,7 @@ impl Emulate {
                 if context.stop.is_asked() {
                     return Ok(last_us);
                 }
-                // What is published at once: what a message spans.
+                // Events within the time span of one message are published together.
                 let span_us = u64::from(self.packets.packet_us.max(1));
                 let end_us = (first.t_us / span_us + 1).saturating_mul(span_us);
                 let count = rest.iter().take_while(|event| event.t_us < end_us).count();
@@ -205,7 +206,7 @@ impl Emulate {
                 packer.push(now, |packet, _| sender.send(packet))?;
                 published.events += now.len() as u64;
                 last_us = last_us.max(Some(due_us));
-                // Of one message's time, more events may stand in the next batch.
+                // The next batch may contain more events of the last message's time span.
                 if !later.is_empty() {
                     packer.flush(&mut |packet: &EventPacket, _| sender.send(packet))?;
                 }
@@ -221,22 +222,23 @@ pub struct Pacer {
     start: Option<(Instant, u64)>,
 }
 
-/// Longest sleep between two looks at whether to stop.
+/// Longest sleep before the stop request is checked again.
 const LOOK: Duration = Duration::from_millis(50);
 
 impl Pacer {
-    /// Time begins with the first event.
+    /// Creates a pacer whose time begins with the first event.
     #[must_use]
     pub const fn new(pace: Pace) -> Self {
         Self { pace, start: None }
     }
 
-    /// Time begins anew with the next event.
+    /// Restarts the time at the next event.
     pub const fn restart(&mut self) {
         self.start = None;
     }
 
-    /// Waits until an event of time `t_us`, the `count`th, is due; returns how late that is, in microseconds.
+    /// Waits until an event is due: the `count`th, of time `t_us`. Returns how late it is, in microseconds; 0 if
+    /// the pace is unlimited or a stop was requested.
     pub fn wait(&mut self, t_us: u64, count: u64, stop: &usb_bridge::stop::Stop) -> u64 {
         let (at, first_us) = *self.start.get_or_insert_with(|| (Instant::now(), t_us));
         let due_s = match self.pace {

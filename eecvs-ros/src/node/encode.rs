@@ -1,4 +1,4 @@
-//! `encode`: messages of events to frames.
+//! `encode`: turns messages of events into frames.
 
 use std::time::Duration;
 
@@ -15,18 +15,18 @@ use crate::message::EventPacket;
 use crate::operator::{Encoded, Job, Operators, Span};
 use crate::packet_reader::{PacketReader, Received, look};
 
-/// Topics that it publishes.
+/// Topics that the node publishes.
 pub const PUBLISHES: &[&str] = &["frames"];
 
 /// Encode the events of `events` into frames: eecvs_msgs/msg/Frame on `frames`
 #[derive(Debug, Clone, Args)]
 pub struct Encode {
-    /// What encodes
+    /// Operator that encodes
     #[arg(long, value_name = "NAME", default_value = "eecvs")]
     operator: String,
 
-    /// Bytes of a frame, at the most: a window that needs more takes several, as larger messages get lost on
-    /// their way
+    /// Maximum bytes of a frame: larger windows are split into several frames, as larger messages are more likely
+    /// to be lost
     #[arg(long, value_name = "BYTES", default_value_t = 98_000,
           value_parser = clap::value_parser!(u32)
               .range(OUTPUT_BYTES_MIN as i64..=eecvs_nostd::FRAME_BYTES_MAX as i64))]
@@ -36,7 +36,7 @@ pub struct Encode {
     #[arg(long, value_name = "NAME", default_value = "event_camera")]
     frame_id: String,
 
-    /// End after so many seconds without events; of none at all, never
+    /// End after this many seconds without events, once there was one
     #[arg(long, value_name = "S")]
     idle_s: Option<u32>,
 
@@ -50,18 +50,19 @@ pub struct Encode {
     qos: QosOptions,
 }
 
-/// Duration of a window unless it is said, in microseconds: at 5 million events per second its frame has arrived
-/// elsewhere within 2 ms of its end, as the README's table has it.
+/// Default duration of a window, in microseconds: at 5 million events per second, its frame arrives elsewhere
+/// within 2 ms of the window's end (see the table in the README).
 pub const WINDOW_US: &str = "4000";
 
-/// How often losses are told.
+/// Interval at which losses are reported.
 const TELL: Duration = Duration::from_secs(5);
 
 impl Encode {
-    /// Encodes until it is to stop.
+    /// Encodes until a stop is requested, or until no events arrive for the idle time.
     ///
     /// # Errors
-    /// An operator that there is not, what is asked of it, the transport.
+    /// The operator is unknown or rejects its options, the transport fails, or late events are an error by the
+    /// options.
     pub fn run(self, mut context: Context, operators: &Operators) -> Result<()> {
         let operator = operators.find(&self.operator).with_context(|| {
             let names = operators.names();
@@ -110,7 +111,7 @@ impl Encode {
     }
 }
 
-/// What is still to be said of times that ran back.
+/// Clock resets and late events that have not been reported yet.
 #[derive(Debug, Default)]
 struct Disorder {
     resets: u64,

@@ -1,4 +1,4 @@
-//! Messages of frames to windows, as they come: what `decode` and `log` have in common.
+//! Reads windows from messages of frames, as they arrive: shared by `decode` and `log`.
 
 use std::time::{Duration, Instant};
 
@@ -11,22 +11,22 @@ use crate::operator::{Decoded, Decoder, Operators};
 use crate::sequence::Sequence;
 use crate::transport::{Qos, Subscription};
 
-/// Longest wait between two looks at whether to stop.
+/// Longest wait before the stop request is checked again.
 const WAIT: Duration = Duration::from_millis(20);
 
-/// How often losses are told.
+/// Interval at which losses are reported.
 const TELL: Duration = Duration::from_secs(5);
 
-/// What came of the frames.
+/// Counts of the frames received.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Account {
-    /// Messages.
+    /// Messages received, including those left out.
     pub frames: u64,
-    /// Those that never came, by their numbers.
+    /// Losses according to the sequence numbers.
     pub sequence: Sequence,
-    /// Messages that were left out.
+    /// Messages left out.
     pub refused: u64,
-    /// Why the latest of them was.
+    /// Why the latest of them was left out.
     pub why_refused: Option<String>,
 }
 
@@ -48,7 +48,7 @@ impl Account {
     }
 }
 
-/// Takes frames from `frames`, decodes them by the operators that they name, and keeps account.
+/// Receives frames on `frames`, decodes each with the operator that it names, and counts them.
 pub struct FrameReader<'o> {
     subscription: Box<dyn Subscription>,
     operators: &'o Operators,
@@ -57,15 +57,15 @@ pub struct FrameReader<'o> {
     latest: Instant,
     account: Account,
     tell: Now,
-    /// Frames lost and left out that were told.
+    /// Numbers of lost and left-out frames that have been reported.
     told: (u64, u64),
 }
 
 impl<'o> FrameReader<'o> {
-    /// Subscribes; so many seconds without frames are the end, once there was one.
+    /// Subscribes to `frames`. The stream ends after `idle_s` seconds without frames, once there was one.
     ///
     /// # Errors
-    /// The transport refuses.
+    /// The transport refuses the topic.
     pub fn new(
         context: &mut Context,
         operators: &'o Operators,
@@ -84,8 +84,8 @@ impl<'o> FrameReader<'o> {
         })
     }
 
-    /// The next frame that decodes; `ready` gets the windows that end before or with it. None at the end, or when
-    /// it is to stop. What was lost is told now and then.
+    /// Returns the next frame that can be decoded; `ready` receives the windows that end before or with it. Returns
+    /// `None` at the end, or when a stop is requested. Losses are reported on stderr from time to time.
     ///
     /// # Errors
     /// The subscription has ended.
@@ -122,7 +122,7 @@ impl<'o> FrameReader<'o> {
         }
     }
 
-    /// Decodes a frame by the operator that it names.
+    /// Decodes a frame with the operator that it names.
     fn decode(&mut self, frame: &Frame, ready: &mut Vec<Decoded>) -> Result<()> {
         let is_other = self
             .decoder
@@ -145,20 +145,21 @@ impl<'o> FrameReader<'o> {
         }
     }
 
-    /// No further frame is read: `ready` gets the window whose end has not come.
+    /// Ends the stream: `ready` receives the window that is still open, if any.
     pub fn end(&mut self, ready: &mut Vec<Decoded>) {
         if let Some((_, decoder)) = &mut self.decoder {
             decoder.end(&mut |window| ready.push(window));
         }
     }
 
-    /// What came so far.
+    /// Returns the counts of the frames received so far.
     #[must_use]
     pub const fn account(&self) -> &Account {
         &self.account
     }
 
-    /// What the latest operator's frames say of events that are not in them.
+    /// Returns what the frames of the latest operator report about their events: how many they hold, and how many
+    /// are late, filtered, dropped or thinned.
     #[must_use]
     pub fn counts(&self) -> FrameCounts {
         self.decoder

@@ -1,4 +1,4 @@
-//! Frames as messages, whoever has encoded them.
+//! Publishes frames as messages, whichever operator encoded them.
 
 use anyhow::Result;
 
@@ -7,17 +7,17 @@ use crate::message::{Frame, Header, Time};
 use crate::operator::{Encoded, Span};
 use crate::transport::Qos;
 
-/// Publishes frames on `frames`, and numbers them.
+/// Publishes frames on `frames`, with sequence numbers.
 pub struct FrameSender {
     sender: Sender<Frame>,
     frame: Frame,
 }
 
 impl FrameSender {
-    /// Frames of an operator, of the sensor `frame_id`.
+    /// Creates a sender for the frames of an operator and the sensor `frame_id`.
     ///
     /// # Errors
-    /// The transport refuses.
+    /// The transport refuses the topic.
     pub fn new(context: &mut Context, qos: Qos, operator: &str, frame_id: &str) -> Result<Self> {
         Ok(Self {
             sender: context.publisher("frames", qos)?,
@@ -32,10 +32,10 @@ impl FrameSender {
         })
     }
 
-    /// Publishes a frame, whose window ended at `stamp`.
+    /// Publishes a frame whose window ended at `stamp`.
     ///
     /// # Errors
-    /// The transport does not take it.
+    /// The transport does not accept the message.
     pub fn send(&mut self, encoded: Encoded<'_>, stamp: Time) -> Result<()> {
         let Span {
             sensor,
@@ -56,7 +56,7 @@ impl FrameSender {
         Ok(())
     }
 
-    /// Frames so far.
+    /// Returns the number of frames sent.
     #[must_use]
     pub const fn sent(&self) -> u64 {
         self.frame.seq

@@ -1,4 +1,4 @@
-//! The nodes: one file each, named as its command is.
+//! The nodes: one file each, named after its command.
 //!
 //! ```text
 //! emulate, bridge --events--> encode --frames--> decode --decoded/events, volume, image-->
@@ -6,8 +6,8 @@
 //! frames --> log
 //! ```
 //!
-//! Topics are relative to the namespace, which is `/event_camera` unless `-r __ns:=` says otherwise: one namespace
-//! for each camera. A driver that is called `event_camera` publishes `~/events` there.
+//! Topics are relative to the namespace, which is `/event_camera` unless `-r __ns:=` sets another: one namespace
+//! per camera. A driver named `event_camera` publishes its `~/events` there.
 
 pub mod bridge;
 pub mod decode;
@@ -31,25 +31,24 @@ use crate::arguments::NodeArguments;
 use crate::message::{Malformed, Message, Type, from_cdr, put_cdr};
 use crate::transport::{self, Publisher, Qos, Subscription, Transport};
 
-/// The namespace of the nodes of one camera.
+/// Default namespace of the nodes of one camera.
 pub const NAMESPACE: &str = "/event_camera";
 
-/// Care that a topic's messages get.
+/// Quality of service of a node's topics.
 #[derive(Debug, Clone, Copy, Args)]
 pub struct QosOptions {
-    /// Messages that wait for this node; beyond, the oldest are let go of
+    /// Messages queued for this node; when more arrive, the oldest are dropped
     #[arg(long, value_name = "N", default_value_t = 1000,
           value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     depth: u32,
 
-    /// Have lost messages sent again, where the other side asks for it too; of a slow link the publisher then
-    /// waits
+    /// Have lost messages resent, if the other side asks for it too; the publisher then waits for a slow link
     #[arg(long)]
     reliable: bool,
 }
 
 impl QosOptions {
-    /// As transports take it.
+    /// Returns the options as the [`Qos`] that transports take.
     #[must_use]
     pub const fn qos(self) -> Qos {
         Qos {
@@ -59,16 +58,16 @@ impl QosOptions {
     }
 }
 
-/// What a node has at hand.
+/// A node's environment: its name and arguments, its transport and the request to stop.
 pub struct Context {
     arguments: NodeArguments,
     node: Box<dyn transport::Node>,
-    /// The wish to stop.
+    /// The request to stop.
     pub stop: Stop,
 }
 
 impl Context {
-    /// Announces a node; `parameters` are told to those who ask.
+    /// Announces a node; `parameters` are served to clients that ask for them, if the transport serves parameters.
     ///
     /// # Errors
     /// The network cannot be used.
@@ -86,16 +85,16 @@ impl Context {
         })
     }
 
-    /// The node's own name, for messages.
+    /// Returns the node's own name without its namespace, for messages.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.arguments.name.base
     }
 
-    /// Begins to publish.
+    /// Creates a publisher of messages of type `M` on a topic, whose name is resolved and remapped.
     ///
     /// # Errors
-    /// A name that ROS 2 does not allow, or the transport refuses.
+    /// ROS 2 does not allow the name, or the transport refuses the topic.
     pub fn publisher<M: Message>(&mut self, topic: &str, qos: Qos) -> Result<Sender<M>> {
         let topic = self.arguments.topic(topic)?;
         let publisher = self.node.publisher(&topic, M::TYPE, qos)?;
@@ -107,10 +106,10 @@ impl Context {
         })
     }
 
-    /// Begins to receive, as messages come.
+    /// Subscribes to a topic of messages of type `M`, whose name is resolved and remapped.
     ///
     /// # Errors
-    /// A name that ROS 2 does not allow, or the transport refuses.
+    /// ROS 2 does not allow the name, or the transport refuses the topic.
     pub fn subscription<M: Message>(
         &mut self,
         topic: &str,
@@ -120,18 +119,18 @@ impl Context {
         self.node.subscription(&topic, M::TYPE, qos)
     }
 
-    /// The absolute name of a topic, remapped.
+    /// Returns the absolute name of a topic after remapping.
     ///
     /// # Errors
-    /// A name that ROS 2 does not allow.
+    /// ROS 2 does not allow the name.
     pub fn topic(&self, name: &str) -> Result<String> {
         self.arguments.topic(name)
     }
 
-    /// Begins to publish messages that are bytes already, on a topic of this absolute name.
+    /// Creates a publisher of already serialised messages on the topic with this absolute name.
     ///
     /// # Errors
-    /// The transport refuses.
+    /// The transport refuses the topic.
     pub fn publisher_of(
         &mut self,
         topic: &str,
@@ -141,10 +140,10 @@ impl Context {
         self.node.publisher(topic, kind, qos)
     }
 
-    /// Begins to receive messages that stay bytes, of a topic of this absolute name.
+    /// Subscribes to the topic with this absolute name, for messages that stay serialised.
     ///
     /// # Errors
-    /// The transport refuses.
+    /// The transport refuses the topic.
     pub fn subscription_of(
         &mut self,
         topic: &str,
@@ -154,39 +153,39 @@ impl Context {
         self.node.subscription(topic, kind, qos)
     }
 
-    /// One line on stderr.
+    /// Prints one line to stderr, preceded by the node's full name.
     pub fn say(&self, line: &str) {
         eprintln!("eecvs-ros: {}: {line}", self.arguments.name.full());
     }
 
-    /// Waits until somebody has subscribed, or it is to stop, or the time has run.
+    /// Waits until the topic has a subscriber, a stop is requested, or `most` has elapsed.
     pub fn wait_for_subscriber<M>(&self, sender: &Sender<M>, most: Duration) {
         self.wait_until(most, || sender.subscribers() > 0);
     }
 
-    /// Waits until somebody `is_there`, or it is to stop, or the time has run.
+    /// Waits until `is_there` returns true, a stop is requested, or `most` has elapsed.
     pub fn wait_until(&self, most: Duration, is_there: impl Fn() -> bool) {
         let started = Instant::now();
         while !is_there() && !self.stop.is_asked() && started.elapsed() < most {
             std::thread::sleep(Duration::from_millis(10));
         }
         if !most.is_zero() && is_there() {
-            // It may find this node a moment later than it was found.
+            // The other side may discover this node a little later than this node discovers it.
             std::thread::sleep(Duration::from_millis(300));
         }
     }
 }
 
-/// What has been published.
+/// Counts of published messages and bytes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Sent {
-    /// Messages.
+    /// Number of messages.
     pub messages: u64,
-    /// Their bytes.
+    /// Their serialised size in bytes.
     pub bytes: u64,
 }
 
-/// Publishes messages of one type.
+/// Publisher of messages of one type.
 pub struct Sender<M> {
     publisher: Box<dyn Publisher>,
     bytes: Vec<u8>,
@@ -195,13 +194,13 @@ pub struct Sender<M> {
 }
 
 impl<M> Sender<M> {
-    /// How many have subscribed.
+    /// Returns the number of subscribers.
     #[must_use]
     pub fn subscribers(&self) -> usize {
         self.publisher.subscribers()
     }
 
-    /// What has been published.
+    /// Returns the counts of what has been published.
     #[must_use]
     pub const fn sent(&self) -> Sent {
         self.sent
@@ -209,10 +208,10 @@ impl<M> Sender<M> {
 }
 
 impl<M: Message> Sender<M> {
-    /// Publishes a message.
+    /// Serialises and publishes a message.
     ///
     /// # Errors
-    /// The transport does not take it.
+    /// The transport does not accept the message.
     pub fn send(&mut self, message: &M) -> Result<()> {
         self.bytes.clear();
         put_cdr(message, &mut self.bytes);
@@ -224,10 +223,11 @@ impl<M: Message> Sender<M> {
     }
 }
 
-/// The next message of a subscription, if one comes in time.
+/// Takes the next message of a subscription, or `None` if none arrives within `wait`. The inner result is an error
+/// if the bytes are not a message of this type.
 ///
 /// # Errors
-/// The subscription has ended. Bytes that are no such message are the inner one.
+/// The subscription has ended.
 pub fn receive<M: Message>(
     subscription: &mut dyn Subscription,
     wait: Duration,
@@ -235,14 +235,14 @@ pub fn receive<M: Message>(
     Ok(subscription.take(wait)?.map(|cdr| from_cdr(&cdr)))
 }
 
-/// Something that is said now and then.
+/// Timer for something that is repeated at an interval.
 pub struct Now {
     every: Duration,
     last: Instant,
 }
 
 impl Now {
-    /// So often.
+    /// Creates a timer that is due once per interval, counted from now.
     #[must_use]
     pub fn every(every: Duration) -> Self {
         Self {
@@ -251,7 +251,7 @@ impl Now {
         }
     }
 
-    /// Whether it is time again.
+    /// Returns whether the interval has elapsed, and if so starts the next one.
     pub fn is_due(&mut self) -> bool {
         let is_due = self.last.elapsed() >= self.every;
         if is_due {

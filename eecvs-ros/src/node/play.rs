@@ -1,4 +1,4 @@
-//! `play`: a bag's messages to their topics.
+//! `play`: publishes the messages of a bag.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -15,7 +15,7 @@ use crate::transport::Publisher;
 /// Publish the messages of a bag on their topics, as they were received
 #[derive(Debug, Clone, Args)]
 pub struct Play {
-    /// Bag: a folder with metadata.yaml, an .mcap or a .db3 file
+    /// Bag: a folder with metadata.yaml, an .mcap file or a .db3 file
     #[arg(value_name = "BAG")]
     bag: PathBuf,
 
@@ -23,15 +23,15 @@ pub struct Play {
     #[arg(long, value_name = "real|max|N|Fx", default_value = "real")]
     rate: Pace,
 
-    /// Seconds from the bag's start at which to begin
+    /// Start this many seconds after the bag's start
     #[arg(long, value_name = "S", default_value_t = 0.0)]
     start_s: f64,
 
-    /// Begin anew at the end
+    /// Start again at the end
     #[arg(long)]
     repeat: bool,
 
-    /// Wait at most so many seconds until somebody has subscribed to a topic
+    /// Wait at most this many seconds for a subscriber to each topic
     #[arg(long, value_name = "S", default_value_t = 0)]
     wait_s: u32,
 
@@ -40,10 +40,10 @@ pub struct Play {
 }
 
 impl Play {
-    /// Plays until the end, or until it is to stop.
+    /// Plays until the end, or until a stop is requested.
     ///
     /// # Errors
-    /// No bag, or a damaged one, or one without messages of types that are known here; the transport.
+    /// The path is not a bag, the bag is damaged or has no messages of known types, or the transport fails.
     pub fn run(self, mut context: Context) -> Result<()> {
         ensure!(
             self.start_s.is_finite() && self.start_s >= 0.0,

@@ -1,4 +1,4 @@
-//! `record`: topics to a bag.
+//! `record`: records topics into a bag.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -12,14 +12,14 @@ use crate::message::{TYPES, Time, Type, sequence_of};
 use crate::sequence::Sequence;
 use crate::transport::Subscription;
 
-/// Record topics into a bag of ROS 2
+/// Record topics into a ROS 2 bag
 #[derive(Debug, Clone, Args)]
 pub struct Record {
-    /// Folder to make
+    /// Folder to create
     #[arg(short, long, value_name = "BAG")]
     output: PathBuf,
 
-    /// What messages are stored in
+    /// Storage format of the messages
     #[arg(long, value_enum, default_value = "mcap")]
     storage: Storage,
 
@@ -29,11 +29,11 @@ pub struct Record {
                             "density:eecvs_msgs/msg/Density"])]
     topic: Vec<(String, Type)>,
 
-    /// End after so many seconds
+    /// End after this many seconds
     #[arg(long, value_name = "S")]
     duration_s: Option<u32>,
 
-    /// End after so many seconds without messages; of none at all, never
+    /// End after this many seconds without messages, once there was one
     #[arg(long, value_name = "S")]
     idle_s: Option<u32>,
 
@@ -41,7 +41,7 @@ pub struct Record {
     qos: QosOptions,
 }
 
-/// Longest wait for one topic's messages while others' wait.
+/// Longest wait for the messages of one topic while those of others may be waiting.
 const WAIT: Duration = Duration::from_millis(5);
 
 fn topic(text: &str) -> Result<(String, Type), String> {
@@ -56,7 +56,7 @@ fn topic(text: &str) -> Result<(String, Type), String> {
     Ok((name.to_owned(), known))
 }
 
-/// A topic that is recorded.
+/// A topic being recorded.
 struct Recorded {
     name: String,
     kind: Type,
@@ -66,10 +66,10 @@ struct Recorded {
 }
 
 impl Record {
-    /// Records until it is to stop.
+    /// Records until a stop is requested, or until the set or the idle time is over.
     ///
     /// # Errors
-    /// The folder is there already or cannot be written; the transport.
+    /// The folder exists already or cannot be written, or the transport fails.
     pub fn run(self, mut context: Context) -> Result<()> {
         let qos = self.qos.qos();
         let mut recorded = Vec::new();
@@ -93,7 +93,7 @@ impl Record {
         }
         let mut writer = Writer::create(&self.output, self.storage, topics)?;
         let written = self.write(&context, &mut recorded, &mut writer);
-        // What was recorded before an error is a bag too.
+        // Complete the bag even after an error, so that what was recorded before it can be read.
         let messages = writer.messages();
         writer.finish()?;
         written?;
@@ -129,7 +129,7 @@ impl Record {
             }
             for (number, topic) in recorded.iter_mut().enumerate() {
                 let mut wait = WAIT;
-                // All that waits, then the next topic.
+                // Take everything that is waiting before turning to the next topic.
                 while let Some(cdr) = topic.subscription.take(wait)? {
                     wait = Duration::ZERO;
                     latest = Some(Instant::now());

@@ -1,8 +1,8 @@
 //! DDS, as ROS 2's default middlewares speak it.
 //!
-//! Types are matched by their names alone: [`crate::message::from_cdr`] refuses what has other fields. A message
-//! beyond a datagram's 64 kB travels in fragments of which none may be lost, so that best effort wants messages
-//! of 100 kB at the most and receivers with room for a burst of them.
+//! Types are matched by name only: [`crate::message::from_cdr`] rejects messages with other fields. A message
+//! beyond the 64 kB of a datagram is sent in fragments, and is lost if one fragment is. Best effort therefore needs
+//! messages of at most 100 kB, and receivers with room for a burst of them.
 
 use std::net::{IpAddr, Ipv4Addr};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -20,16 +20,16 @@ use super::{Node, Publisher, Qos, Subscription, Transport};
 use crate::message::{ENCAPSULATION, Type};
 use crate::names::NodeName;
 
-/// A participant of a domain.
+/// A participant in a domain.
 pub struct Dds {
     context: Context,
 }
 
 impl Dds {
-    /// Joins a domain; with `loopback` on this computer alone.
+    /// Joins a domain; with `loopback`, only on this computer.
     ///
     /// # Errors
-    /// No network, or another process has its ports.
+    /// There is no network, or another process occupies the ports.
     pub fn join(domain: u16, loopback: bool) -> Result<Self> {
         let mut builder = DomainParticipantBuilder::new(domain);
         if loopback {
@@ -58,7 +58,7 @@ impl Transport for Dds {
         let spinner = node
             .spinner()
             .map_err(|error| refused(&format!("{error:?}")))?;
-        // Ends with the node.
+        // The thread ends with the node.
         thread::Builder::new()
             .name("node".to_owned())
             .spawn(move || futures_executor::block_on(spinner.spin()))
@@ -69,7 +69,8 @@ impl Transport for Dds {
     }
 }
 
-/// Refuses to set parameters, which are flags: they take effect when a node starts. What they are declared with is fine.
+/// Refuses changes to parameters, which are flags that take effect when a node starts. The declared values are
+/// accepted.
 fn only_as_declared(
     parameters: Vec<(String, String)>,
 ) -> impl Fn(&str, &ParameterValue) -> Result<(), String> + Send + Sync {
@@ -84,14 +85,14 @@ fn only_as_declared(
     }
 }
 
-/// Shared with what it publishes and receives, as it knows who is at the other end of them.
+/// A node, shared with its publishers and subscriptions, because the node knows the remote ends of its topics.
 type Shared = Arc<Mutex<ros2_client::Node>>;
 
 struct DdsNode {
     node: Shared,
 }
 
-/// Runs `act` on a node. A panic while another thread had it has left it whole.
+/// Runs `act` on a node. Poisoning is ignored: a panic in another thread leaves the node consistent.
 fn on<T>(node: &Shared, act: impl FnOnce(&mut ros2_client::Node) -> T) -> T {
     act(&mut node.lock().unwrap_or_else(PoisonError::into_inner))
 }
@@ -165,10 +166,10 @@ struct DdsPublisher {
     latest: Option<Instant>,
 }
 
-/// Time in which the thread that sends has certainly sent what was published.
+/// Time within which the sending thread has certainly sent what was published.
 const LEAVES: Duration = Duration::from_millis(200);
 
-/// What was published last is still to be sent by a thread that ends with the participant.
+/// Waits until the latest message has been sent, since the thread that sends it ends with the participant.
 impl Drop for DdsPublisher {
     fn drop(&mut self) {
         if let Some(latest) = self.latest {
@@ -179,7 +180,7 @@ impl Drop for DdsPublisher {
 
 impl Publisher for DdsPublisher {
     fn publish(&mut self, cdr: &[u8]) -> Result<()> {
-        // The other two bytes are options that only others read.
+        // The other two bytes of the encapsulation are options, which are not needed here.
         let Some(([0, 1, _, _], fields)) = cdr.split_first_chunk() else {
             bail!(
                 "{}: a message that is not little-endian CDR of version 1",
@@ -187,7 +188,8 @@ impl Publisher for DdsPublisher {
             );
         };
         self.latest = Some(Instant::now());
-        // Fragments are not padded below: Cyclone DDS drops a message whose last one does not end with a word.
+        // The DDS library does not pad fragments, and Cyclone DDS drops a message whose last fragment is not a
+        // whole number of 4-byte words.
         let mut fields = fields.to_vec();
         fields.resize(fields.len().next_multiple_of(4), 0);
         let published = self.publisher.publish(Raw(fields));
@@ -195,7 +197,8 @@ impl Publisher for DdsPublisher {
     }
 
     fn subscribers(&self) -> usize {
-        // Of several nodes in a participant, one alone is told of a match: the topic's are counted.
+        // If a participant has several nodes, only one of them learns of a match: count the topic's subscriptions
+        // instead.
         on(&self.node, |node| node.subscription_count(&self.topic))
     }
 }
@@ -206,11 +209,11 @@ struct DdsSubscription {
     subscription: ros2_client::Subscription<Raw>,
     poll: Poll,
     events: Events,
-    /// Messages in a row that could not be taken.
+    /// Consecutive messages that could not be taken.
     refused: u32,
 }
 
-/// Messages in a row that are no messages; with more, it is the subscription that has ended.
+/// Number of consecutive unreadable messages after which the subscription counts as ended.
 const REFUSED_MAX: u32 = 10_000;
 
 impl Subscription for DdsSubscription {
@@ -223,7 +226,7 @@ impl Subscription for DdsSubscription {
                     bail!("{}: {error:?}", self.topic);
                 }
                 Err(_) => {
-                    // Whoever takes it finds that it is none, and counts it.
+                    // Empty bytes: the caller finds that they are not a message, and counts them.
                     self.refused += 1;
                     return Ok(Some(Vec::new()));
                 }

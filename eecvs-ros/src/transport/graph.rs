@@ -1,10 +1,10 @@
-//! Who publishes and subscribes what over Zenoh: the tokens by which `rmw_zenoh` announces it.
+//! The publishers and subscriptions on Zenoh, from the tokens by which `rmw_zenoh` announces them.
 //!
 //! ```text
 //! @ros2_lv/DOMAIN/SESSION/NODE/ENTITY/KIND/ENCLAVE/NAMESPACE/NAME[/TOPIC/TYPE/HASH/QOS]
 //! ```
 //!
-//! A `/` within a part is written `%`, and an empty part `%` alone.
+//! A `/` within a part is written as `%`, and an empty part is a single `%`.
 
 use std::collections::{HashMap, HashSet};
 
@@ -17,9 +17,9 @@ use crate::names::NodeName;
 pub enum Kind {
     /// A node.
     Node,
-    /// Somebody who publishes a topic.
+    /// A publisher of a topic.
     Publisher,
-    /// Somebody who receives it.
+    /// A subscription to a topic.
     Subscription,
 }
 
@@ -33,20 +33,20 @@ impl Kind {
     }
 }
 
-/// All tokens of a domain.
+/// Returns the key expression that matches all tokens of a domain.
 #[must_use]
 pub fn tokens_of(domain: u16) -> String {
     format!("@ros2_lv/{domain}/**")
 }
 
-/// The key of a topic's messages: domain, topic, type and its hash.
+/// Returns the key of a topic's messages: domain, topic, type and the type's hash.
 #[must_use]
 pub fn key_of(domain: u16, topic: &str, kind: Type) -> String {
     let topic = topic.trim_matches('/');
     format!("{domain}/{topic}/{}/{}", kind.dds(), kind.hash)
 }
 
-/// A node, as its tokens name it.
+/// The parts of the tokens of one node and of its publishers and subscriptions.
 #[derive(Debug, Clone)]
 pub struct NodeToken {
     start: String,
@@ -55,7 +55,7 @@ pub struct NodeToken {
 }
 
 impl NodeToken {
-    /// The `node`th of a session.
+    /// Creates the tokens of a session's node number `node`.
     #[must_use]
     pub fn new(domain: u16, session: &str, node: u64, name: &NodeName) -> Self {
         let namespace = mangled(&name.namespace);
@@ -66,20 +66,20 @@ impl NodeToken {
         }
     }
 
-    /// The node's own token.
+    /// Returns the node's own token.
     #[must_use]
     pub fn node(&self) -> String {
-        // A node is the entity of its own number.
+        // A node's entity number is its node number.
         let Self { start, node, end } = self;
         format!("{start}/{node}/{}/{end}", Kind::Node.code())
     }
 
-    /// The token of somebody in it, of a number that nobody else has in the session.
+    /// Returns the token of a publisher or subscription of this node; `entity` must be unique in the session.
     #[must_use]
     pub fn end_of(&self, entity: u64, kind: Kind, topic: &str, message: Type, qos: Qos) -> String {
         let Self { start, end, .. } = self;
         let topic = mangled(topic);
-        // What is as in the default profile is left out: reliable, volatile, the last ones kept, no deadlines.
+        // Values of the default profile are left out: reliable, volatile, keep last, no deadlines.
         let reliability = if qos.reliable { "" } else { "2" };
         format!(
             "{start}/{entity}/{}/{end}/{topic}/{}/{}/{reliability}::,{}:,:,:,,",
@@ -98,14 +98,15 @@ fn mangled(name: &str) -> String {
     }
 }
 
-/// Who publishes and receives what at present.
+/// The publishers and subscriptions that exist at present.
 #[derive(Debug, Default)]
 pub struct Graph {
     ends: HashMap<(Kind, String), HashSet<String>>,
 }
 
 impl Graph {
-    /// Takes a token that has come, or gone; what is no end of a topic is left out.
+    /// Records that a token has appeared or disappeared. Tokens that are not of a publisher or subscription are
+    /// ignored.
     pub fn take(&mut self, token: &str, is_there: bool) {
         let Some(end) = end(token) else { return };
         if is_there {
@@ -118,7 +119,7 @@ impl Graph {
         }
     }
 
-    /// How many ends of a kind a topic has.
+    /// Returns the number of publishers or subscriptions of a topic.
     #[must_use]
     pub fn count(&self, kind: Kind, topic: &str) -> usize {
         let end = (kind, mangled(topic));
@@ -142,7 +143,7 @@ mod tests {
     use super::*;
     use crate::message::{EventPacket, Message};
 
-    /// As in the design document of rmw_zenoh, which has other topics.
+    /// As in the design document of rmw_zenoh, except for the topics.
     #[test]
     fn tokens_are_written_as_ros_writes_them() {
         let name = NodeName::new("/", "listener").unwrap();

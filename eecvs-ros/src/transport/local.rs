@@ -1,8 +1,8 @@
 //! The memory of one process, in front of another transport.
 //!
-//! A message goes straight into the queues of subscriptions of the same process, and by the other transport to those
-//! elsewhere. What a node of this process publishes its subscriptions get from here alone, so that nodes are
-//! announced before any of them subscribes: [`Local::expect`] names the topics.
+//! A message goes directly into the queues of subscriptions in the same process, and through the other transport to
+//! subscriptions elsewhere. A subscription to a topic that this process publishes receives messages only from this
+//! process. Such topics must be known before any node subscribes: [`Local::expect`] names them.
 
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex};
@@ -15,13 +15,13 @@ use super::{Node, Publisher, Qos, Subscription, Transport};
 use crate::message::Type;
 use crate::names::NodeName;
 
-/// The memory of a process, and what is outside.
+/// The memory of a process, with an optional transport to the outside.
 pub struct Local {
     outside: Option<Arc<dyn Transport>>,
     shared: Arc<Mutex<Topics>>,
 }
 
-/// The topics that are published here.
+/// The topics that are published in this process.
 #[derive(Default)]
 struct Topics {
     published: HashSet<String>,
@@ -29,7 +29,7 @@ struct Topics {
 }
 
 impl Local {
-    /// In front of another transport.
+    /// Creates a local transport in front of another one.
     #[must_use]
     pub fn before(outside: Arc<dyn Transport>) -> Self {
         Self {
@@ -38,7 +38,7 @@ impl Local {
         }
     }
 
-    /// Without any other: nobody outside of the process is reached.
+    /// Creates a local transport without another one: no messages leave the process.
     #[must_use]
     pub fn alone() -> Self {
         Self {
@@ -47,7 +47,7 @@ impl Local {
         }
     }
 
-    /// Tells that a node of this process is going to publish a topic.
+    /// Declares that a node of this process is going to publish a topic.
     pub fn expect(&self, topic: String) {
         lock(&self.shared).published.insert(topic);
     }

@@ -1,6 +1,7 @@
-//! What carries messages: DDS, Zenoh, or the memory of one process.
+//! Transports of messages: DDS, Zenoh, or the memory of one process.
 //!
-//! Each of them takes and gives messages as CDR bytes ([`crate::message`]), so that nodes know nothing of them.
+//! All of them take and return messages as CDR bytes ([`crate::message`]), so that the nodes do not depend on the
+//! transport.
 
 pub mod dds;
 pub mod graph;
@@ -16,59 +17,60 @@ use anyhow::Result;
 use crate::message::Type;
 use crate::names::NodeName;
 
-/// How much care a topic's messages get. They are volatile: who comes later gets later ones.
+/// Quality of service of a topic. Messages are volatile: a late subscriber receives only later messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Qos {
-    /// Messages that wait at a subscription; beyond, the oldest are let go of.
+    /// Messages queued at a subscription; when more arrive, the oldest are dropped.
     pub depth: usize,
-    /// Whether what was lost is sent again. It wants both sides to ask for it.
+    /// Whether lost messages are resent. Both sides must request it.
     pub reliable: bool,
 }
 
-/// Something that carries messages.
+/// A network, or the memory of a process, that carries messages.
 pub trait Transport: Send + Sync {
-    /// Announces a node, with its parameters for those who ask.
+    /// Announces a node, with its parameters for those who ask for them.
     ///
     /// # Errors
     /// The network cannot be used.
     fn node(&self, name: &NodeName, parameters: &[(String, String)]) -> Result<Box<dyn Node>>;
 }
 
-/// A node that others see.
+/// An announced node.
 pub trait Node: Send {
-    /// Begins to publish.
+    /// Creates a publisher for the topic with this absolute name.
     ///
     /// # Errors
     /// The transport refuses the topic.
     fn publisher(&mut self, topic: &str, kind: Type, qos: Qos) -> Result<Box<dyn Publisher>>;
 
-    /// Begins to receive.
+    /// Creates a subscription to the topic with this absolute name.
     ///
     /// # Errors
     /// The transport refuses the topic.
     fn subscription(&mut self, topic: &str, kind: Type, qos: Qos) -> Result<Box<dyn Subscription>>;
 }
 
-/// A topic's messages on their way out.
+/// Sends the messages of one node on a topic.
 pub trait Publisher: Send {
-    /// Sends a message to whoever has subscribed. Without reliability it never waits.
+    /// Sends a message, as CDR bytes, to the subscribers. Without reliability it never waits.
     ///
     /// # Errors
-    /// The transport does not take it.
+    /// The transport does not accept the message.
     fn publish(&mut self, cdr: &[u8]) -> Result<()>;
 
-    /// How many have subscribed.
+    /// Returns the number of subscribers.
     fn subscribers(&self) -> usize;
 }
 
-/// A topic's messages on their way in.
+/// Receives the messages of a topic.
 pub trait Subscription: Send {
-    /// The oldest message that waits, or the first that comes in time. What the transport could not read is empty.
+    /// Returns the oldest waiting message, or the first that arrives within `wait`. A message that the transport
+    /// could not read is returned as empty bytes.
     ///
     /// # Errors
     /// The transport has ended.
     fn take(&mut self, wait: Duration) -> Result<Option<Vec<u8>>>;
 
-    /// How many publish.
+    /// Returns the number of publishers.
     fn publishers(&self) -> usize;
 }

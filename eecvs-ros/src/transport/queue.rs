@@ -1,10 +1,10 @@
-//! What waits for one subscription.
+//! The queue of messages for one subscription.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Messages that wait; beyond a depth, the oldest are let go of.
+/// A bounded queue of messages: when it is full, the oldest are dropped.
 pub struct Queue {
     depth: usize,
     waiting: Mutex<Waiting>,
@@ -17,13 +17,13 @@ struct Waiting {
     closed: bool,
 }
 
-/// Whoever panicked while something was locked has left it whole.
+/// Locks a mutex. Poisoning is ignored: a panic while it is locked leaves the contents consistent.
 pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Queue {
-    /// Nothing waits.
+    /// Creates an empty queue for `depth` messages, at least one.
     pub fn new(depth: usize) -> Self {
         Self {
             depth: depth.max(1),
@@ -32,7 +32,7 @@ impl Queue {
         }
     }
 
-    /// Adds a message; whether anyone is still to take it.
+    /// Adds a message; returns false if the queue is closed.
     pub fn push(&self, message: Arc<[u8]>) -> bool {
         let mut waiting = lock(&self.waiting);
         while waiting.messages.len() >= self.depth {
@@ -43,7 +43,7 @@ impl Queue {
         !waiting.closed
     }
 
-    /// The oldest message, or the first that comes in time.
+    /// Returns the oldest message, or the first that arrives within `wait`.
     pub fn take(&self, wait: Duration) -> Option<Vec<u8>> {
         let until = Instant::now() + wait;
         let mut waiting = lock(&self.waiting);
@@ -62,7 +62,7 @@ impl Queue {
         }
     }
 
-    /// Nobody takes any more.
+    /// Closes the queue: nothing takes messages from it any more.
     pub fn close(&self) {
         lock(&self.waiting).closed = true;
     }

@@ -1,8 +1,9 @@
-//! A message's bytes, passed through `ros2-client` as they are.
+//! Serialised messages, passed through `ros2-client` unchanged.
 //!
-//! Its publishers and subscriptions take what `serde` serialises, and no bytes. To CDR, a tuple is its elements,
-//! one behind the other: eight bytes as a `u64`, aligned from the start and therefore without padding, then those
-//! that are left, one at a time. Little-endian, as its serialiser is.
+//! Publishers and subscriptions of `ros2-client` accept only types that `serde` serialises, not bytes. In CDR a
+//! tuple is the sequence of its elements. The bytes are therefore written as a tuple: first eight at a time as
+//! `u64`, which are aligned from the start and so need no padding, then the remaining ones singly. Words are
+//! little-endian, as is the serialiser.
 
 use std::fmt;
 
@@ -10,11 +11,11 @@ use serde::de::{Error, SeqAccess, Visitor};
 use serde::ser::SerializeTuple;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// What stands behind the four bytes of a message's encapsulation.
+/// The bytes of a message after its four bytes of encapsulation.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Raw(pub Vec<u8>);
 
-/// Bytes of a word.
+/// Bytes in a word.
 const WORD: usize = size_of::<u64>();
 
 impl Serialize for Raw {
@@ -33,7 +34,7 @@ impl Serialize for Raw {
 
 impl<'de> Deserialize<'de> for Raw {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        // As many elements as there are.
+        // The number of elements is unknown: read until there are no more.
         deserializer.deserialize_tuple(usize::MAX, Elements)
     }
 }
@@ -49,7 +50,7 @@ impl<'de> Visitor<'de> for Elements {
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut elements: A) -> Result<Raw, A::Error> {
         let mut bytes = Vec::new();
-        // An element that does not fit into what is left takes nothing of it.
+        // An element that does not fit into the remaining bytes consumes none of them.
         while let Ok(Some(word)) = elements.next_element::<u64>() {
             bytes.extend_from_slice(&word.to_le_bytes());
         }

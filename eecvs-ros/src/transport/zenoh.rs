@@ -1,7 +1,8 @@
 //! Zenoh, as ROS 2's `rmw_zenoh` speaks it.
 //!
-//! A session connects to a router (`eecvs-ros router`, `rmw_zenohd` or `zenohd`) and, by what that tells, to the
-//! others at it. Keys carry the types' hashes: messages of other fields never meet. Parameters are not served.
+//! A session connects to a router (`eecvs-ros router`, `rmw_zenohd` or `zenohd`) and, by what the router reports,
+//! to the other sessions connected to it. Keys contain the hashes of types, so that messages with other fields are
+//! never received. Parameters are not served.
 
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
@@ -22,26 +23,27 @@ use super::{Node, Publisher, Qos, Subscription, Transport};
 use crate::message::Type;
 use crate::names::NodeName;
 
-/// Where a router listens unless it is told otherwise.
+/// Default endpoint of a router.
 pub const ROUTER: &str = "tcp/localhost:7447";
 
-/// What a session connects to and listens at.
+/// The endpoints and settings of a session or router.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Links {
-    /// Endpoints, as Zenoh spells them: `tcp/HOST:PORT`.
+    /// Endpoints to connect to, as Zenoh spells them: `tcp/HOST:PORT`.
     pub connect: Vec<String>,
-    /// Endpoints.
+    /// Endpoints to listen on.
     pub listen: Vec<String>,
-    /// A file of Zenoh's own settings, which come first; endpoints above replace its own.
+    /// A file with Zenoh's settings, used instead of the defaults here; the endpoints above replace those in the
+    /// file.
     pub config: Option<PathBuf>,
 }
 
-/// Errors of Zenoh are boxed ones that anyhow does not take.
+/// Converts Zenoh's boxed errors, which `anyhow` does not accept, and puts `what` in front.
 fn said(what: impl Display) -> impl FnOnce(zenoh::Error) -> anyhow::Error {
     move |error| anyhow!("{what}: {error}")
 }
 
-/// Settings, the values in JSON.
+/// Applies settings, whose values are JSON5.
 fn with(mut config: Config, settings: &[(&str, &str)]) -> Result<Config> {
     for (name, value) in settings {
         let inserted = config.insert_json5(name, value);
@@ -50,8 +52,8 @@ fn with(mut config: Config, settings: &[(&str, &str)]) -> Result<Config> {
     Ok(config)
 }
 
-/// What is the same for sessions and routers: nobody is called by multicast, two sessions have one link and not one
-/// by each of them, a burst of messages finds room on its way out, and a link that has failed is soon tried again.
+/// Defaults for sessions and routers: no discovery by multicast, a single link between two sessions instead of one
+/// opened by each, room for a burst of outgoing messages, and quick retries of a failed link.
 const SETTINGS: &[(&str, &str)] = &[
     ("scouting/multicast/enabled", "false"),
     (
@@ -88,7 +90,7 @@ impl Links {
         Ok(config)
     }
 
-    /// Whom they lead to, for messages.
+    /// Returns the endpoints that the session connects to, for messages.
     fn others(&self) -> String {
         match &self.config {
             _ if !self.connect.is_empty() => self.connect.join(", "),
@@ -102,16 +104,16 @@ fn read(path: &Path) -> Result<Config> {
     Config::from_file(path).map_err(said(path.display()))
 }
 
-/// A router, until it is dropped.
+/// A router, which runs until it is dropped.
 pub struct Router {
     session: Session,
 }
 
 impl Router {
-    /// Listens and connects.
+    /// Starts a router: listens and connects.
     ///
     /// # Errors
-    /// Settings, or an endpoint that cannot be listened at.
+    /// Zenoh refuses the settings, or cannot listen on an endpoint.
     pub fn start(links: &Links) -> Result<Self> {
         let listen = serde_json::to_string(&[ROUTER])?;
         let config = links.config("router", &[("listen/endpoints", listen.as_str())])?;
@@ -121,7 +123,7 @@ impl Router {
         })
     }
 
-    /// Routers and others that are connected.
+    /// Returns the numbers of connected routers and of other connected sessions.
     #[must_use]
     pub fn connected(&self) -> (usize, usize) {
         let info = self.session.info();
@@ -139,18 +141,18 @@ struct Shared {
     domain: u16,
     session: Session,
     graph: Arc<Mutex<Graph>>,
-    /// Numbers of nodes and of what is in them.
+    /// The next entity number, for nodes, publishers and subscriptions.
     entities: AtomicU64,
 }
 
-/// Longest wait for a first connection; it is tried on after that.
+/// Longest wait for the first connection; Zenoh keeps trying after that.
 const CONNECTS: Duration = Duration::from_secs(3);
 
 impl Zenoh {
-    /// Joins a domain.
+    /// Joins a domain. If there is no connection within 3 s, prints a message and returns all the same.
     ///
     /// # Errors
-    /// Settings that Zenoh does not take.
+    /// Zenoh refuses the settings.
     pub fn join(domain: u16, links: &Links) -> Result<Self> {
         let router = serde_json::to_string(&[ROUTER])?;
         let own = [
@@ -232,7 +234,7 @@ struct ZenohNode {
 }
 
 impl ZenohNode {
-    /// Announces an end of a topic: its token as text, too.
+    /// Announces a publisher or subscription; also returns its token as text.
     fn end(
         &self,
         kind: Kind,
@@ -296,14 +298,15 @@ impl Node for ZenohNode {
     }
 }
 
-/// What ROS 2 wants to know of every message: 33 bytes.
+/// The metadata that ROS 2 expects with every message, 33 bytes: sequence number, time, length of the publisher's
+/// ID, and the ID.
 struct Attachment {
     sequence: i64,
     publisher: [u8; 16],
 }
 
 impl Attachment {
-    /// Of a publisher, which is known by the hash of its token.
+    /// Creates the attachment of a publisher, whose ID is the hash of its token.
     fn new(token: &str) -> Self {
         let hash = twox_hash::XxHash3_128::oneshot(token.as_bytes());
         Self {
@@ -334,10 +337,10 @@ struct ZenohPublisher {
     _announced: LivelinessToken,
 }
 
-/// Time in which what was published has certainly left.
+/// Time within which what was published has certainly been sent.
 const LEAVES: Duration = Duration::from_millis(200);
 
-/// What was published last is still to be sent by a task that ends with the session.
+/// Waits until the latest message has been sent, since the task that sends it ends with the session.
 impl Drop for ZenohPublisher {
     fn drop(&mut self) {
         if let Some(latest) = self.latest {

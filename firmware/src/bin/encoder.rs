@@ -25,7 +25,7 @@ fn main() -> ! {
         Encoding::new(sender)
     });
     let Some(mut encoding) = encoding else {
-        // Every part of the above is there once, and this runs once.
+        // Never reached: every part of the above exists once, and this runs once.
         fault::stop();
     };
     defmt::info!("ready on {=str}", board::NAME);
@@ -44,6 +44,6 @@ fn PendSV() {
 #[exception]
 fn SysTick() {
     clock::on_wrap();
-    // The last bytes of a packet may be too few to ask for it.
+    // The last bytes of a packet may be too few to trigger PendSV.
     SCB::set_pendsv();
 }

@@ -1,8 +1,10 @@
-//! The golden vectors on the target: the same bits as on the host, or the image exits with an
-//! error; and what some targets have code of their own for against what is portable: words taken in
-//! runs against words taken one by one, sums of lists against those of impulses that are none, and the
-//! walks of the eight-coefficient DCT, of the Haar transform on 16 bins and of both event coders against
-//! those that a trace listens to. For QEMU.
+//! Golden vectors on the target: they have to give the same bits as on the host, or the image exits with an error.
+//! For QEMU.
+//!
+//! The image also compares code that some targets have of their own with the portable code: words taken in runs
+//! with words taken one by one, sums of lists with those of impulses that are not in lists, and the walks of the
+//! eight-coefficient DCT, of the Haar transform on 16 bins and of both event coders with the walks that run under a
+//! trace.
 #![no_std]
 #![no_main]
 
@@ -31,34 +33,34 @@ use eecvs_nostd::{
     bitmap_words, segments,
 };
 
-/// A golden vector: `tests/golden.rs` describes it.
+/// A golden vector, as described in `tests/golden.rs`.
 struct Golden {
     width: u16,
     height: u16,
     transform: &'static str,
     m: u8,
-    /// As in a setup.
+    /// Code of the mode, as in a setup.
     mode: u8,
     fidelity: u32,
-    /// (t_us, x, y, p)
+    /// (t_us, x, y, p).
     events: &'static [(u64, u16, u16, u8)],
     frames: &'static [&'static [u8]],
 }
 
 include!(concat!(env!("OUT_DIR"), "/golden.rs"));
 
-/// The sensor of the walks: wide enough for long gaps.
+/// Sensor of the walks: wide enough for long gaps.
 const WIDE: (u16, u16) = (2048, 8);
 const SEGMENTS: usize = segments(WIDE.0, WIDE.1);
 type Small = Storage<400, SEGMENTS, { bitmap_words(SEGMENTS) }, 64>;
 
-/// The sensor of the dense coder's walk: rows and segments enough for all neighbours.
+/// Sensor of the dense coder's walk: it has enough rows and segments for all neighbours.
 #[cfg(not(feature = "microbit"))]
 const TALL: Sensor = Sensor {
     width: 100,
     height: 40,
 };
-/// Enough for it and for the vectors' sensor, with the window before.
+/// Words enough for this sensor and for that of the vectors, with the window before.
 #[cfg(not(feature = "microbit"))]
 const DENSE_WORDS: usize = words(TALL, true);
 #[cfg(not(feature = "microbit"))]
@@ -170,12 +172,12 @@ fn holds(golden: &Golden, storage: &mut Small, dense: Option<DenseMemory<'_>>) -
 const STREAMS: u32 = 64;
 const STREAM_WORDS: usize = 4000;
 
-/// Words of all kinds: mostly events on a sensor of 40 x 3 or next to it, some times that go forth
-/// and back, and any others.
+/// Generates words of all kinds: mostly events on a sensor of 40 x 3 or next to it, some times that go forwards and
+/// back, and any others.
 struct Words {
     random: u32,
     t_us: u32,
-    /// Comes after a time.
+    /// The event to return after a time word.
     event: Option<u32>,
     high: u32,
 }
@@ -229,10 +231,10 @@ impl Iterator for Words {
     }
 }
 
-/// Whether words in runs of any length give the frames of words one by one.
+/// Returns whether words in runs of any length give the same frames as words one by one.
 #[inline(never)]
 fn runs_hold(seed: u32, storage: &mut Small) -> bool {
-    // Some windows close early, some of those at an event that is not the latest.
+    // Some windows close early, some of them at an event that is not the latest.
     let window_us = [3000, 100 + seed, 1 << 20][seed as usize % 3];
     let golden = Golden {
         width: 40,
@@ -295,11 +297,11 @@ fn runs_hold(seed: u32, storage: &mut Small) -> bool {
     in_runs == one_by_one && in_runs.events > 0
 }
 
-/// Lists of one impulse more from one to the next.
+/// Number of lists, each with one impulse more than the one before.
 #[cfg(not(feature = "microbit"))]
 const LISTS: u32 = 2 * CHUNK_EVENTS as u32 + 3;
 
-/// Whether the first chunk of a list has the same sums as a list and as impulses that are none.
+/// Returns whether the first chunk has the same sums as a list and as impulses that are not in a list.
 #[cfg(not(feature = "microbit"))]
 #[inline(never)]
 fn sums_hold<B: Basis>(seed: u32, grid: usize) -> bool {
@@ -319,7 +321,7 @@ fn sums_hold<B: Basis>(seed: u32, grid: usize) -> bool {
     let mut sums = [[Sum::NEG_ONE; 32]; 2];
     B::accumulate(list.clone(), scale, grid, &mut sums[0]);
     let rest = B::accumulate_list(&list, scale, grid, &mut sums[1]);
-    // But for c_0, which is the caller's.
+    // Except for c_0, which the caller sets.
     let [expected, found] = &mut sums;
     let known = if B::TRANSFORM.is_complex() { 2 } else { 1 };
     expected[..known].fill(Sum::ZERO);
@@ -340,8 +342,8 @@ impl Trace for Listener {
     fn enter(&mut self, _: Stage) {}
 }
 
-/// Whether both walks give the same frames: single events and crowded pixels, all of one polarity
-/// and mixed, neighbours and far apart, at every kind of step.
+/// Returns whether both walks give the same frames: with single events and crowded pixels, of one polarity and
+/// mixed, neighbours and far apart, with every kind of step.
 #[inline(never)]
 fn walks_hold(seed: u32, (transform, mode): (Transform, u8), storage: &mut Small) -> bool {
     let golden = Golden {
@@ -375,7 +377,7 @@ fn walks_hold(seed: u32, (transform, mode): (Transform, u8), storage: &mut Small
                 t_us: u64::from(i * 64 + random.below(100)) << scale,
                 x: (random.below(columns) + random.below(2) * (2048 - columns)) as u16,
                 y: (random.below(2) * 7) as u16,
-                // Of one polarity in every other one.
+                // Every other seed has one polarity only.
                 polarity: Polarity::from_bool(seed.is_multiple_of(2) || random.below(2) == 0),
             };
             while encoder.push(event) == Push::Closed {
@@ -390,8 +392,8 @@ fn walks_hold(seed: u32, (transform, mode): (Transform, u8), storage: &mut Small
     portable.is_some_and(|digest| digest.events > 0) && digest(storage, false) == portable
 }
 
-/// Whether the dense coder's walks give the same frames, with the window before and without it: events
-/// far apart, edges of equal times, which rows come to follow, crowded pixels, frames that overflow.
+/// Returns whether the dense coder's walks give the same frames, with the window before and without it: with events
+/// far apart, edges of equal times (which rows come to follow), crowded pixels, and frames that overflow.
 #[cfg(not(feature = "microbit"))]
 #[inline(never)]
 fn dense_walk_holds(seed: u32, storage: &mut Small, (model, memory): &mut Dense) -> bool {
@@ -408,7 +410,7 @@ fn dense_walk_holds(seed: u32, storage: &mut Small, (model, memory): &mut Dense)
     let Some(mut config) = config(&golden) else {
         return false;
     };
-    // Times of 6 to 18 bits, of which the walk takes up to 17.
+    // Times of 6 to 18 bits, of which the walk handles up to 17.
     config.window.window_us = [32_768, 60, 10_000, 65_536, 131_073, 131_072][seed as usize % 6];
     let used = if (seed / 2).is_multiple_of(2) {
         memory.len()
@@ -424,7 +426,7 @@ fn dense_walk_holds(seed: u32, storage: &mut Small, (model, memory): &mut Dense)
         for i in 0..WALK_EVENTS {
             let (x, y) = match seed / 6 % 4 {
                 0 => (random.below(100), random.below(40)),
-                // An edge that moves: a column of equal times, one after the other.
+                // A moving edge: columns of equal times, one after the other.
                 1 => (i / 40 % 100, i % 40),
                 2 => (30 + random.below(4), 14 + random.below(4)),
                 _ => (random.below(100), 15 + random.below(3)),
@@ -452,7 +454,7 @@ fn dense_walk_holds(seed: u32, storage: &mut Small, (model, memory): &mut Dense)
     portable.is_some_and(|digest| digest.events > 0) && digest(false) == portable
 }
 
-/// What is compared of frames.
+/// The part of frames that is compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Digest {
     frames: u32,

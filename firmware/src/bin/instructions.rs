@@ -1,9 +1,9 @@
-//! Instructions per stage, on real windows, in QEMU: prints a line of JSON for each cut, transform
-//! and M. `firmware/instructions.sh` builds the cuts and runs this.
+//! Counts instructions per stage on real windows, in QEMU: prints a line of JSON for each cut, transform and M.
+//! `firmware/instructions.sh` builds the cuts and runs this.
 //!
-//! QEMU's `-icount shift=0` makes an instruction one nanosecond of virtual time, and its TIM2 runs
-//! at 1 GHz: the timer counts instructions. The image checks that first. These are instructions,
-//! not cycles: no flash waits, no pipeline.
+//! With QEMU's `-icount shift=0` an instruction takes one nanosecond of virtual time, and its TIM2 runs at 1 GHz,
+//! so the timer counts instructions. The image checks that first. These are instructions, not cycles: there are no
+//! flash wait states and no pipeline.
 //!
 //! | figure | measured |
 //! |---|---|
@@ -67,7 +67,7 @@ macro_rules! cut {
     };
 }
 
-/// Origin, name, words; empty where the recording was not there.
+/// Origin, name and words of each cut; the words are empty if the recording was missing.
 static CUTS: [(&str, &str, &[u8]); 6] = [
     cut!("recordings", "davis346"),
     cut!("recordings", "sparse"),
@@ -103,7 +103,7 @@ impl Cut {
     }
 }
 
-/// Name, transform, M (0 where there is none) and mode of every run.
+/// Name, transform, M (0 where it does not apply) and mode of every run.
 const WAYS: [(&str, Transform, u8, Mode); 8] = [
     ("dct", Transform::Dct, 8, Mode::Transform),
     ("dct", Transform::Dct, 16, Mode::Transform),
@@ -122,10 +122,10 @@ const fn lossless(coder: Coder) -> Mode {
     })
 }
 
-/// Instructions so far; wraps after 2^32.
+/// Returns the number of instructions so far; wraps at 2^32.
 #[inline(always)]
 fn instructions() -> u32 {
-    // SAFETY: a read of a counter, which has no side effects.
+    // SAFETY: this reads a counter, which has no side effects.
     unsafe { &*TIM2::ptr() }.cnt().read().bits()
 }
 
@@ -139,7 +139,7 @@ struct Probe {
 }
 
 impl Probe {
-    /// What was before the first stage counts as one more.
+    /// Everything before the first stage counts as one more stage.
     const STAGES: usize = Stage::ALL.len() + 1;
 
     const fn new() -> Self {
@@ -151,7 +151,7 @@ impl Probe {
         }
     }
 
-    /// What a stage of no instructions is measured to take.
+    /// Returns what the probe measures for a stage without instructions.
     fn cost() -> u32 {
         let mut probe = Self::new();
         probe.enter(Stage::Frame);
@@ -161,11 +161,11 @@ impl Probe {
 }
 
 impl Trace for Probe {
-    // Never inlined: every call costs the same, whatever surrounds it.
+    // Never inlined, so that every call costs the same, whatever surrounds it.
     #[inline(never)]
     fn enter(&mut self, stage: Stage) {
         let spent = instructions().wrapping_sub(self.since);
-        // The mask is the bounds check.
+        // The remainder serves as the bounds check.
         let before = self.stage % Self::STAGES;
         self.spent[before] = self.spent[before].wrapping_add(spent);
         self.calls[before] += 1;
@@ -174,7 +174,7 @@ impl Trace for Probe {
     }
 }
 
-/// What an encoded cut gave.
+/// Result of encoding a cut.
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct Output {
     windows: u32,
@@ -182,7 +182,7 @@ struct Output {
     pixels: u32,
     events: u32,
     bytes: u32,
-    /// Of the frames' own CRCs.
+    /// Checksum of the frames' own CRCs.
     check: u32,
 }
 
@@ -200,7 +200,7 @@ impl Output {
     }
 }
 
-/// Instructions and output of an encoder that is set up anew.
+/// Measures the instructions and output of an encoder that is set up anew.
 #[inline(never)]
 fn measure<T: Trace>(
     config: Config,
@@ -209,7 +209,7 @@ fn measure<T: Trace>(
     out: &mut [u8],
     trace: &mut T,
 ) -> Option<(u32, Output)> {
-    // Borrowed where it is: moved, it would be on the stack twice.
+    // Borrowed in place: if it were moved, it would be on the stack twice.
     let encoder = &mut set_up(config, storage, dense);
     let Ok(encoder) = encoder else {
         return None;
@@ -219,7 +219,7 @@ fn measure<T: Trace>(
     Some((instructions().wrapping_sub(before), output))
 }
 
-/// The copies of an encoder that is being put together leave the stack with this.
+/// Separate, so that the copies made while an encoder is built leave the stack with this function.
 #[inline(never)]
 fn set_up<'b>(
     config: Config,
@@ -262,11 +262,11 @@ fn encode<T: Trace>(
     output
 }
 
-/// Instructions of a loop whose number is known: 2 * 1,000.
+/// Counts a loop with a known number of instructions: 2 * 1,000.
 fn known_loop() -> u32 {
     let mut turns = 1000;
     let before = instructions();
-    // SAFETY: counts a register down; touches nothing else.
+    // SAFETY: this counts a register down and touches nothing else.
     unsafe {
         asm!("2:", "subs {0}, #1", "bne 2b", inout(reg) turns, options(nomem, nostack));
     }
@@ -298,7 +298,7 @@ fn main() -> ! {
         let Some(cut) = Cut::parse(bytes) else {
             continue;
         };
-        // A hybrid frame does not say how many: those of the transforms' frames.
+        // A hybrid frame does not say how many pixels it has: take the number from the transforms' frames.
         let mut pixels = 0;
         for (label, transform, m, mode) in WAYS {
             let config = Config {

@@ -1,14 +1,14 @@
-//! Instructions of every kernel of the accumulate stage, on the pixels of a cut, in QEMU: prints a
-//! line of JSON for each kernel, transform and M. `firmware/kernels.sh` builds and runs this.
+//! Counts instructions of every kernel of the accumulate stage on the pixels of a cut, in QEMU: prints a line of
+//! JSON for each kernel, transform and M. `firmware/kernels.sh` builds and runs this.
 //!
-//! The cut is the file `cut.words` of the folder that QEMU runs in, read over semihosting:
-//! `crates/eecvs-bench/src/kernel_image.rs` writes it and says what is in it. Counted is what the
-//! host times: every pixel, from its impulses, oldest first, to sums in memory. They are where a
-//! window has them, in lists of slots. The pixels come in two parts, those of a few events and the
-//! crowded ones, which are counted one after the other.
+//! The cut is the file `cut.words` in the folder in which QEMU runs, read over semihosting;
+//! `crates/eecvs-bench/src/kernel_image.rs` writes it and describes its content. What is counted is what the host
+//! times: every pixel, from its impulses, oldest first, to sums in memory. The impulses are where a window has
+//! them, in lists of slots. The pixels come in two parts, those with few events and the crowded ones, which are
+//! counted one after the other.
 //!
-//! A second pass makes a checksum of all sums, which are the host's bit by bit, those in f32 too.
-//! These are instructions, not cycles: no flash waits, no pipeline.
+//! A second pass computes a checksum of all sums, which are the same as the host's bit by bit, also those in f32.
+//! These are instructions, not cycles: there are no flash wait states and no pipeline.
 #![no_std]
 #![no_main]
 
@@ -31,17 +31,17 @@ use eecvs_nostd::transform::{Basis, Dct, Dtft, Dwt};
 use heapless::Vec;
 use static_cell::ConstStaticCell;
 
-/// Events, and so pixels, of the largest cut.
+/// Most events, and so most pixels, of a cut.
 const EVENTS: usize = 8192;
-/// Windows of the cut that has the most, each in two parts.
+/// Most windows of a cut, each in two parts.
 const WINDOWS: usize = 128;
-/// M of the measurements.
+/// Values of M that are measured.
 const M: [u8; 4] = [8, 16, 24, 64];
 /// 2K of the largest K.
 const NUMBERS: usize = 256;
-/// Sums of a pixel of several chunks.
+/// Sums of a pixel with several chunks.
 type Totals = [u64; NUMBERS];
-/// Ends with the 0 that semihosting wants.
+/// Ends with the 0 that semihosting expects.
 const FILE: &[u8] = b"cut.words\0";
 
 static CUT: ConstStaticCell<Cut> = ConstStaticCell::new(Cut::EMPTY);
@@ -55,12 +55,12 @@ struct Window {
     pixels: usize,
 }
 
-/// A cut as it lies in memory.
+/// A cut in memory.
 struct Cut {
     windows: Vec<Window, WINDOWS>,
     /// Events of each pixel.
     lengths: Vec<u16, EVENTS>,
-    /// Windows, pixels and events of the first part.
+    /// Number of windows, pixels and events in the first part.
     few: [usize; 3],
 }
 
@@ -70,7 +70,7 @@ struct Part<'c> {
     windows: &'c [Window],
     lengths: &'c [u16],
     lists: LaidOut<'c>,
-    /// Impulses before them.
+    /// Number of impulses before them.
     first: usize,
 }
 
@@ -81,7 +81,7 @@ impl Cut {
         few: [0; 3],
     };
 
-    /// Takes the file in; `None` where it is not there, is no cut or has no room.
+    /// Reads the file; `None` if it is missing, is not a cut, or does not fit.
     fn read(&mut self, lists: &mut Lists<'_>) -> Option<()> {
         let mut impulses = 0;
         let mut input = Input::open()?;
@@ -98,7 +98,7 @@ impl Cut {
                         offset_us: word >> 1,
                         is_on: word % 2 == 1,
                     }))?;
-                    // Not so after a list that was short of words.
+                    // Differs after a list that was short of words.
                     (first == impulses).then_some(())?;
                     impulses += events as usize;
                 }
@@ -110,7 +110,7 @@ impl Cut {
         (lists.push([])? == impulses).then_some(())
     }
 
-    /// The pixels of a few events, and the crowded ones.
+    /// Returns the pixels with few events, and the crowded ones.
     fn parts<'c>(&'c self, lists: LaidOut<'c>) -> [Part<'c>; 2] {
         let [windows, pixels, first] = self.few;
         let windows = self.windows.split_at(windows);
@@ -128,7 +128,7 @@ impl Cut {
     }
 }
 
-/// Words of the host's file.
+/// Reads words of the host's file.
 struct Input {
     handle: usize,
     buffer: [u8; Self::BYTES],
@@ -140,7 +140,7 @@ impl Input {
     const BYTES: usize = 1024;
 
     fn open() -> Option<Self> {
-        // SAFETY: SYS_OPEN reads a name of so many bytes, which ends with a 0.
+        // SAFETY: SYS_OPEN reads a name of that many bytes, which ends with a 0.
         let handle = unsafe { syscall!(OPEN, FILE.as_ptr(), nr::open::R_BINARY, FILE.len() - 1) };
         (handle != usize::MAX).then_some(Self {
             handle,
@@ -152,7 +152,7 @@ impl Input {
 
     fn word(&mut self) -> Option<u32> {
         if self.at == self.end {
-            // SAFETY: SYS_READ writes at most so many bytes, which the buffer has.
+            // SAFETY: SYS_READ writes at most that many bytes, which the buffer has.
             let left =
                 unsafe { syscall!(READ, self.handle, self.buffer.as_mut_ptr(), Self::BYTES) };
             self.at = 0;
@@ -164,12 +164,12 @@ impl Input {
     }
 }
 
-/// A kernel's sum.
+/// A sum of a kernel.
 trait Number: Copy + Default {
-    /// Its bits, of which a shorter one has the lower.
+    /// Returns its bits; a shorter type fills the lower ones.
     fn bits(self) -> u64;
 
-    /// Adds it to the bits of a pixel's total.
+    /// Adds the sum to the bits of a pixel's total.
     fn add_to(self, total: &mut u64);
 }
 
@@ -206,22 +206,22 @@ impl Number for f32 {
     }
 }
 
-/// Listens to the sums of every chunk.
+/// Receives the sums of every chunk.
 trait Listen<S> {
     fn chunk(&mut self, sums: &[S]);
 }
 
-/// To nothing.
+/// Ignores the sums.
 impl<S> Listen<S> for () {
     #[inline(always)]
     fn chunk(&mut self, _: &[S]) {}
 }
 
-/// A checksum of the sums of k = 1 to K - 1.
+/// Computes a checksum of the sums of k = 1 to K - 1.
 struct Checksum {
     value: u32,
     grid: usize,
-    /// Sums that are coefficients: K, or 2K of a complex transform.
+    /// Number of sums that are coefficients: K, or 2K for a complex transform.
     values: usize,
 }
 
@@ -243,7 +243,7 @@ impl<S: Number> Listen<S> for Checksum {
 struct Core<A: Accumulate<B>, B: Basis> {
     grid: usize,
     work: A::Work,
-    /// Of a chunk.
+    /// Sums of a chunk.
     sums: [A::Sum; NUMBERS],
 }
 
@@ -259,20 +259,20 @@ where
         }
     }
 
-    /// A pixel of a chunk at the most into `sums`. Not inlined: what is counted is what the checksum is
-    /// of.
+    /// Accumulates a pixel of at most one chunk into `sums`. Not inlined, so that the code that is counted is the
+    /// code that is checked.
     #[inline(never)]
     fn whole(&mut self, impulses: &Impulses<'_>, scale: &PhaseScale) {
         A::accumulate_list(impulses, *scale, self.grid, &mut self.work, &mut self.sums);
     }
 
-    /// A chunk of a larger one; returns the others where the kernel comes by them.
+    /// Accumulates a chunk of a larger pixel; returns the other events if the kernel has them at hand.
     #[inline(never)]
     fn chunk<'l>(&mut self, impulses: &Impulses<'l>, scale: &PhaseScale) -> Option<Impulses<'l>> {
         A::accumulate_list(impulses, *scale, self.grid, &mut self.work, &mut self.sums)
     }
 
-    /// Every pixel of a part: in `sums`, or in `totals` where it has several chunks.
+    /// Accumulates every pixel of a part: into `sums`, or into `totals` if it has several chunks.
     #[inline(never)]
     fn pass(&mut self, part: Part<'_>, totals: &mut Totals, listener: &mut impl Listen<A::Sum>) {
         let (mut lengths, mut first) = (part.lengths, part.first);
@@ -293,7 +293,7 @@ where
         }
     }
 
-    /// A pixel of several chunks. Apart, so that the few do not weigh on the many.
+    /// Accumulates a pixel with several chunks. Separate, so that the few such pixels do not weigh on the many.
     #[cold]
     #[inline(never)]
     fn several(
@@ -320,7 +320,7 @@ where
     }
 }
 
-/// What is counted, and with what.
+/// What is counted, and the counter.
 struct Bench<'b> {
     counter: counter::Counter,
     parts: [Part<'b>; 2],
@@ -328,7 +328,7 @@ struct Bench<'b> {
 }
 
 impl Bench<'_> {
-    /// A kernel at every M; `None` where the counter cannot hold a count.
+    /// Measures a kernel at every M; `None` if the counter cannot hold a count.
     #[inline(never)]
     fn measure<A: Accumulate<B>, B: Basis>(&mut self) -> Option<()>
     where
@@ -336,7 +336,7 @@ impl Bench<'_> {
     {
         let mut core = Core::<A, B>::new();
         for m in M {
-            // What is known of K here, the encoder does not know either.
+            // Hide K from the compiler here, as the encoder does not know it either.
             core.grid = black_box(usize::from(B::TRANSFORM.grid_size(m, None)));
             let mut counts = [0; 2];
             for (part, count) in self.parts.into_iter().zip(&mut counts) {
@@ -379,17 +379,16 @@ impl Bench<'_> {
     }
 }
 
-/// QEMU's `-icount shift=0` makes an instruction one nanosecond of virtual time, and its TIM2 runs
-/// at 1 GHz.
+/// With QEMU's `-icount shift=0` an instruction takes one nanosecond of virtual time, and its TIM2 runs at 1 GHz.
 #[cfg(feature = "stm32f405")]
 mod counter {
     use stm32f4::stm32f405::{Peripherals, TIM2};
 
-    /// Counts instructions.
+    /// Counts instructions with the timer TIM2.
     pub struct Counter(TIM2);
 
     impl Counter {
-        /// Starts it; once.
+        /// Starts the counter; returns `None` on a second call.
         pub fn new() -> Option<Self> {
             let peripherals = Peripherals::take()?;
             peripherals
@@ -400,7 +399,7 @@ mod counter {
             Some(Self(peripherals.TIM2))
         }
 
-        /// Instructions of `run`, below 2^32.
+        /// Returns the instructions of `run`, which have to be below 2^32.
         pub fn count(&mut self, run: impl FnOnce()) -> Option<u32> {
             let before = self.0.cnt().read().bits();
             run();
@@ -409,8 +408,8 @@ mod counter {
     }
 }
 
-/// QEMU's `-icount shift=0` makes an instruction one nanosecond of virtual time, and the SysTick
-/// timer of this machine runs at 25 MHz: a tick is 40 instructions.
+/// With QEMU's `-icount shift=0` an instruction takes one nanosecond of virtual time, and the SysTick timer of this
+/// machine runs at 25 MHz: a tick is 40 instructions.
 #[cfg(feature = "mps2")]
 mod counter {
     use cortex_m::Peripherals;
@@ -420,11 +419,11 @@ mod counter {
     const TICK: u32 = 40;
     const TICKS: u32 = 1 << 24;
 
-    /// Counts instructions, by the tick.
+    /// Counts instructions with the SysTick timer, to a tick.
     pub struct Counter(SYST);
 
     impl Counter {
-        /// Starts it; once.
+        /// Starts the counter; returns `None` on a second call.
         pub fn new() -> Option<Self> {
             let mut timer = Peripherals::take()?.SYST;
             timer.set_clock_source(SystClkSource::Core);
@@ -434,10 +433,10 @@ mod counter {
             Some(Self(timer))
         }
 
-        /// Instructions of `run`; `None` where they are 2^24 ticks or more.
+        /// Returns the instructions of `run`; `None` if they take 2^24 ticks or more.
         pub fn count(&mut self, run: impl FnOnce()) -> Option<u32> {
             self.0.clear_current();
-            // It is loaded anew with the next tick.
+            // The timer reloads at the next tick.
             while SYST::get_current() == 0 {}
             let before = SYST::get_current();
             run();
@@ -447,11 +446,11 @@ mod counter {
     }
 }
 
-/// Instructions of a loop whose number is known: 2 * 100,000.
+/// Counts a loop with a known number of instructions: 2 * 100,000.
 fn known_loop(counter: &mut counter::Counter) -> Option<u32> {
     counter.count(|| {
         let turns = 100_000;
-        // SAFETY: counts a register down; touches nothing else.
+        // SAFETY: this counts a register down and touches nothing else.
         unsafe {
             asm!("2:", "subs {0}, #1", "bne 2b", inout(reg) turns => _, options(nomem, nostack));
         }

@@ -1,5 +1,5 @@
-//! Overflows its stack on purpose: `fault.rs` must report it, which ends the emulator with an
-//! error. Without an overflow it ends well, which is the failure.
+//! Overflows its stack on purpose: `fault.rs` must report it, which ends the emulator with an error. Without an
+//! overflow the image exits with success, which the test counts as a failure.
 #![no_std]
 #![no_main]
 
@@ -17,7 +17,7 @@ fn main() -> ! {
     }
 }
 
-/// A frame of at least 256 bytes at each level.
+/// Recurses with a frame of at least 256 bytes per level.
 #[inline(never)]
 fn descend(levels: u32) -> u32 {
     let frame = black_box([levels; 64]);

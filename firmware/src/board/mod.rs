@@ -1,4 +1,4 @@
-//! The machines. Each file sets one up and has the same items; the STM32F405's link is one of two.
+//! Machines. Each file sets one up and has the same items; the STM32F405 has a choice of two links.
 
 #[cfg(feature = "microbit")]
 mod microbit;

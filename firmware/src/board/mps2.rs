@@ -8,23 +8,23 @@ use cortex_m_rt::exception;
 
 use crate::receiving;
 
-/// Of the machine.
+/// Name of the machine.
 pub const NAME: &str = "mps2";
-/// Processor clock.
+/// Processor clock in hertz.
 pub const CLOCK_HZ: u32 = 25_000_000;
 
 /// Receive interrupt of UART 0.
 #[derive(Clone, Copy)]
 struct Uart0Receive;
 
-// SAFETY: interrupt 0 of both boards.
+// SAFETY: 0 is the number of this interrupt on both boards.
 unsafe impl cortex_m::interrupt::InterruptNumber for Uart0Receive {
     fn number(self) -> u16 {
         0
     }
 }
 
-/// Registers of UART 0 (CMSDK APB UART), from its base on.
+/// Registers of UART 0 (CMSDK APB UART), from its base address on.
 const UART0: *mut u32 = 0x4000_4000 as *mut u32;
 const DATA: usize = 0;
 const STATE: usize = 1;
@@ -43,7 +43,7 @@ const RECEIVE_INTERRUPT_CLEAR: u32 = 1 << 1;
 static OVERRUNS: AtomicU32 = AtomicU32::new(0);
 
 fn read(register: usize) -> u32 {
-    // SAFETY: one of the UART's five registers, which are words; the UART is this module's alone.
+    // SAFETY: this is one of the UART's five registers, which are words; only this module uses the UART.
     unsafe { UART0.add(register).read_volatile() }
 }
 
@@ -52,7 +52,7 @@ fn write(register: usize, value: u32) {
     unsafe { UART0.add(register).write_volatile(value) }
 }
 
-/// Whether this is an emulator, which takes semihosting calls.
+/// Returns whether this is an emulator, which takes semihosting calls.
 #[must_use]
 pub fn is_emulated() -> bool {
     true
@@ -62,7 +62,7 @@ pub fn is_emulated() -> bool {
 #[derive(Debug)]
 pub struct Sender(());
 
-/// Sets the UART up.
+/// Sets up the UART and returns the sending half of the link.
 pub fn set_up(_: &mut Peripherals) -> Option<Sender> {
     write(BAUD_DIVIDER, 16);
     write(CONTROL, SEND_ENABLE | RECEIVE_ENABLE | RECEIVE_INTERRUPT);
@@ -70,10 +70,10 @@ pub fn set_up(_: &mut Peripherals) -> Option<Sender> {
 }
 
 impl Sender {
-    /// What is sent from now on is of the host that is there now: this link has but one.
+    /// Does nothing: all that is sent is for the current host, as this link has only one.
     pub fn follow(&mut self) {}
 
-    /// Sends all bytes; returns when the UART has taken the last.
+    /// Sends all bytes; returns once the UART has taken the last one.
     pub fn send(&mut self, bytes: &[u8]) {
         for byte in bytes {
             while read(STATE) & SEND_FULL != 0 {}
@@ -82,12 +82,12 @@ impl Sender {
     }
 }
 
-/// The next received byte.
+/// Returns the next received byte, if there is one.
 pub fn read_byte() -> Option<u8> {
     let state = read(STATE);
     if state & RECEIVE_OVERRUN != 0 {
         write(STATE, RECEIVE_OVERRUN);
-        // The only writer.
+        // No other code writes it.
         OVERRUNS.store(
             OVERRUNS.load(Ordering::Relaxed).wrapping_add(1),
             Ordering::Relaxed,
@@ -100,23 +100,23 @@ pub fn read_byte() -> Option<u8> {
     Some(read(DATA) as u8)
 }
 
-/// Times that bytes were lost because they were not read in time.
+/// Returns how often bytes were lost because they were not read in time.
 pub fn overruns() -> u32 {
     OVERRUNS.load(Ordering::Relaxed)
 }
 
-/// Leaves received bytes in the UART.
+/// Masks the receive interrupt, so that received bytes stay in the UART.
 pub fn hold_receiving() {
     NVIC::mask(Uart0Receive);
 }
 
-/// Takes received bytes again.
+/// Unmasks the receive interrupt, after [`hold_receiving`] or at the start.
 pub fn resume_receiving() {
-    // SAFETY: what the interrupt shares, it shares through queues.
+    // SAFETY: the interrupt shares data only through queues.
     unsafe { NVIC::unmask(Uart0Receive) };
 }
 
-/// Every interrupt of the board: without a device's vector table there is one handler for all.
+/// Handles every interrupt of the board: without a device's vector table there is one handler for all.
 #[exception]
 unsafe fn DefaultHandler(interrupt: i16) {
     if interrupt == 0 {

@@ -5,11 +5,10 @@
 //! | PA11 | D- |
 //! | PA12 | D+ |
 //!
-//! The controller's interrupt moves packets: from its endpoint to the ring that PendSV reads, and from
-//! the queue that `main` fills to its endpoint. All endpoints from the host share one queue in the
-//! controller, whose first packet is in the way of all others, control requests too, until it is taken.
-//! So a packet is always taken, and the host is held before there is no room for it: with NAK, on the
-//! endpoint itself.
+//! The controller's interrupt moves packets: from an endpoint to the ring that PendSV reads, and from the queue
+//! that `main` fills to an endpoint. All endpoints from the host share one queue in the controller, and its first
+//! packet blocks all others, control requests included, until it is taken. So a packet is always taken, and the
+//! host is held before there is no room: with NAK, on the endpoint itself.
 
 use core::cell::Cell;
 use core::{mem, str};
@@ -29,28 +28,28 @@ use super::stm32f405::{CLOCK_HZ, is_emulated, start_clock};
 use crate::clock::ShortStopwatch;
 use crate::receiving;
 
-/// Words for packets from the host: one for each endpoint, and the control endpoint's.
+/// Words for packets from the host: one packet for each endpoint, and one for the control endpoint.
 const RECEIVE_WORDS: usize = 3 * PACKET_BYTES / 4;
-/// Room that is kept: the controller may take a packet between the two packets that it says it has, and
-/// between its driver's "go on" and the hold that follows it.
+/// Room that is kept free: the controller may take a packet between the two packets that it reports, and between
+/// its driver's "go on" and the hold that follows it.
 const RESERVE_BYTES: usize = 4 * PACKET_BYTES;
-/// The controller's own memory, 1.25 KiB.
+/// Size of the controller's own memory in words, 1.25 KiB.
 const CONTROLLER_WORDS: usize = 320;
-/// What its driver takes of it: packets from the host and what goes with them; a packet for each of the
+/// Words of it that the driver uses: packets from the host with what belongs to them, and a packet for each of the
 /// four endpoints to the host, of at least 16 words.
 const USED_WORDS: usize = RECEIVE_WORDS + 30 + 4 * 16;
 const _: () = assert!(USED_WORDS <= CONTROLLER_WORDS);
 /// Alternate function of the OTG controller on port A.
 const AF10: u8 = 10;
-/// Where the chip has its unique number of 96 bits.
+/// Address of the chip's unique number of 96 bits.
 const UNIQUE_NUMBER: *const [u32; 3] = 0x1FFF_7A10 as *const _;
 
-/// The controller, for its driver.
+/// The controller, as its driver needs it.
 #[derive(Debug)]
 struct Otg(());
 
-// SAFETY: the registers are the OTG controller's, which only its driver and this module use, and this
-// module so that the driver's own use of them is not disturbed; the figures are the chip's.
+// SAFETY: the registers are those of the OTG controller, which only its driver and this module use; this module
+// uses them such that the driver's use is not disturbed. The figures are the chip's.
 unsafe impl UsbPeripheral for Otg {
     const REGISTERS: *const () = OTG_FS_GLOBAL::ptr().cast();
     const HIGH_SPEED: bool = false;
@@ -58,7 +57,7 @@ unsafe impl UsbPeripheral for Otg {
     const ENDPOINT_COUNT: usize = 4;
 
     fn enable() {
-        // SAFETY: called once, while the driver is made, before any interrupt uses these registers.
+        // SAFETY: called once, while the driver is created, before any interrupt uses these registers.
         let rcc = unsafe { &*RCC::ptr() };
         rcc.ahb2enr().modify(|_, w| w.otgfsen().enabled());
         rcc.ahb2rstr().modify(|_, w| w.otgfsrst().reset());
@@ -73,30 +72,30 @@ unsafe impl UsbPeripheral for Otg {
 type Bus = UsbBus<Otg>;
 type Link = Device<'static, Bus, ToEncoder>;
 
-/// On its way to the interrupt.
+/// The link, until the interrupt takes it.
 static LINK: Mutex<Cell<Option<&'static mut Link>>> = Mutex::new(Cell::new(None));
 
-/// The class's way to PendSV.
+/// The way from the USB class to PendSV.
 struct ToEncoder {
     /// Whether the endpoints from the host are held.
     held: bool,
 }
 
 fn endpoints() -> &'static stm32f4::stm32f405::otg_fs_device::RegisterBlock {
-    // SAFETY: what this module changes of it, it changes in the controller's interrupt, where the driver
-    // runs too, one after the other.
+    // SAFETY: this module changes these registers only in the controller's interrupt, where the driver runs too,
+    // one after the other.
     unsafe { &*OTG_FS_DEVICE::ptr() }
 }
 
 impl ToEncoder {
-    /// Holds the host where there may be no room for what it sends, lets it go on where there is.
+    /// Holds the host if there may be no room for what it sends, else lets it go on.
     fn hold(&mut self) {
         let hold = receiving::room() < RESERVE_BYTES;
-        // Again and again while it is held: the driver lets the endpoint go on after each packet.
+        // Repeated while it is held, as the driver lets the endpoint go on after each packet.
         if hold || self.held {
             let endpoints = endpoints();
             for endpoint in [endpoints.doep1(), endpoints.doep2()] {
-                // Enabling and disabling act where they are written as 1, whatever they read as.
+                // Enabling and disabling happen only where 1 is written, whatever the bits read as.
                 endpoint.ctl().modify(|_, w| {
                     w.epena().clear_bit().epdis().clear_bit();
                     match hold {
@@ -154,8 +153,8 @@ impl Port for ToEncoder {
 /// Sending half of the link.
 pub struct Sender(eecvs_usb_class::Sender<'static>);
 
-/// Sets clocks, pins and the controller up. `None` when called again, and in an emulator, which has no
-/// such controller.
+/// Sets up clocks, pins and the controller. Returns `None` on a second call, and in an emulator, which has no such
+/// controller.
 pub fn set_up(_: &mut cortex_m::Peripherals) -> Option<Sender> {
     let device = Peripherals::take()?;
     if is_emulated() {
@@ -191,7 +190,7 @@ fn connect() -> Option<(&'static mut Link, eecvs_usb_class::Sender<'static>)> {
     static ALLOCATOR: StaticCell<UsbBusAllocator<Bus>> = StaticCell::new();
     static DEVICE: StaticCell<Link> = StaticCell::new();
 
-    // SAFETY: three words of the chip's own memory, which is always there to be read.
+    // SAFETY: these are three words of the chip's own memory, which can always be read.
     let unique = unsafe { UNIQUE_NUMBER.read_volatile() };
     let serial = SERIAL.try_take()?;
     *serial = serial_number(unique);
@@ -204,26 +203,26 @@ fn connect() -> Option<(&'static mut Link, eecvs_usb_class::Sender<'static>)> {
 }
 
 impl Sender {
-    /// What is sent from now on is of the host that is there now.
+    /// Makes later messages belong to the host's current session.
     pub fn follow(&mut self) {
         self.0.follow();
     }
 
-    /// Sends all bytes as one message; returns when the queue has taken the last. Where nobody is there
-    /// to listen they are dropped and counted; where somebody is and does not listen, this waits, and the
-    /// setup decides what becomes of events meanwhile.
+    /// Sends all bytes as one message; returns once the queue has taken the last one. If nobody is there to listen,
+    /// they are dropped and counted. If a host is there but does not read, this waits, and the setup decides what
+    /// happens to events meanwhile.
     pub fn send(&mut self, bytes: &[u8]) {
         if cfg!(feature = "sensor") {
-            // There is no setup that a host would begin with.
+            // No host begins with a setup here.
             self.0.follow();
         }
         let mut asked = false;
         self.0.send(bytes, || {
-            // Once begun, the interrupt goes on by itself with each packet that the host takes.
+            // Once started, the interrupt continues by itself with each packet that the host takes.
             if !mem::replace(&mut asked, true) {
                 NVIC::pend(Interrupt::OTG_FS);
             }
-            // The timer's interrupt ends it at the latest.
+            // The timer's interrupt ends the sleep at the latest.
             cortex_m::asm::wfi();
             true
         });
@@ -231,15 +230,15 @@ impl Sender {
     }
 }
 
-/// Times that bytes were lost because they were not read in time: the host is held instead.
+/// Returns how often bytes were lost because they were not read in time: never, as the host is held.
 pub fn overruns() -> u32 {
     0
 }
 
-/// Takes received packets, again where they were held.
+/// Takes received packets, also after these were held.
 pub fn resume_receiving() {
     NVIC::pend(Interrupt::OTG_FS);
-    // SAFETY: what the interrupt shares, it shares through queues.
+    // SAFETY: the interrupt shares data only through queues.
     unsafe { NVIC::unmask(Interrupt::OTG_FS) };
 }
 
@@ -254,8 +253,8 @@ fn OTG_FS() {
         link.poll();
         link.port().hold();
         if link.port().room() < PACKET_BYTES {
-            // A packet that cannot be taken would ask for this interrupt for ever: PendSV, which runs at
-            // least with every interrupt of the timer, asks for it again.
+            // A packet that cannot be taken would raise this interrupt for ever. PendSV, which runs at least with
+            // every interrupt of the timer, raises it again.
             NVIC::mask(Interrupt::OTG_FS);
         }
     }

@@ -1,18 +1,18 @@
-//! STM32F405 (Cortex-M4F, 168 MHz). Its link is `usart.rs`, with the feature `usb` it is `otg.rs`.
+//! STM32F405 (Cortex-M4F, 168 MHz). Its link is in `usart.rs`, or with the feature `usb` in `otg.rs`.
 
 use stm32f4::stm32f405::{Peripherals, RCC};
 
-/// Of the machine.
+/// Name of the machine.
 pub const NAME: &str = "stm32f405";
-/// Processor clock.
+/// Processor clock in hertz.
 pub const CLOCK_HZ: u32 = 168_000_000;
 
-/// Frequency of the board's crystal in MHz, from which the 48 MHz of USB come: 12 on the pyboard 1.1 and
-/// on the Feather STM32F405 Express. `EECVS_CRYSTAL_MHZ` at build time names another one.
+/// Frequency of the board's crystal in MHz, from which the 48 MHz of USB are made: 12 on the pyboard 1.1 and on the
+/// Feather STM32F405 Express. `EECVS_CRYSTAL_MHZ` at build time sets another one.
 #[cfg(feature = "usb")]
 const CRYSTAL_MHZ: u8 = crystal(option_env!("EECVS_CRYSTAL_MHZ"));
 
-/// Reads of the clock control before a crystal counts as missing: above 100 ms; data sheets say 2 ms.
+/// Reads of the clock control after which a crystal counts as missing: over 100 ms; data sheets say 2 ms.
 #[cfg(feature = "usb")]
 const CRYSTAL_READS: u32 = 1_000_000;
 
@@ -33,33 +33,33 @@ const fn crystal(text: Option<&str>) -> u8 {
     mhz
 }
 
-/// Whether this is an emulator, which takes semihosting calls: the real chip runs from its
-/// internal oscillator when it leaves reset, and says so; QEMU's reset and clock control reads 0.
+/// Returns whether this is an emulator, which takes semihosting calls. The real chip runs from its internal
+/// oscillator after a reset and says so in the clock control; in QEMU that register reads 0.
 #[must_use]
 pub fn is_emulated() -> bool {
-    // SAFETY: a read of a register that has no side effects.
+    // SAFETY: this reads a register without side effects.
     let rcc = unsafe { &*RCC::ptr() };
     rcc.cr().read().hsirdy().bit_is_clear()
 }
 
-/// Where the main clock's 168 MHz come from.
+/// Source of the main clock's 168 MHz.
 #[derive(Debug, Clone, Copy)]
 struct Source {
     is_crystal: bool,
-    /// Divides the source to what `multiplier` makes 336 MHz of: at most 2 MHz.
+    /// Divides the source down to at most 2 MHz, which `multiplier` makes 336 MHz.
     divider: u8,
     multiplier: u16,
 }
 
-/// 168 MHz from the internal oscillator, which every board has: 16 MHz / 8 * 168 / 2. Its 48 MHz are too
-/// rough for USB.
+/// 168 MHz from the internal oscillator, which every board has: 16 MHz / 8 * 168 / 2. The 48 MHz made of it are too
+/// inaccurate for USB.
 const INTERNAL: Source = Source {
     is_crystal: false,
     divider: 8,
     multiplier: 168,
 };
 
-/// 168 MHz, and 48 MHz for USB, from the crystal: 1 MHz * 336 / 2 and / 7. Where there is none, as
+/// Starts 168 MHz, and 48 MHz for USB, from the crystal: 1 MHz * 336 / 2 and / 7. Without a crystal, starts as
 /// without the feature `usb`.
 #[cfg(feature = "usb")]
 pub(super) fn start_clock(device: &Peripherals) {
@@ -84,7 +84,7 @@ pub(super) fn start_clock(device: &Peripherals) {
     }
 }
 
-/// 168 MHz.
+/// Starts 168 MHz from the internal oscillator.
 #[cfg(not(feature = "usb"))]
 pub(super) fn start_clock(device: &Peripherals) {
     start(device, INTERNAL);
@@ -92,7 +92,7 @@ pub(super) fn start_clock(device: &Peripherals) {
 
 fn start(device: &Peripherals, source: Source) {
     let rcc = &device.RCC;
-    // Five wait states at 168 MHz and 3.3 V; instruction and data caches and prefetch.
+    // Five wait states at 168 MHz and 3.3 V; instruction cache, data cache and prefetch.
     device.FLASH.acr().write(|w| {
         w.latency().ws5();
         w.icen().enabled().dcen().enabled().prften().enabled()
@@ -103,7 +103,7 @@ fn start(device: &Peripherals, source: Source) {
     });
     rcc.pllcfgr().write(|w| {
         w.pllsrc().bit(source.is_crystal);
-        // SAFETY: within 2..=63, 50..=432 and 2..=15.
+        // SAFETY: the values are within 2..=63, 50..=432 and 2..=15.
         unsafe {
             w.pllm().bits(source.divider);
             w.plln().bits(source.multiplier);

@@ -23,8 +23,8 @@ const AF7: u8 = 7;
 static OVERRUNS: AtomicU32 = AtomicU32::new(0);
 
 fn usart() -> &'static stm32f4::stm32f405::usart1::RegisterBlock {
-    // SAFETY: each register used here is a single word, read or written at once; the interrupt
-    // reads data, `main` writes data, and the rest is set once before both.
+    // SAFETY: each register used here is a single word, read or written at once. The interrupt reads data, `main`
+    // writes data, and the rest is set once before both.
     unsafe { &*USART1::ptr() }
 }
 
@@ -32,7 +32,7 @@ fn usart() -> &'static stm32f4::stm32f405::usart1::RegisterBlock {
 #[derive(Debug)]
 pub struct Sender(());
 
-/// Sets clocks, pins and the UART up. `None` when called again.
+/// Sets up clocks, pins and the UART. Returns `None` on a second call.
 pub fn set_up(_: &mut cortex_m::Peripherals) -> Option<Sender> {
     let device = Peripherals::take()?;
     if !is_emulated() {
@@ -59,7 +59,7 @@ pub fn set_up(_: &mut cortex_m::Peripherals) -> Option<Sender> {
         w.moder11().alternate().moder12().alternate()
     });
     let usart = usart();
-    // SAFETY: a divider that the clock above gives the baud rate with.
+    // SAFETY: with the clock above, this divider gives the baud rate.
     usart
         .brr()
         .write(|w| unsafe { w.div_mantissa().bits(BAUD_DIVIDER).div_fraction().bits(0) });
@@ -72,10 +72,10 @@ pub fn set_up(_: &mut cortex_m::Peripherals) -> Option<Sender> {
 }
 
 impl Sender {
-    /// What is sent from now on is of the host that is there now: this link has but one.
+    /// Does nothing: all that is sent is for the current host, as this link has only one.
     pub fn follow(&mut self) {}
 
-    /// Sends all bytes; returns when the UART has taken the last.
+    /// Sends all bytes; returns once the UART has taken the last one.
     pub fn send(&mut self, bytes: &[u8]) {
         let usart = usart();
         for byte in bytes {
@@ -85,12 +85,12 @@ impl Sender {
     }
 }
 
-/// The next received byte.
+/// Returns the next received byte, if there is one.
 pub fn read_byte() -> Option<u8> {
     let usart = usart();
     let status = usart.sr().read();
     if status.ore().bit_is_set() {
-        // The only writer. Reading the data below clears the flag.
+        // No other code writes it. Reading the data below clears the flag.
         OVERRUNS.store(
             OVERRUNS.load(Ordering::Relaxed).wrapping_add(1),
             Ordering::Relaxed,
@@ -105,19 +105,19 @@ pub fn read_byte() -> Option<u8> {
     Some(usart.dr().read().dr().bits() as u8)
 }
 
-/// Times that bytes were lost because they were not read in time.
+/// Returns how often bytes were lost because they were not read in time.
 pub fn overruns() -> u32 {
     OVERRUNS.load(Ordering::Relaxed)
 }
 
-/// Leaves received bytes in the UART: its flow control holds the sender.
+/// Masks the receive interrupt, so that received bytes stay in the UART, whose flow control then holds the sender.
 pub fn hold_receiving() {
     NVIC::mask(Interrupt::USART1);
 }
 
-/// Takes received bytes again.
+/// Unmasks the receive interrupt, after [`hold_receiving`] or at the start.
 pub fn resume_receiving() {
-    // SAFETY: what the interrupt shares, it shares through queues.
+    // SAFETY: the interrupt shares data only through queues.
     unsafe { NVIC::unmask(Interrupt::USART1) };
 }
 

@@ -4,11 +4,10 @@
 //! c_k[y, x] = sum over the pixel's events of p exp(-i 2 pi f_k u)      u = (t - start) / T
 //! ```
 //!
-//! for k = 0 .. M - 1 and every window that has events, f_k in turns a window by a [`Law`] that sender
-//! and receiver know: what the paper compares with under this name. The real and the imaginary part of
-//! every coefficient are numbers of the array: f32, or i16 or i8 times a step of the window, which is
-//! the largest of them over the type's largest number and takes 4 bytes. The decoder is the one of
-//! [`super::pursuit`].
+//! for k = 0 .. M - 1 and every window that has events. A [`Law`] known to sender and receiver gives the
+//! frequencies f_k in turns per window. The paper compares itself with a method of this name. The real and the
+//! imaginary part of every coefficient are numbers of the array: f32, or i16 or i8 times a step. The step is one
+//! f32 per window: the largest of its numbers over the type's largest number. [`super::pursuit`] is the decoder.
 
 use std::f64::consts::TAU;
 
@@ -22,27 +21,27 @@ use super::pursuit::{Pursuit, Work};
 use super::representation::{Found, Representation};
 use super::stored::Range;
 
-/// Of the generator.
+/// Seed of the generator.
 const SEED: u64 = 42;
-/// Deviation of [`Law::LowFrequency`], in M turns a window. The test `ces_spreads` tells what others
-/// leave: fewer turns do not tell near events apart, more mistake one time for another.
+/// Standard deviation of [`Law::LowFrequency`] over M, in turns per window. The test `ces_spreads` measures the
+/// errors of other values: with lower frequencies close events cannot be resolved, with higher ones times become
+/// ambiguous.
 const DEVIATION: f64 = 0.25;
-/// Deviation of [`Law::PaperCode`].
+/// Standard deviation of [`Law::PaperCode`] in Hz.
 const DEVIATION_HZ: f64 = 0.5;
 
-/// How frequencies are drawn, in order of the frequency.
+/// How the frequencies are drawn; they are then sorted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Law {
-    /// f_0 = 0, so that c_0 is the signed sum; the others |Normal(0, M / 4)| turns a window.
+    /// f_0 = 0, so that c_0 is the signed sum; the others are |Normal(0, M / 4)| turns per window.
     LowFrequency,
-    /// Normal(0, 0.5) turns a second, as the paper's published code has it. In a window of 33 ms they
-    /// turn by a hundredth: every coefficient is nearly the signed sum, and times are hardly told, as the
-    /// test `ces_spreads` has it.
+    /// Normal(0, 0.5) Hz, as in the paper's published code. In a window of 33 ms these are hundredths of a turn:
+    /// every coefficient is nearly the signed sum and carries hardly any timing, as the test `ces_spreads` shows.
     PaperCode,
 }
 
 impl Law {
-    /// `m` frequencies, in turns a window.
+    /// Returns `m` frequencies in ascending order, in turns per window.
     #[must_use]
     pub fn frequencies(self, m: usize) -> Vec<f64> {
         match self {
@@ -57,7 +56,7 @@ impl Law {
     }
 }
 
-/// 0 and `m - 1` others, of a deviation of `deviation` times `m` turns a window.
+/// Returns 0 and `m - 1` other frequencies, whose standard deviation is `deviation` times `m` turns per window.
 fn low_frequencies(m: usize, deviation: f64) -> Vec<f64> {
     let deviation = deviation * m as f64;
     let mut generator = Xoshiro256PlusPlus::seed_from_u64(SEED);
@@ -70,31 +69,31 @@ fn sorted(mut frequencies: Vec<f64>) -> Vec<f64> {
     frequencies
 }
 
-/// A standard normal number (Box, Muller), the same on every machine.
+/// Returns a standard normal number (Box and Muller), the same on every machine.
 fn normal(generator: &mut impl Rng) -> f64 {
-    // Above 0 and up to 1.
+    // Above 0 and at most 1, so that the logarithm is finite.
     let mut unit = || ((generator.next_u64() >> 11) + 1) as f64 / (1_u64 << 53) as f64;
     let radius = libm::sqrt(-2.0 * libm::log(unit()));
     radius * libm::cos(TAU * unit())
 }
 
-/// Makes CES coefficients.
+/// Computes CES coefficients.
 #[derive(Debug, Clone)]
 pub struct Ces {
     active: Active,
-    /// 2 pi f_k / T.
+    /// 2 pi f_k / T, in radians per us.
     turns_per_us: Vec<f64>,
     pursuit: Pursuit,
 }
 
 impl Ces {
-    /// Of `m` coefficients, 1 or more.
+    /// Computes `m` coefficients per pixel; 0 is taken as 1.
     #[must_use]
     pub fn new(sensor: Sensor, m: usize, law: Law) -> Self {
         Self::of(sensor, &law.frequencies(m.max(1)))
     }
 
-    /// Of given frequencies, one or more, in turns a window.
+    /// Uses the given frequencies, at least one, in turns per window.
     fn of(sensor: Sensor, frequencies: &[f64]) -> Self {
         let turns = frequencies.iter().map(|f| TAU * f / f64::from(WINDOW_US));
         Self {
@@ -215,7 +214,7 @@ mod tests {
             let mut ces = Ces::new(SENSOR, m, Law::LowFrequency);
             let found = decoded(&mut ces, &source(&events), Stored::F32);
             assert_eq!(found, events, "{m}");
-            // 16 bits of times: a coefficient of up to 4 is off by 6e-5.
+            // In 16 bits, a coefficient of up to 4 has an error of up to 6e-5.
             let found = decoded(&mut ces, &source(&events), Stored::Bits16);
             assert_eq!(found.len(), events.len());
             for (found, event) in found.iter().zip(&events) {
@@ -226,7 +225,7 @@ mod tests {
 
     #[test]
     fn the_papers_frequencies_hardly_tell_times() {
-        // Pairs with the same sum and the same mean: 24 ms apart, and 2.
+        // Two pairs with the same sum and the same mean time: 24 ms apart, and 2 ms apart.
         let largest_difference = |law| -> f64 {
             let [far, near] = [[4000, 28_000], [15_000, 17_000]].map(|times| {
                 let events = [event(0, 9, 9, true)].into_iter();
@@ -243,8 +242,8 @@ mod tests {
         assert!(largest_difference(Law::LowFrequency) > 1.0);
     }
 
-    /// `emd_pixel_us` of half a second of the scene `indoor-flying` with M = 16, by the spread of the
-    /// frequencies: the figures of METHODOLOGY.md.
+    /// Computes `emd_pixel_us` for half a second of the scene `indoor-flying` with M = 16, by the spread of the
+    /// frequencies: the figures quoted in METHODOLOGY.md.
     #[test]
     #[ignore = "takes a minute; prints the figures of METHODOLOGY.md"]
     fn ces_spreads() {

@@ -1,35 +1,35 @@
-//! What representations have in common: an array for each window that has events, as a file each.
+//! Dense arrays, which all representations produce: one array, stored as one file, per window that has events.
 //!
-//! In memory an array is without the pixels that have nothing in it.
+//! In memory an array omits the pixels that hold nothing.
 
 use eecvs_bench::source::{Source, WINDOW_US};
 use eecvs_nostd::{Event, Sensor};
 
 use super::stored::{Quantiser, Range, Stored};
 
-/// Header of a `.npy` file, which every array has.
+/// Bytes of the header of an `.npy` file, which every array has.
 pub const HEADER_BYTES: usize = 128;
 
 /// A window that has events.
 #[derive(Debug, Clone, Copy)]
 pub struct Window<'e> {
-    /// Number of the window on the recording's grid.
+    /// Index of the window on the recording's grid.
     pub number: u64,
-    /// Its first time.
+    /// Start of the window, in us.
     pub start_us: u64,
-    /// In order of time.
+    /// Events of the window, in order of time.
     pub events: &'e [Event],
 }
 
 impl Window<'_> {
-    /// A time from the window's start, in us; below T.
+    /// Returns the time since the window's start, in us, limited to 0 .. T - 1.
     #[must_use]
     pub fn since_us(&self, t_us: u64) -> u32 {
         let since_us = t_us.saturating_sub(self.start_us);
         since_us.min(u64::from(WINDOW_US - 1)) as u32
     }
 
-    /// Age at the window's end of an event in it or before, in us; 1 or more.
+    /// Returns the age at the window's end of an event in the window or before it, in us; at least 1.
     #[must_use]
     pub fn age_us(&self, t_us: u64) -> u64 {
         match self.start_us.checked_sub(t_us) {
@@ -38,14 +38,14 @@ impl Window<'_> {
         }
     }
 
-    /// The time so long after the window's start; the last of all times where that is none.
+    /// Returns the time `since_us` after the window's start; saturates at `u64::MAX`.
     #[must_use]
     pub fn time_us(&self, since_us: u32) -> u64 {
         self.start_us.saturating_add(since_us.into())
     }
 }
 
-/// The windows of a recording, on a grid that begins with it.
+/// Returns the windows of a recording that have events, on a grid that starts at its first event.
 pub fn windows(source: &Source) -> impl Iterator<Item = Window<'_>> {
     let (start_us, window_us) = (source.start_us(), u64::from(WINDOW_US));
     let number = move |event: &Event| event.t_us.saturating_sub(start_us) / window_us;
@@ -60,23 +60,23 @@ pub fn windows(source: &Source) -> impl Iterator<Item = Window<'_>> {
     })
 }
 
-/// Bytes of a window's array of `channels` values of `value_bytes` for every pixel.
+/// Returns the bytes of a window's `.npy` file with `channels` values of `value_bytes` for every pixel.
 #[must_use]
 pub fn bytes(source: &Source, channels: usize, value_bytes: usize) -> usize {
     HEADER_BYTES + source.sensor.pixels() as usize * channels * value_bytes
 }
 
-/// Numbers of a window's pixels.
+/// The numbers of a window's active pixels.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Array {
-    /// Numbers of the pixels in raster order, ascending.
+    /// Indices of the pixels in raster order, ascending.
     pub pixels: Vec<u32>,
-    /// The same count of numbers for each, pixel by pixel.
+    /// Numbers pixel by pixel, the same count for each.
     pub values: Vec<f64>,
 }
 
 impl Array {
-    /// In a type.
+    /// Quantises the numbers to a stored type.
     #[must_use]
     pub fn stored(self, range: Range, stored: Stored) -> StoredArray {
         let values = self.values.iter();
@@ -90,29 +90,29 @@ impl Array {
     }
 }
 
-/// Numbers of a window's pixels as they are stored.
+/// The numbers of a window's active pixels as they are stored.
 #[derive(Debug, Clone, PartialEq)]
 pub struct StoredArray {
-    /// Numbers of the pixels in raster order, ascending.
+    /// Indices of the pixels in raster order, ascending.
     pub pixels: Vec<u32>,
-    /// Bits of the numbers, the same count for each, pixel by pixel.
+    /// Bits of the numbers pixel by pixel, the same count for each.
     pub codes: Vec<u32>,
-    /// Reads them.
+    /// Quantiser that made the bits and reads them.
     pub quantiser: Quantiser,
 }
 
-/// The pixels that have events, found without sorting.
+/// Finds the pixels that have events, without sorting.
 #[derive(Debug, Clone)]
 pub struct Active {
     sensor: Sensor,
-    /// A bit for each pixel.
+    /// One bit per pixel.
     bits: Vec<u64>,
-    /// Place of a pixel among those of the last window.
+    /// Rank of each pixel among the active pixels of the latest window.
     ranks: Vec<u32>,
 }
 
 impl Active {
-    /// Of a sensor.
+    /// Makes a finder for a sensor.
     #[must_use]
     pub fn new(sensor: Sensor) -> Self {
         let pixels = sensor.pixels() as usize;
@@ -123,13 +123,13 @@ impl Active {
         }
     }
 
-    /// Number of an event's pixel.
+    /// Returns the index of an event's pixel.
     #[must_use]
     pub fn number(&self, event: &Event) -> u32 {
         self.sensor.number((event.x, event.y))
     }
 
-    /// Numbers of the pixels of some events, ascending.
+    /// Returns the indices of the pixels that have events, ascending.
     #[must_use]
     pub fn pixels(&mut self, events: &[Event]) -> Vec<u32> {
         for event in events {
@@ -149,7 +149,7 @@ impl Active {
         pixels
     }
 
-    /// The array of `channels` sums for each pixel, to which `add` adds an event's share.
+    /// Sums `channels` numbers per pixel; `add` adds an event's contribution to the numbers of its pixel.
     #[must_use]
     pub fn sums(
         &mut self,

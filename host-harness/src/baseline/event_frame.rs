@@ -4,11 +4,10 @@
 //! F[p, y, x] = number of events of polarity p at (x, y) in the window        ON first
 //! ```
 //!
-//! for every window that has events: the two-channel histogram of Maqueda, Loquercio, Gallego, Garcia,
-//! Scaramuzza, *Event-based Vision meets Deep Learning on Steering Prediction for Self-driving Cars*
-//! (2018). Counts are f32, or u16 or u8, in which a pixel's 65,536th and 256th event of a polarity and
-//! those after are lost. Nothing is told of times: the decoder's guess is n events evenly over the
-//! window, the i-th at T (i + 1/2) / n.
+//! for every window that has events: the two-channel histogram of Maqueda, Loquercio, Gallego, Garcia, Scaramuzza,
+//! *Event-based Vision meets Deep Learning on Steering Prediction for Self-driving Cars* (2018). Counts are f32, or
+//! u16 or u8, which lose a pixel's 65,536th or 256th event of a polarity and all later ones. A frame carries no
+//! times: the decoder spreads n events evenly over the window, the i-th at T (i + 1/2) / n.
 
 use eecvs_nostd::{Polarity, Sensor};
 
@@ -23,7 +22,7 @@ pub struct EventFrame {
 }
 
 impl EventFrame {
-    /// Of a sensor.
+    /// Makes frames of the sensor's size.
     #[must_use]
     pub fn new(sensor: Sensor) -> Self {
         Self {
@@ -58,7 +57,7 @@ impl Representation for EventFrame {
 
     fn decode(&self, numbers: &[f64], _step: f64, (): &mut (), found: &mut Vec<Found>) {
         for (count, polarity) in numbers.iter().zip([Polarity::On, Polarity::Off]) {
-            // Counts are whole.
+            // Stored counts are whole numbers.
             found.extend(Found::evenly(*count as u64, polarity));
         }
     }

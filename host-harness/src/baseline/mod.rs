@@ -1,13 +1,13 @@
-//! The representations that the codec is compared with: a window's events as an array, and back.
+//! Baseline representations that the codec is compared with: the events of a window as an array, and back.
 //!
 //! ```text
 //! events of a window -> array -> stored type -> events by the best stated method
 //!                                    '-> array bytes, packed bytes
 //! ```
 //!
-//! Windows are of T = 32,768 us, on a grid that begins with the recording; one without events has no
-//! array. Each representation stands in a file of its own, with its source, its definition and what its
-//! decoder can and cannot tell.
+//! Windows last T = 32,768 us, on a grid that starts at the recording's first event; a window without events has no
+//! array. Each representation has a file of its own, with its source, its definition and what its decoder can and
+//! cannot recover.
 
 pub mod ces;
 pub mod dense_array;
@@ -34,14 +34,14 @@ use time_surface::TimeSurface;
 use tore::Tore;
 use voxel::Voxel;
 
-/// A representation.
+/// A baseline representation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Baseline {
     /// Complex exponential sums, see [`ces`].
     Ces,
-    /// The TORE volume, see [`tore`].
+    /// TORE volumes, see [`tore`].
     Tore,
-    /// A voxel grid, see [`voxel`].
+    /// Voxel grids, see [`voxel`].
     Voxel,
     /// Counts of events, see [`event_frame`].
     EventFrame,
@@ -50,7 +50,7 @@ pub enum Baseline {
 }
 
 impl Baseline {
-    /// All of them.
+    /// All baselines.
     pub const ALL: [Self; 5] = [
         Self::Ces,
         Self::Tore,
@@ -59,7 +59,7 @@ impl Baseline {
         Self::TimeSurface,
     ];
 
-    /// As rows have it.
+    /// Returns the name used in the rows of results.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -72,30 +72,30 @@ impl Baseline {
     }
 }
 
-/// A recording as arrays, and what is found in them.
+/// Sizes of a recording's arrays, and the events decoded from them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Decoded {
-    /// Of the dense arrays, a `.npy` file for each window that has events, in the stored type.
+    /// Bytes of the dense arrays: one `.npy` file in the stored type per window that has events.
     pub array_bytes: usize,
-    /// Of the same numbers of the active pixels alone, see [`packed`]; numbers of events of earlier
-    /// windows, which were sent with these, count as none.
+    /// Bytes of the same numbers for the active pixels only, see [`packed`]. Numbers of events of earlier windows
+    /// count as empty, since they were sent with those windows.
     pub packed_bytes: usize,
-    /// Spent on the arrays' active pixels, one thread; neither packing nor decoding.
+    /// Time to compute the arrays' active pixels on one thread, in seconds; excludes packing and decoding.
     pub seconds: f64,
-    /// What the decoder finds in the stored numbers, in order of time, then of place.
+    /// Events decoded from the stored numbers, in order of time, then of position.
     pub events: Vec<Event>,
-    /// Whether the array tells of times; where it does not, those of the events are a guess.
+    /// Whether the array carries times; if not, the times of `events` are a guess.
     pub has_times: bool,
 }
 
-/// Makes a recording's arrays, stores them and decodes what was stored.
+/// Makes the arrays of a recording, stores them and decodes the stored numbers.
 ///
-/// `channels` is how many numbers or basis functions a pixel has, the paper's M: M complex coefficients
-/// of CES, M bins of a voxel grid, the M / 2 newest ages of each polarity of TORE, 1 at least. Frames
-/// and surfaces have two channels, whatever it is.
+/// `channels` is the paper's M, the number of values or basis functions per pixel: M complex coefficients of CES, M
+/// bins of a voxel grid, the M / 2 newest ages per polarity of TORE, at least 1. Frames and surfaces always have
+/// two channels.
 ///
 /// # Errors
-/// `channels` of 0; a recording that is out of order or has events outside of its sensor.
+/// Fails if `channels` is 0, or if the recording is out of order or has events outside of its sensor.
 pub fn round_trip(
     baseline: Baseline,
     source: &Source,

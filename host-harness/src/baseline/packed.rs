@@ -1,13 +1,13 @@
-//! What a fair link would carry of the arrays: the numbers of active pixels alone, by xz.
+//! Packs arrays as a fair link would carry them: only the numbers of active pixels, compressed by xz.
 //!
 //! ```text
-//! window   number u64, step f32 where there is one,
-//!          a bit for each pixel, the lowest of a byte first: 1 where it is active,
+//! window   number u64, step f32 if there is one,
+//!          a bit for each pixel, the lowest of a byte first: 1 if the pixel is active,
 //!          planes: of each channel the lowest byte of every active pixel, the next byte of each, ...
 //! ```
 //!
-//! Little-endian, windows one after the other, through one `xz -6`: bytes that change little lie
-//! together, and what windows have in common is found. Independent streams would be longer.
+//! Little-endian, one window after the other, through a single `xz -6`. Planes bring bytes together that change
+//! little, and the single stream exploits what windows have in common; independent streams would be longer.
 
 use std::io::{self, Write};
 
@@ -17,10 +17,10 @@ use lzma_rust2::{XzOptions, XzWriter};
 
 use super::dense_array::StoredArray;
 
-/// Of xz.
+/// Compression level of xz.
 const PRESET: u32 = 6;
 
-/// Counts bytes.
+/// A writer that only counts bytes.
 #[derive(Debug, Default)]
 pub struct Count(usize);
 
@@ -35,19 +35,19 @@ impl Write for Count {
     }
 }
 
-/// Packs windows one after the other.
+/// Packs one window after the other.
 pub struct Packer<W: Write> {
     writer: XzWriter<W>,
-    /// Of a window, before xz.
+    /// One window before xz; kept to reuse its memory.
     bytes: Vec<u8>,
     pixels: usize,
 }
 
 impl<W: Write> Packer<W> {
-    /// To `output`.
+    /// Starts a stream to `output` for arrays of the sensor's size.
     ///
     /// # Errors
-    /// An output that cannot be written.
+    /// Fails if the output cannot be written.
     pub fn new(sensor: Sensor, output: W) -> Result<Self> {
         let options = XzOptions::with_preset(PRESET);
         Ok(Self {
@@ -57,10 +57,10 @@ impl<W: Write> Packer<W> {
         })
     }
 
-    /// The next window.
+    /// Appends the array of window `number`.
     ///
     /// # Errors
-    /// An output that cannot be written.
+    /// Fails if the output cannot be written.
     pub fn push(&mut self, number: u64, array: &StoredArray) -> Result<()> {
         let bytes = &mut self.bytes;
         bytes.clear();
@@ -86,28 +86,28 @@ impl<W: Write> Packer<W> {
         self.writer.write_all(bytes).context("xz")
     }
 
-    /// Ends the stream.
+    /// Ends the stream and returns the output.
     ///
     /// # Errors
-    /// An output that cannot be written.
+    /// Fails if the output cannot be written.
     pub fn finish(self) -> Result<W> {
         self.writer.finish().context("xz")
     }
 }
 
 impl Packer<Count> {
-    /// Packs to nowhere, as only the length is wanted.
+    /// Starts a stream that is discarded, to measure its length.
     ///
     /// # Errors
-    /// None: there is always room.
+    /// Never fails, since there is always room.
     pub fn counting(sensor: Sensor) -> Result<Self> {
         Self::new(sensor, Count::default())
     }
 
-    /// Bytes of the stream.
+    /// Ends the stream and returns its length in bytes.
     ///
     /// # Errors
-    /// None: there is always room.
+    /// Never fails, since there is always room.
     pub fn packed_bytes(self) -> Result<usize> {
         Ok(self.finish()?.0)
     }

@@ -1,21 +1,22 @@
-//! Finds the events of a pixel in its CES coefficients: matching pursuit with atoms of +1 and -1.
+//! Finds the events of a pixel from its CES coefficients: matching pursuit with atoms of sign +1 and -1.
 //!
 //! ```text
 //! c_k = sum over events of p a_k(u)      a_k(u) = exp(-i 2 pi f_k u)      |a(u)|^2 = M
 //! ```
 //!
-//! An event is p a(u), so it lowers the energy of a residual r by 2 p Re<r, a(u)> - M. Pursuit:
+//! Subtracting an event p a(u) from a residual r lowers its energy by 2 p Re<r, a(u)> - M. The pursuit has four
+//! steps:
 //!
-//! 1. the time of a grid, and the sign, that lower it the most become an event; where an event of the
-//!    opposite sign lies there, it goes instead;
-//! 2. the times of all events are refined together: damped least squares (Levenberg, Marquardt);
-//! 3. again, until no event lowers it;
-//! 4. where more is left than rounding explains, one event more, or one of each sign, at the best times
-//!    for them stay if all, refined together, leave half of the energy or less; then again from 1.
+//! 1. Add the event whose time on a grid and sign lower the energy the most; if removing an event of the opposite
+//!    sign lowers it nearly as well, remove that event instead.
+//! 2. Refine the times of all events together: damped least squares (Levenberg, Marquardt).
+//! 3. Repeat until no event lowers the energy.
+//! 4. If the residual exceeds what rounding explains, try one more event, then one of each sign, at the best times for
+//!    them, and refine all events together. Keep them, and continue from 1, if less than half of the energy is left.
 //!
-//! Where f_0 = 0, c_0 is the signed sum of the pixel: last come the events, as few as can be, that make
-//! theirs the same. M complex numbers tell of 2 M times at the most: what c_0 has above that lies evenly
-//! over the window.
+//! If f_0 = 0, c_0 is the signed sum of the pixel's polarities. Then as few events as possible are added or removed
+//! at the end, until their signed sum equals c_0. M complex numbers determine at most 2 M times; events that c_0
+//! requires beyond that are spread evenly over the window.
 
 use std::f64::consts::TAU;
 
@@ -24,78 +25,79 @@ use eecvs_nostd::Polarity;
 
 use super::representation::Found;
 
-/// Times of the grid for each coefficient, and the fewest.
+/// Grid times per coefficient, and the least number of grid times.
 const GRID_PER_COEFFICIENT: usize = 16;
 const GRID_MIN: usize = 64;
-/// An event goes instead of its opposite beside it where that lowers the energy so nearly as well.
+/// An event of the opposite sign is removed instead of adding a new one if its gain is at least this share of the
+/// new one's.
 const CANCEL: f64 = 0.9;
-/// Rounds of refining after each event, and at the end.
+/// Rounds of refinement after each event, and at the end.
 const ROUNDS: usize = 3;
 const ROUNDS_LAST: usize = 12;
-/// The share of the energy that an escape must leave at the most.
+/// An escape (step 4) must leave less than this share of the energy.
 const ESCAPE: f64 = 0.5;
-/// Nothing is sought in an energy of this many times what rounding makes of it, or of this share of an
-/// event's, which is what f32 makes of some dozen events.
+/// The search stops at a residual energy of `NOISE` times that expected from rounding, plus `NATURAL` times that of
+/// an event, which covers the f32 rounding of some dozen events.
 const NOISE: f64 = 2.0;
 const NATURAL: f64 = 1e-10;
-/// Refining ends at steps below this share of a window: 0.003 us.
+/// Refinement ends at steps below this share of a window: 0.003 us.
 const STEP_MIN: f64 = 1e-7;
-/// Damping at the start, and most of it.
+/// Initial and largest damping.
 const DAMPING: f64 = 1e-3;
 const DAMPING_MAX: f64 = 1e6;
 
-/// Finds the events of pixels.
+/// Decoder for the events of pixels.
 #[derive(Debug, Clone)]
 pub struct Pursuit {
-    /// 2 pi f_k.
+    /// 2 pi f_k, in radians per window.
     turns: Vec<f64>,
     has_sum: bool,
-    /// Times of the grid.
+    /// Number of grid times.
     grid: usize,
-    /// a_k over the grid, real parts and imaginary ones, k by k.
+    /// Real and imaginary parts of a_k at the grid times, k by k.
     re: Vec<f32>,
     im: Vec<f32>,
 }
 
-/// Memory of [`Pursuit`].
+/// Reusable memory of [`Pursuit`].
 #[derive(Debug, Default)]
 pub struct Work {
-    /// The residual.
+    /// Coefficients that the events found so far do not explain.
     residual: Vec<[f64; 2]>,
     energy: f64,
     events: Vec<Atom>,
-    /// Re<r, a> over the grid.
+    /// Re<r, a> at the grid times.
     correlation: Vec<f32>,
     trial: Vec<Atom>,
     trial_residual: Vec<[f64; 2]>,
-    /// Derivatives of the events' coefficients, event by event.
+    /// Derivatives of each event's coefficients by its time, event by event.
     slopes: Vec<[f64; 2]>,
-    /// Normal equations: matrix, the same damped and then factored, right side and solution.
+    /// Normal equations: matrix, damped matrix (then its factor), right-hand side and solution.
     normal: Vec<f64>,
     factor: Vec<f64>,
     right: Vec<f64>,
     step: Vec<f64>,
 }
 
-/// An event.
+/// An event found.
 #[derive(Debug, Clone, Copy)]
 struct Atom {
-    /// Of the window, 0 to 1.
+    /// Time within the window, 0 to 1.
     u: f64,
     sign: f64,
 }
 
-/// Where an event lowers the energy the most.
+/// Change that lowers the energy the most.
 #[derive(Debug, Clone, Copy)]
 enum Place {
-    /// A new one.
+    /// Add this event.
     New(Atom),
-    /// That of its opposite, which is this one.
+    /// Remove the event at this index, which has the opposite sign.
     Cancel(usize),
 }
 
 impl Pursuit {
-    /// Of frequencies in turns a window.
+    /// Prepares a decoder for frequencies in turns per window.
     #[must_use]
     pub fn new(frequencies: &[f64]) -> Self {
         let grid = (GRID_PER_COEFFICIENT * frequencies.len()).max(GRID_MIN);
@@ -113,8 +115,8 @@ impl Pursuit {
         }
     }
 
-    /// Adds the events of a pixel, from the real and the imaginary part of each coefficient, which are
-    /// multiples of `step`; of 0 where they are not.
+    /// Appends the events of a pixel to `found`. `numbers` holds the real and the imaginary part of each
+    /// coefficient, which are multiples of `step`; `step` is 0 for unquantised numbers.
     pub fn find(&self, numbers: &[f64], step: f64, work: &mut Work, found: &mut Vec<Found>) {
         let sum = numbers.first().map_or(0.0, |re| re.round());
         work.residual.clear();
@@ -125,7 +127,7 @@ impl Pursuit {
         }));
         work.energy = energy(&work.residual);
         work.events.clear();
-        // Without a frequency above 0 nothing is told of times.
+        // Without a frequency above 0, the coefficients carry no times.
         if self.turns.iter().any(|turns| *turns != 0.0) {
             self.pursue(step, work);
         }
@@ -139,7 +141,7 @@ impl Pursuit {
         if self.has_sum {
             let left = sum - signs(&work.events);
             let polarity = Polarity::from_bool(left > 0.0);
-            // The cast saturates, of what no window holds.
+            // The cast saturates, at more events than any window holds.
             found.extend(Found::evenly(left.abs() as u64, polarity));
         }
     }
@@ -148,13 +150,14 @@ impl Pursuit {
         2 * self.turns.len()
     }
 
-    /// Steps 1 to 4.
+    /// Runs steps 1 to 4.
     fn pursue(&self, step: f64, work: &mut Work) {
         let power = self.turns.len() as f64;
-        // Errors of two numbers for each coefficient are uniform, with variances of step^2 / 12.
+        // The errors of a coefficient's two numbers are uniform, with variances of step^2 / 12.
         let floor = power * (NATURAL + NOISE * step * step / 6.0);
         let mut is_refined = false;
-        // Each lowers the energy, so this ends; events that come and go by little are cut short.
+        // Each step lowers the energy, so this would end by itself; the limit cuts short events that come and go
+        // for little gain.
         for _ in 0..2 * self.events_max() {
             if work.energy <= floor {
                 break;
@@ -180,7 +183,7 @@ impl Pursuit {
         }
     }
 
-    /// Step 4; false where it helps not.
+    /// Tries step 4; returns false, and restores the events, if it does not help.
     fn escape(&self, floor: f64, work: &mut Work) -> bool {
         if work.energy <= floor {
             return false;
@@ -205,7 +208,7 @@ impl Pursuit {
         false
     }
 
-    /// Makes the sum of the signs `sum`, as far as there is room for events.
+    /// Changes events until their signs sum to `sum`, as far as there is room for events.
     fn balance(&self, sum: f64, work: &mut Work) {
         for _ in 0..2 * self.events_max() {
             let left = sum - signs(&work.events);
@@ -221,7 +224,7 @@ impl Pursuit {
         }
     }
 
-    /// Where an event, of one sign or of any, lowers the energy the most; and p Re<r, a(u)> there.
+    /// Returns the event, of the given sign or of any, that lowers the energy the most, and its p Re<r, a(u)>.
     fn best(&self, work: &mut Work, sign: Option<f64>) -> (Place, f64) {
         let correlation = &mut work.correlation;
         correlation.clear();
@@ -258,7 +261,7 @@ impl Pursuit {
         }
     }
 
-    /// Re<r, a(u)>.
+    /// Returns Re<r, a(u)>.
     fn correlation(&self, residual: &[[f64; 2]], u: f64) -> f64 {
         let terms = residual.iter().zip(&self.turns);
         terms
@@ -291,7 +294,7 @@ impl Pursuit {
         work.energy = energy(&work.residual);
     }
 
-    /// Damped least squares of all times, which never raises the energy.
+    /// Refines all times by damped least squares, which never raises the energy.
     fn refine(&self, rounds: usize, work: &mut Work) {
         let count = work.events.len();
         let mut damping = DAMPING;
@@ -320,7 +323,7 @@ impl Pursuit {
         }
     }
 
-    /// Moves the events by `step` where that lowers the energy.
+    /// Moves the events by `step` if that lowers the energy; returns whether it did.
     fn try_step(&self, work: &mut Work) -> bool {
         work.trial.clear();
         let moved = work.events.iter().zip(&work.step);
@@ -346,7 +349,7 @@ impl Pursuit {
         is_lower
     }
 
-    /// Of the residual's linear part in the times.
+    /// Builds the normal equations of the residual, linearised in the times.
     fn normal_equations(&self, work: &mut Work) {
         let (count, m) = (work.events.len(), self.turns.len());
         work.slopes.clear();
@@ -371,7 +374,7 @@ impl Pursuit {
     }
 }
 
-/// exp(-i `turns` u).
+/// Returns exp(-i `turns` u).
 fn atom(turns: f64, u: f64) -> [f64; 2] {
     let (sin, cos) = (turns * u).sin_cos();
     [cos, -sin]
@@ -389,7 +392,7 @@ fn signs(events: &[Atom]) -> f64 {
     events.iter().map(|event| event.sign).sum()
 }
 
-/// Solves symmetric equations, n x n, in place (Cholesky); false where they are not positive definite.
+/// Solves n x n symmetric equations in place (Cholesky); returns false if the matrix is not positive definite.
 fn solve(matrix: &mut [f64], right: &mut [f64]) -> bool {
     let n = right.len();
     for i in 0..n {
@@ -462,7 +465,7 @@ mod tests {
         assert!(!solve(&mut [f64::NAN], &mut [1.0]));
     }
 
-    /// Coefficients of events (u, sign).
+    /// Returns the coefficients of events (u, sign).
     fn coefficients(frequencies: &[f64], events: &[(f64, f64)]) -> Vec<f64> {
         let of = |f: &f64| -> [f64; 2] {
             let terms = events.iter().map(|(u, sign)| (atom(TAU * f, *u), sign));
@@ -506,7 +509,7 @@ mod tests {
             let sum: i32 = found.iter().map(|(_, sign)| sign).sum();
             assert_eq!(sum, -count);
         }
-        // Of noise alone, with a sum.
+        // Coefficients of no event, but with a sum.
         let found = found(&frequencies, &[5.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         assert_eq!(found.iter().map(|(_, sign)| sign).sum::<i32>(), 5);
     }

@@ -1,24 +1,24 @@
-//! The last events of every pixel and polarity, which outlive their windows.
+//! Keeps the latest events of every pixel and polarity, which outlive their windows.
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 
 use super::dense_array::{Active, Array, Window};
 
-/// Times of the last `depth` events of every pixel and polarity; memory for pixels that had any.
+/// Times of the latest `depth` events of every pixel and polarity; only pixels that had events take memory.
 #[derive(Debug, Clone)]
 pub struct Recent {
     depth: usize,
     active: Active,
-    /// Number of a pixel's queues, from 1; 0 before its first event.
+    /// Index of each pixel's queues, from 1; 0 before its first event.
     queues: Vec<u32>,
-    /// The latest first; ON, then OFF.
+    /// The latest time first; the ON queue, then the OFF queue.
     times: Vec<Option<u64>>,
-    /// The window before, and the pixels that had events in it.
+    /// Number of the previous window, and the pixels that had events in it.
     before: Option<(u64, Vec<u32>)>,
 }
 
 impl Recent {
-    /// Nothing yet.
+    /// Starts without events.
     #[must_use]
     pub fn new(sensor: Sensor, depth: usize) -> Self {
         Self {
@@ -30,15 +30,17 @@ impl Recent {
         }
     }
 
-    /// Numbers of a pixel: ON, then OFF, `depth` each.
+    /// Returns the count of numbers per pixel: `depth` for ON, then `depth` for OFF.
     #[must_use]
     pub const fn channels(&self) -> usize {
         2 * self.depth
     }
 
-    /// Adds a window's events; then the array of all numbers at its end, `number` of the time of an
-    /// event, or of none. Of the pixels that have events in it or in the window right before: no other
-    /// has one that is young enough, or that rounding makes so.
+    /// Adds a window's events and returns the array at the window's end.
+    ///
+    /// `number` maps the time of an event, or the lack of one, to a number. The array covers the pixels that have
+    /// events in this window or the one right before it: no other pixel has an event that is young enough, even
+    /// after rounding.
     pub fn array(
         &mut self,
         window: &Window<'_>,

@@ -1,4 +1,4 @@
-//! What every representation does with a window, and the walk over a recording's windows.
+//! The interface of a representation, and the walk over a recording's windows.
 //!
 //! ```text
 //! events -> array -> stored array -> numbers -> events
@@ -15,20 +15,20 @@ use rayon::prelude::*;
 use super::dense_array::{self, Array, StoredArray, Window, windows};
 use super::stored::{Range, Stored};
 
-/// Pixels that one task decodes.
+/// Number of pixels that one task decodes.
 const PIXELS_PER_TASK: usize = 256;
 
-/// An event of a pixel that was found in its numbers.
+/// An event of a pixel, as decoded from the pixel's numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Found {
-    /// From the window's start, below T.
+    /// Time since the window's start, in us; below T.
     pub since_us: u32,
-    /// Its sign.
+    /// Polarity of the event.
     pub polarity: Polarity,
 }
 
 impl Found {
-    /// At the nearest microsecond of the window.
+    /// Rounds the time to the nearest microsecond within the window.
     #[must_use]
     pub fn at(since_us: f64, polarity: Polarity) -> Self {
         // The cast saturates.
@@ -38,8 +38,7 @@ impl Found {
         }
     }
 
-    /// `count` events evenly over the window: the i-th at T (i + 1/2) / count. Where nothing is known
-    /// of their times, this is the guess.
+    /// Spreads `count` events evenly over the window, the i-th at T (i + 1/2) / count: the guess for unknown times.
     pub fn evenly(count: u64, polarity: Polarity) -> impl Iterator<Item = Self> {
         let step_us = f64::from(WINDOW_US) / count as f64;
         (0..count).map(move |i| Self {
@@ -49,52 +48,52 @@ impl Found {
     }
 }
 
-/// A way to make an array of a window's events, and events of the array.
+/// Turns the events of a window into an array, and the array into events.
 pub trait Representation: Sync {
     /// Memory of a decoder.
     type Work: Default + Send;
 
-    /// Numbers of a pixel.
+    /// Returns the count of numbers per pixel.
     fn channels(&self) -> usize;
 
-    /// What numbers they are.
+    /// Returns the range of the numbers.
     fn range(&self) -> Range;
 
-    /// Whether they tell of times.
+    /// Returns whether the numbers carry times.
     fn has_times(&self) -> bool;
 
-    /// The array of the next window.
+    /// Makes the array of the next window.
     fn make(&mut self, window: &Window<'_>) -> Array;
 
-    /// What stands for "nothing" in an array that also holds events of earlier windows; `None` where
-    /// it does not. Those events need not be sent again.
+    /// Returns the number that stands for "nothing", if the array also holds events of earlier windows, which need
+    /// not be sent again; otherwise `None`.
     fn nothing(&self) -> Option<f64> {
         None
     }
 
-    /// Whether a number, as it is stored, tells of an event of the array's own window.
+    /// Returns whether a stored number represents an event of the array's own window.
     fn is_news(&self, _number: f64) -> bool {
         true
     }
 
-    /// Adds the events of a pixel, from its stored numbers, which are multiples of `step`; of 0 where
-    /// they have none.
+    /// Appends the events of a pixel to `found`. `numbers` are as stored: multiples of `step`, which is 0 if they
+    /// have none.
     fn decode(&self, numbers: &[f64], step: f64, work: &mut Self::Work, found: &mut Vec<Found>);
 }
 
-/// Bytes and time of a recording's arrays.
+/// Size of a recording's arrays, and the time to make them.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Made {
-    /// Of all arrays, a `.npy` file each, and their steps.
+    /// Bytes of all arrays, as one `.npy` file each, and of their steps.
     pub array_bytes: usize,
-    /// Spent on their active pixels, one thread.
+    /// Time to compute the active pixels on one thread, in seconds.
     pub seconds: f64,
 }
 
-/// Makes the array of every window; `visit` gets what was stored of its active pixels.
+/// Makes the array of every window; calls `visit` with the stored numbers of its active pixels.
 ///
 /// # Errors
-/// A recording that is out of order or has events outside of its sensor, and what `visit` returns.
+/// Fails if the recording is out of order or has events outside of its sensor, or with the error of `visit`.
 pub fn arrays<R: Representation>(
     representation: &mut R,
     source: &Source,
@@ -127,7 +126,8 @@ pub fn arrays<R: Representation>(
     })
 }
 
-/// Takes out the pixels without news, and the numbers that are none of those with.
+/// Removes the pixels that have no event of this window; in the others, replaces numbers of earlier events by
+/// `nothing`.
 fn keep_news(array: &mut StoredArray, representation: &impl Representation, nothing: f64) {
     let (quantiser, channels) = (array.quantiser, representation.channels().max(1));
     let nothing = quantiser.code(nothing);
@@ -153,7 +153,7 @@ fn keep_news(array: &mut StoredArray, representation: &impl Representation, noth
     *array = kept;
 }
 
-/// The events of a window's array, in order of time, then of place. Uses all threads.
+/// Decodes the events of a window's array, in order of time, then of position. Uses all threads.
 #[must_use]
 pub fn decode<R: Representation>(
     representation: &R,

@@ -1,30 +1,30 @@
-//! The type that an array's numbers are stored in, and what is left of them in it.
+//! Types in which an array's numbers are stored, and the quantiser that converts to them.
 //!
 //! ```text
 //! natural   f32
 //! signed    i16 or i8 times a step of the window: its largest |value| over the type's largest number
 //! levels    u16 or u8: value / largest of the definition, in equal levels from 0
-//! counts    u16 or u8: the count, or the type's largest number where that is less
+//! counts    u16 or u8: the count, limited to the type's largest number
 //! ```
 //!
-//! Decoders see the numbers that are read back from here, never those before.
+//! Decoders see only the numbers read back from the stored type.
 
-/// Type of a number.
+/// Stored type of a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stored {
-    /// The natural one, 4 bytes.
+    /// The natural type f32, 4 bytes.
     F32,
-    /// 2 bytes.
+    /// A type of 2 bytes.
     Bits16,
-    /// 1 byte.
+    /// A type of 1 byte.
     Bits8,
 }
 
 impl Stored {
-    /// All types.
+    /// All stored types.
     pub const ALL: [Self; 3] = [Self::F32, Self::Bits16, Self::Bits8];
 
-    /// As rows have it.
+    /// Returns the name used in the rows of results.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -34,7 +34,7 @@ impl Stored {
         }
     }
 
-    /// Of a number.
+    /// Returns the bytes per number.
     #[must_use]
     pub const fn bytes(self) -> usize {
         match self {
@@ -45,19 +45,19 @@ impl Stored {
     }
 }
 
-/// What numbers a representation has.
+/// Range of a representation's numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Range {
-    /// Of both signs, without a bound.
+    /// Both signs, without a bound.
     Signed,
-    /// From 0 to this.
+    /// From 0 to this number.
     UpTo(f64),
-    /// Whole numbers from 0.
+    /// Whole numbers from 0 on.
     Counts,
 }
 
 impl Range {
-    /// The type that numbers of this range are stored in.
+    /// Returns the name of the type that stores numbers of this range.
     #[must_use]
     pub const fn type_name(self, stored: Stored) -> &'static str {
         match (stored, self) {
@@ -70,17 +70,17 @@ impl Range {
     }
 }
 
-/// Stores the numbers of one window.
+/// Quantises the numbers of one window.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Quantiser {
     range: Range,
     stored: Stored,
-    /// Of signed numbers in a small type.
+    /// Step of signed numbers in a small type.
     step: f32,
 }
 
 impl Quantiser {
-    /// For the numbers of a window, the largest |number| of which is `largest`.
+    /// Makes the quantiser of a window whose largest |number| is `largest`.
     #[must_use]
     pub fn new(range: Range, stored: Stored, largest: f64) -> Self {
         let most = match stored {
@@ -95,19 +95,19 @@ impl Quantiser {
         }
     }
 
-    /// The type.
+    /// Returns the stored type.
     #[must_use]
     pub const fn stored(&self) -> Stored {
         self.stored
     }
 
-    /// The step of a window whose numbers are read with one.
+    /// Returns the step of the window, if its numbers are quantised with one.
     #[must_use]
     pub fn step(&self) -> Option<f32> {
         (self.range == Range::Signed && self.stored != Stored::F32).then_some(self.step)
     }
 
-    /// Levels above 0 of an unsigned type.
+    /// Returns the largest code of an unsigned type.
     fn levels(&self) -> f64 {
         match self.stored {
             Stored::F32 => f64::INFINITY,
@@ -116,7 +116,7 @@ impl Quantiser {
         }
     }
 
-    /// The bits of a number, in the lowest bytes.
+    /// Returns the bits of a number, in the lowest bytes.
     #[must_use]
     pub fn code(&self, value: f64) -> u32 {
         if self.stored == Stored::F32 {
@@ -142,7 +142,7 @@ impl Quantiser {
         }
     }
 
-    /// The number of some bits.
+    /// Returns the number that the bits represent.
     #[must_use]
     pub fn value(&self, code: u32) -> f64 {
         match (self.stored, self.range) {
@@ -154,7 +154,7 @@ impl Quantiser {
         }
     }
 
-    /// What is left of a number.
+    /// Returns the number after quantising.
     #[must_use]
     pub fn rounded(&self, value: f64) -> f64 {
         self.value(self.code(value))
@@ -177,7 +177,7 @@ mod tests {
             for i in 0..=3000 {
                 let value = 0.001 * f64::from(i);
                 assert_eq!(of_both.rounded(-value), -of_both.rounded(value));
-                // The step itself is an f32.
+                // The step itself is rounded to f32.
                 let most = 3.0 * signed + 3e-7;
                 assert!((of_both.rounded(value) - value).abs() <= most, "{value}");
                 let most = 3.0 * unsigned + 1e-12;

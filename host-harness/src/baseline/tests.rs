@@ -1,4 +1,4 @@
-//! What all representations must keep to.
+//! Properties that every representation must have.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use proptest::prelude::*;
 
 use super::*;
 
-/// Events as a recording.
+/// Wraps events as a recording.
 pub(super) fn source(events: &[Event]) -> Source {
     Source {
         name: "test".to_owned(),
@@ -17,7 +17,7 @@ pub(super) fn source(events: &[Event]) -> Source {
     }
 }
 
-/// What is found in the arrays of a recording.
+/// Returns the events decoded from the arrays of a recording.
 pub(super) fn decoded<R: Representation>(
     representation: &mut R,
     source: &Source,
@@ -47,7 +47,7 @@ fn arrays_have_the_size_of_their_definition() {
             assert_eq!(found.array_bytes, 2 * array, "{}", baseline.name());
             assert!(found.packed_bytes > 0 && found.packed_bytes < 600);
             assert_eq!(found.has_times, baseline != Baseline::EventFrame);
-            // Rounding may make the window's first event older than the window.
+            // Rounding may make the window's first event seem older than the window.
             let least = if stored == Stored::F32 { 2 } else { 1 };
             assert!(
                 (least..=2).contains(&found.events.len()),
@@ -80,7 +80,7 @@ fn a_recording_that_breaks_its_promise_is_refused() {
     }
 }
 
-/// Windows that events lie in.
+/// Returns the indices of the windows that hold the events.
 fn window_numbers(start_us: u64, events: &[Event]) -> Vec<u64> {
     let number = |event: &Event| (event.t_us - start_us) / u64::from(WINDOW_US);
     let mut numbers: Vec<u64> = events.iter().map(number).collect();
@@ -88,7 +88,7 @@ fn window_numbers(start_us: u64, events: &[Event]) -> Vec<u64> {
     numbers
 }
 
-/// Recordings in order of time: crowded pixels, equal times, long gaps, and the end of all times.
+/// Generates recordings in order of time, with crowded pixels, equal times, long gaps, and times up to `u64::MAX`.
 fn recording() -> impl Strategy<Value = Source> {
     let start = prop_oneof![Just(0), Just(u64::MAX - 20_000), any::<u64>()];
     let step = prop_oneof![

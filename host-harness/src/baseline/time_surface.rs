@@ -1,14 +1,14 @@
-//! Time surfaces: how long ago the last event of each pixel and polarity was.
+//! Time surfaces: the decayed age of the last event of each pixel and polarity.
 //!
 //! ```text
-//! S[p, y, x] = exp(-(end - t_last) / tau)      0 where there was none; ON first; tau = T
+//! S[p, y, x] = exp(-(end - t_last) / tau)      0 if there was no event; ON first; tau = T
 //! ```
 //!
-//! at the end of every window that has events: the exponential decay of Lagorce, Orchard, Galluppi,
-//! Shi, Benosman, *HOTS: A Hierarchy of Event-Based Time-Surfaces for Pattern Recognition* (2017), for
-//! the whole sensor at once and with the window as its time constant. Surfaces outlive their windows.
-//! Values are f32, or in levels of u16 or u8 from 0 to 1. The decoder has one event for every value of
-//! an age, -tau ln S, of up to T; all but the last event of a pixel and polarity are lost.
+//! at the end of every window that has events: the exponential decay of Lagorce, Orchard, Galluppi, Shi, Benosman,
+//! *HOTS: A Hierarchy of Event-Based Time-Surfaces for Pattern Recognition* (2017), for the whole sensor at once
+//! and with the window as time constant. Surfaces outlive their windows. Values are f32, or equal levels of u16 or
+//! u8 from 0 to 1. The decoder returns one event for every value whose age, -tau ln S, is at most T; all but the
+//! last event of a pixel and polarity are lost.
 
 use eecvs_bench::source::WINDOW_US;
 use eecvs_nostd::{Polarity, Sensor};
@@ -18,7 +18,7 @@ use super::recent::Recent;
 use super::representation::{Found, Representation};
 use super::stored::Range;
 
-/// tau, in us.
+/// Time constant tau, in us.
 const DECAY_US: f64 = WINDOW_US as f64;
 
 /// Makes time surfaces.
@@ -28,7 +28,7 @@ pub struct TimeSurface {
 }
 
 impl TimeSurface {
-    /// Of a sensor, before its first event.
+    /// Starts the surfaces of a sensor without events.
     #[must_use]
     pub fn new(sensor: Sensor) -> Self {
         Self {
@@ -41,10 +41,10 @@ fn value(age_us: u64) -> f64 {
     (-(age_us as f64) / DECAY_US).exp()
 }
 
-/// The age of a value, to the microsecond; `None` where it is not of the window.
+/// Returns the age of a value, to the microsecond; `None` if it is older than the window.
 fn age_us(value: f64) -> Option<u32> {
     let age_us = (-DECAY_US * value.ln()).round();
-    // Also where the value is 0, of no event.
+    // A value of 0, of no event, has an infinite age.
     (age_us <= f64::from(WINDOW_US)).then(|| age_us.max(1.0) as u32)
 }
 
@@ -101,7 +101,7 @@ mod tests {
         assert_eq!(age_us(0.0), None);
         assert_eq!(age_us(value(u64::from(WINDOW_US) + 1)), None);
         assert_eq!(age_us(1.0), Some(1));
-        // Half a level over the least value of a window, 1 / e; one microsecond is rounded.
+        // Half a level over the least value of a window, 1 / e; rounding adds a microsecond.
         for (stored, most) in [
             (Stored::F32, 0.0),
             (Stored::Bits16, 0.5 / 65_535.0),

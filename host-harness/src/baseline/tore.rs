@@ -1,18 +1,17 @@
-//! The TORE volume: the last k events of every pixel and polarity, by the logarithm of their age.
+//! TORE volumes: the logarithm of the age of the last k events of every pixel and polarity.
 //!
-//! Baldwin, Liu, Almatrafi, Asari, Hirakawa, *Time-Ordered Recent Event (TORE) Volumes for Event
-//! Cameras* (2021), with k = 3, or any other. At the end of every window that has events, for the i-th
-//! latest event of pixel (x, y) and polarity p:
+//! Baldwin, Liu, Almatrafi, Asari, Hirakawa, *Time-Ordered Recent Event (TORE) Volumes for Event Cameras* (2021),
+//! with their k = 3 or any other. At the end of every window that has events, for the i-th latest event of pixel
+//! (x, y) and polarity p:
 //!
 //! ```text
-//! age = end - t, 5 s at the most; 5 s where there is none
+//! age = end - t, 5 s at the most; 5 s if there is no event
 //! V[p, i, y, x] = max(0, ln(age + 1) - ln(150 + 1))        age in us
 //! ```
 //!
-//! ON first. Queues outlive their windows. The array is f32, or its value over the largest one in levels
-//! of u16 or u8. The decoder takes every age of up to T for an event of the window; one of age 0 to
-//! 150 us, which the definition does not tell apart, lies in their middle. Of more than k events of a
-//! pixel and polarity the oldest are lost.
+//! ON first. Queues outlive their windows. The array is f32, or equal levels of u16 or u8 up to the largest value.
+//! The decoder returns an event for every age of at most T. The definition does not distinguish ages from 0 to 150
+//! us; they are decoded as 75 us. Of more than k events of a pixel and polarity, the oldest are lost.
 
 use eecvs_bench::source::WINDOW_US;
 use eecvs_nostd::{Polarity, Sensor};
@@ -22,11 +21,11 @@ use super::recent::Recent;
 use super::representation::{Found, Representation};
 use super::stored::Range;
 
-/// k of the paper.
+/// The paper's k.
 pub const DEPTH: usize = 3;
-/// Ages that are not told apart, in us.
+/// Ages up to this one, in us, are not distinguished.
 const AGE_MIN: f64 = 150.0;
-/// Ages from here on are this, in us.
+/// Ages are limited to this one, in us.
 const AGE_MAX: f64 = 5e6;
 
 /// Makes TORE volumes.
@@ -36,7 +35,8 @@ pub struct Tore {
 }
 
 impl Tore {
-    /// Of the last `depth` events of every pixel and polarity, before the first.
+    /// Starts the volumes of a sensor without events, with queues of `depth` events per pixel and polarity; 0 is
+    /// taken as 1.
     #[must_use]
     pub fn new(sensor: Sensor, depth: usize) -> Self {
         Self {
@@ -49,13 +49,13 @@ fn value_max() -> f64 {
     (AGE_MAX + 1.0).ln() - (AGE_MIN + 1.0).ln()
 }
 
-/// Of an event `age_us` old.
+/// Returns the value of an event that is `age_us` old.
 fn value(age_us: u64) -> f64 {
     let age = (age_us as f64).min(AGE_MAX);
     ((age + 1.0).ln() - (AGE_MIN + 1.0).ln()).max(0.0)
 }
 
-/// The age of a value, to the microsecond.
+/// Returns the age of a value, to the microsecond.
 fn age_us(value: f64) -> u64 {
     if value <= 0.0 {
         return (AGE_MIN / 2.0) as u64;
@@ -122,12 +122,12 @@ mod tests {
             Stored::ALL.map(|stored| Quantiser::new(Range::UpTo(value_max()), stored, 0.0));
         for age in [151, 152, 1000, 32_768, 4_999_999] {
             let stored = f32s.rounded(value(age));
-            // f32 has 24 bits of a value up to 10.4.
+            // f32 has 24 significant bits, for values up to 10.4.
             let off = age_us(stored).abs_diff(age);
             assert!(off as f64 <= 1e-6 * age as f64 + 0.5, "{age}: {off}");
             let off = age_us(u16s.rounded(value(age))).abs_diff(age);
             assert!(off as f64 <= 1e-4 * age as f64);
-            // The first of 255 levels begins at an age of 154; below it is what is not told apart.
+            // The first of 255 levels begins at an age of 154 us; younger ages are not distinguished.
             let age_u8 = age_us(u8s.rounded(value(age)));
             let most = if age < 154 {
                 80.0
@@ -167,7 +167,7 @@ mod tests {
             event(0, 1, 1, true),
             event(1000, 1, 1, true),
             event(window_us + 5, 1, 1, true),
-            // Two windows later, and within the ages that are not told apart.
+            // Two windows later, and at an age that is not distinguished.
             event(4 * window_us - 100, 1, 1, true),
         ];
         let source = source(&events);

@@ -1,22 +1,21 @@
-//! A voxel grid with bilinear weights, the usual input of networks.
+//! Voxel grids with bilinear weights, the usual input of networks.
 //!
 //! ```text
 //! tau = (B - 1) (t - start) / T
 //! V[b, y, x] = sum over the pixel's events of p max(0, 1 - |b - tau|)
 //! ```
 //!
-//! (Zhu, Yuan, Chaney, Daniilidis, *Unsupervised Event-based Learning of Optical Flow, Depth, and
-//! Egomotion*, 2019), for every window that has events: f32, or i16 or i8 times a step of the window,
-//! which is its largest |V| over the type's largest number and takes 4 bytes.
+//! (Zhu, Yuan, Chaney, Daniilidis, *Unsupervised Event-based Learning of Optical Flow, Depth, and Egomotion*,
+//! 2019), for every window that has events: f32, or i16 or i8 times a step. The step is one f32 per window: the
+//! largest |V| over the type's largest number.
 //!
-//! The decoder goes pixel by pixel. A run is bins next to each other of one sign, as long as there are
-//! any; the masses of runs, sums of their bins, are rounded to numbers of events by the largest
-//! remainder, so that their signed sum is the rounded sum of all bins: weights of an event sum to 1, so
-//! frames are kept. The i-th of a run's n events takes the i-th of n equal parts of its mass in order of
-//! bins, and lies at the mean of the bins it takes from, weighted by what it takes. One event of a pixel
-//! is exact, and so are any two bins or more apart. Of events nearer than that only their mean is, and
-//! those of opposite signs cancel in the bins that they share. A grid of one bin tells nothing of times:
-//! its events lie evenly.
+//! The decoder works pixel by pixel. A run is a longest stretch of adjacent bins of one sign, its mass the sum of
+//! these bins. The masses are rounded to numbers of events by the largest remainder, so that their signed sum is
+//! the rounded sum of all bins. The weights of an event sum to 1, so this preserves frames. The i-th of a run's n
+//! events takes the i-th of n equal parts of its mass in order of the bins; its time is the mean of these bins,
+//! weighted by the mass it takes from each. A single event of a pixel is exact, and so are events two bins or more
+//! apart. Of closer events only the mean time is exact, and opposite signs cancel in bins that they share. A grid
+//! of one bin carries no times: its events are spread evenly.
 
 use eecvs_bench::source::WINDOW_US;
 use eecvs_nostd::{Polarity, Sensor};
@@ -33,7 +32,7 @@ pub struct Voxel {
 }
 
 impl Voxel {
-    /// Of `bins` bins, 1 or more.
+    /// Makes grids of `bins` bins; 0 is taken as 1.
     #[must_use]
     pub fn new(sensor: Sensor, bins: usize) -> Self {
         Self {
@@ -42,40 +41,40 @@ impl Voxel {
         }
     }
 
-    /// Time of a place among the bins, from the window's start.
+    /// Returns the time of position `tau` on the axis of bins, in us since the window's start.
     fn since_us(&self, tau: f64) -> f64 {
         tau * f64::from(WINDOW_US) / (self.bins - 1) as f64
     }
 }
 
-/// Bins next to each other of one sign.
+/// Adjacent bins of one sign.
 #[derive(Debug, Clone, Copy)]
 struct Run {
-    /// The first, and the one after the last.
+    /// Index of the first bin, and of the one after the last.
     bins: (usize, usize),
     /// Sum of the bins.
     mass: f64,
-    /// Events, with their sign.
+    /// Number of events, with their sign.
     count: f64,
 }
 
-/// Memory of the decoder.
+/// Reusable memory of the decoder.
 #[derive(Debug, Default)]
 pub struct Work {
     runs: Vec<Run>,
-    /// Places of runs, by their remainder.
+    /// Indices of the runs, by descending remainder.
     order: Vec<usize>,
 }
 
 impl Work {
-    /// The runs of a pixel.
+    /// Finds the runs of a pixel.
     fn find(&mut self, bins: &[f64]) {
         self.runs.clear();
         let mut end = 0;
         for run in bins.chunk_by(|a, b| a * b > 0.0) {
             let start = end;
             end += run.len();
-            // A product that is too small for the type parts nothing but bins that are as good as 0.
+            // A product that underflows splits a run only at bins of negligible mass.
             let mass: f64 = run.iter().sum();
             if mass != 0.0 {
                 self.runs.push(Run {
@@ -87,10 +86,10 @@ impl Work {
         }
     }
 
-    /// Rounds their masses to `total` events.
+    /// Rounds the masses of the runs to `total` events.
     fn round(&mut self, total: f64) {
         let counted: f64 = self.runs.iter().map(|run| run.count).sum();
-        // From 0 to the number of runs: `total` is their sum, rounded.
+        // From 0 to the number of runs, since `total` is the rounded sum of the masses.
         let more = (total - counted).max(0.0) as usize;
         let runs = &mut self.runs;
         self.order.clear();
@@ -161,7 +160,7 @@ impl Representation for Voxel {
                     if taken >= part {
                         break;
                     }
-                    // Rounding may leave the last event a little short.
+                    // Rounding may leave a little less mass for the last event.
                     let Some(next) = bins.next() else {
                         break;
                     };
@@ -191,7 +190,7 @@ mod tests {
     #[test]
     fn an_event_is_shared_by_the_two_bins_next_to_it() {
         let t_us = u64::from(WINDOW_US);
-        // tau = 0, 1, 2.25 of 5 bins.
+        // tau = 0, 1 and 2.25 on 5 bins.
         let events = [
             event(0, 4, 3, true),
             event(t_us / 4, 4, 3, true),
@@ -207,7 +206,7 @@ mod tests {
 
     #[test]
     fn events_two_bins_apart_are_exact() {
-        // Bins of 4,681 us: 8 of them.
+        // 8 bins, 4,681 us apart.
         let events = [
             event(0, 4, 3, true),
             event(100, 9, 3, false),
@@ -218,7 +217,7 @@ mod tests {
             event(32_767, 9, 3, true),
         ];
         assert_eq!(frames(&source(&events), 8, Stored::F32), events);
-        // In 16 bits a time is off by as little as the weights of two bins are.
+        // In 16 bits, the error of a time is as small as that of the weights of two bins.
         for (found, event) in frames(&source(&events), 8, Stored::Bits16)
             .iter()
             .zip(&events)
@@ -287,7 +286,7 @@ mod tests {
     #[test]
     fn masses_round_to_the_total_by_their_remainders() {
         let mut work = Work::default();
-        // Runs of 1.5, -0.4, 0.3, -1.2: 0.2 in all.
+        // Runs of 1.5, -0.4, 0.3 and -1.2, which sum to 0.2.
         work.find(&[0.7, 0.8, -0.4, 0.0, 0.3, -1.2]);
         work.round(0.0);
         let counts: Vec<f64> = work.runs.iter().map(|run| run.count).collect();

@@ -1,5 +1,5 @@
-//! `eecvs bench`: run time against error of every kernel, its error alone, how encoding scales, what
-//! skipping saves, rate against distortion, how quickly recordings are read.
+//! `eecvs bench`: measures run time and error of every kernel, how encoding scales, what skipping saves, rate
+//! against distortion, and how fast recordings are read.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -23,85 +23,82 @@ use super::bench_rate::Rate;
 use super::bench_read;
 use crate::report::{error_chart, kernel_chart, kernel_table, rate_table, skip_table};
 
-/// Where recordings are looked for unless a folder is given.
+/// Folder searched for recordings when none is given.
 const RECORDINGS: &str = "../shared/data";
 
-/// Where the instructions on microcontrollers come from.
+/// Source of the instruction counts on microcontrollers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Mcu {
-    /// Counted anew; fails where that is not possible
+    /// Count them now; fail where that is not possible
     Run,
-    /// Those saved with the project
+    /// Take the counts saved with the project
     Saved,
 }
 
 /// Measure run time against error of every kernel
 ///
-/// Times the accumulate stage of every kernel and of its peers, for every transform, M = 8, 16, 24
-/// and 64, on three windows cut from recordings or, where those are absent, from emulated scenes;
-/// one thread. Every answer is first compared with the f64 reference. Instructions on a
-/// Cortex-M4 and M7 are counted in QEMU where it is installed and this is the project's folder,
-/// whose firmware is built for it; else they are those saved with the project, and it says so.
-/// Writes a chart to DIR.
+/// Times the accumulate stage of every kernel and of its peers, for every transform and M = 8, 16, 24 and 64, on
+/// three windows cut from recordings or, if those are absent, from emulated scenes. Runs on one thread. Compares
+/// every result with the f64 reference first. Counts instructions on a Cortex-M4 and M7 in QEMU if it is installed
+/// and the current folder is the project's, whose firmware it builds; otherwise takes the counts saved with the
+/// project, and says so. Writes a chart to DIR.
 #[derive(Debug, Args)]
 pub struct Bench {
-    /// Folder of the chart
+    /// Folder to write the chart to
     #[arg(short, long, value_name = "DIR", default_value = "target/bench")]
     output: PathBuf,
 
-    /// Folder of the recordings to cut windows from; fails where one is missing, and with --skips
-    /// where all are
-    /// [default: ../shared/data where it is complete, else emulated scenes]
+    /// Folder of recordings to cut windows from; fails if one is missing, or with --skips if all are [default:
+    /// ../shared/data if it is complete, else emulated scenes]
     #[arg(long, value_name = "DIR", conflicts_with = "scaling")]
     recordings: Option<PathBuf>,
 
-    /// Instructions on microcontrollers: count them, or take those saved with the project
-    /// [default: count them where that is possible; with --quick, take the saved ones]
+    /// Instructions on microcontrollers: count them, or take the counts saved with the project [default: count them
+    /// if possible; with --quick, take the saved counts]
     #[arg(long, value_enum, value_name = "FROM", conflicts_with = "scaling")]
     mcu: Option<Mcu>,
 
-    /// Fewer events and repetitions: a look whether everything works, no figures to quote
+    /// Use fewer events and repetitions: checks that everything works, gives no figures to quote
     #[arg(long)]
     quick: bool,
 
-    /// Instead: time to encode over the sensor's area and over the number of events
+    /// Instead: measure encoding time over the sensor's area and over the number of events
     #[arg(long)]
     scaling: bool,
 
-    /// Instead: largest error per event of every kernel over k = 1 to 1,023, over 1 to 65,535 events
-    /// in a pixel, and over windows from 1 us to over an hour; fails beyond a documented bound
+    /// Instead: measure the largest error per event of every kernel over k = 1 to 1,023, over 1 to 65,535 events in
+    /// a pixel, and over windows from 1 us to more than an hour; fails if an error exceeds its documented bound
     #[arg(long, conflicts_with_all = ["scaling", "recordings", "skips"])]
     errors: bool,
 
-    /// Instead: what the encoder saves by each kind of skipping, with it and without
+    /// Instead: measure what each kind of skipping saves, by encoding with and without it
     #[arg(long, conflicts_with = "scaling")]
     skips: bool,
 
-    /// Instead: bits per event against distortion of both modes and of their peers (event files, xz
-    /// and zstd, TORE volumes, voxel grids), and a chart; fails where what is lossless does not come
-    /// back. The rows of zstd need a program built with --features zstd
+    /// Instead: measure bits per event against distortion of both modes and of their peers (event files, xz and
+    /// zstd, TORE volumes, voxel grids), and draw a chart; fails if a lossless codec does not return its input. The
+    /// zstd rows need a program built with --features zstd
     #[arg(long, conflicts_with_all = ["scaling", "recordings", "skips", "errors", "mcu"])]
     rate: bool,
 
-    /// Instead: events per second that each of these recordings is read with, on one thread; the quickest
-    /// of several times
+    /// Instead: measure events per second when reading each of these recordings on one thread; the fastest of
+    /// several runs counts
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = [
         "scaling", "recordings", "skips", "errors", "rate", "mcu", "save", "record",
     ])]
     read: Vec<PathBuf>,
 
-    /// Recordings for --rate, or folders of them, two levels deep
-    /// [default: ../shared/data where it is, else emulated scenes]
+    /// Recordings for --rate, or folders of them, searched two levels deep [default: ../shared/data if it exists,
+    /// else emulated scenes]
     #[arg(long, value_name = "PATH", num_args = 1.., requires = "rate")]
     data: Vec<PathBuf>,
 
-    /// Also write the table into a document, between the lines that name this command: README.md,
-    /// with --skips METHODOLOGY.md; of the recordings alone. With --rate either, or both, of
-    /// whatever was measured
+    /// Also write the table into a document, between the lines that name this command: README.md, or METHODOLOGY.md
+    /// with --skips. Needs recordings, except with --rate, which saves whatever was measured, into one or both
     #[arg(long, value_name = "FILE", conflicts_with_all = ["quick", "scaling", "errors"])]
     save: Vec<PathBuf>,
 
-    /// Also write the rows as a committed record, of which the table is made again, into this folder
+    /// Also write the rows into this folder as a record to commit, from which the table can be made again
     #[arg(long, value_name = "DIR", conflicts_with_all = ["quick", "scaling", "errors"])]
     record: Option<PathBuf>,
 
@@ -111,11 +108,10 @@ pub struct Bench {
 }
 
 impl Bench {
-    /// Measures and prints.
+    /// Runs the measurements that were asked for and prints their results.
     ///
     /// # Errors
-    /// A recording that cannot be read, a folder that cannot be written, a kernel that is not
-    /// within its documented error.
+    /// Fails if a recording cannot be read, a folder cannot be written, or a kernel exceeds its documented error.
     pub fn run(self) -> Result<()> {
         if !self.read.is_empty() {
             return bench_read::run(&self.read, self.quick, self.json);
@@ -206,7 +202,7 @@ impl Bench {
         }
     }
 
-    /// Where the document has the table.
+    /// Markers of the lines in `document` between which the table goes.
     fn marks(&self, document: &Path) -> Marks {
         if self.rate {
             rate_table::of(document).0
@@ -217,7 +213,7 @@ impl Bench {
         }
     }
 
-    /// Says so before anything is measured where the document's table would not be of what it is of.
+    /// Refuses to save, before anything is measured, if the table would not be measured on recordings.
     fn can_save(&self, has_recordings: bool) -> Result<()> {
         let place = self.save.first().or(self.record.as_ref());
         if let Some(document) = place {
@@ -235,7 +231,7 @@ impl Bench {
         Ok(())
     }
 
-    /// Writes the table into the document, where there is one.
+    /// Writes the table into every document of `--save`.
     fn save(&self, table: Option<String>) -> Result<()> {
         if self.save.is_empty() {
             return Ok(());
@@ -247,7 +243,7 @@ impl Bench {
         Ok(())
     }
 
-    /// Writes the rows as a record, where a folder of records is named.
+    /// Writes the rows as a record, if `--record` names a folder.
     fn record<R: Serialize>(&self, name: &str, rows: &[R]) -> Result<()> {
         match &self.record {
             Some(folder) => record_file::write(folder, name, rows),
@@ -255,7 +251,7 @@ impl Bench {
         }
     }
 
-    /// What is measured.
+    /// Returns the windows to measure on, and whether they come from recordings or scenes.
     fn cuts(&self) -> Result<(Vec<Cut>, Origin)> {
         if let Some(folder) = &self.recordings {
             ensure!(
@@ -272,7 +268,7 @@ impl Bench {
         Ok((cut::of_scenes()?, Origin::Emulator))
     }
 
-    /// Instructions of the kernels, and where they come from.
+    /// Returns the instruction counts of the kernels, and a note on where they come from.
     fn counts(&self, windows: &[Windows], origin: Origin) -> Result<(Vec<Count>, String)> {
         let images = match (self.mcu, self.quick) {
             (Some(Mcu::Run), _) => Ok(Images::build()?),
@@ -288,7 +284,7 @@ impl Bench {
             Err(reason) => reason,
         };
         if self.quick {
-            // Of the whole windows: no sums of this run are theirs.
+            // Saved counts are of whole windows, so the sums of this run's shortened windows cannot match theirs.
             let mut counts = mcu::saved()?;
             counts.retain(|count| count.origin == origin.name());
             let source = format!("saved with the project, of whole windows ({reason})");
@@ -302,7 +298,7 @@ impl Bench {
         Ok((counts, source))
     }
 
-    /// Writes the chart of the host and of a microcontroller, all pixels.
+    /// Draws all pixels of the windows for the host and the Cortex-M4; returns the SVG and the PNG.
     fn chart(&self, merged: &[Row], cuts: &[Cut]) -> Result<[PathBuf; 2]> {
         let rows: Vec<Row> = merged
             .iter()
@@ -320,7 +316,7 @@ impl Bench {
         Ok(files)
     }
 
-    /// Draws and prints the curves before it says which of them are beyond their bound.
+    /// Draws and prints the curves first, then fails if any is beyond its bound.
     fn errors(&self) -> Result<()> {
         let effort = if self.quick {
             errors::Effort::QUICK
@@ -363,7 +359,7 @@ pub(super) fn write(path: &Path, text: &str) -> Result<()> {
     Ok(output::write(path, text)?)
 }
 
-/// The largest of each curve and where it is, as powers of two.
+/// Formats the largest error of each curve and its position as powers of two.
 fn error_table(rows: &[errors::Row]) -> String {
     let power = |error: f64| {
         if error > 0.0 {

@@ -13,30 +13,30 @@ use crate::rate::{Effort, Row, lossless, measure};
 use crate::recordings;
 use crate::report::{rate_chart, rate_table};
 
-/// What is asked of it.
+/// Arguments of `eecvs bench --rate`.
 pub struct Rate<'o> {
-    /// Recordings and folders of them; none: those of `default_folder`, or scenes.
+    /// Recordings and folders of them. If empty: the recordings of `default_folder`, or else emulated scenes.
     pub data: &'o [PathBuf],
-    /// Looked into where no data is given.
+    /// Folder searched when `data` is empty.
     pub default_folder: &'o Path,
-    /// Folder of the chart.
+    /// Folder to write the chart to.
     pub output: &'o Path,
-    /// Less of everything.
+    /// Whether to measure less of everything.
     pub quick: bool,
-    /// Rows in place of the table.
+    /// Whether to print the rows as JSON instead of the table.
     pub json: bool,
-    /// Documents with the marks, which were checked.
+    /// Documents to write the table into; their marks have been checked already.
     pub save: &'o [PathBuf],
-    /// Folder of records, where one is asked for.
+    /// Folder to write the record to, if any.
     pub record: Option<&'o Path>,
 }
 
 impl Rate<'_> {
-    /// Measures, draws and prints.
+    /// Measures, draws the charts, and prints and saves the results.
     ///
     /// # Errors
-    /// A recording that cannot be read, a codec that does not give back what it promises, a folder
-    /// that cannot be written, `save` without every peer.
+    /// Fails if a recording cannot be read, a codec breaks its promise, or a folder cannot be written; also if a
+    /// table or a record is to be saved by a build that lacks some of the peers.
     pub fn run(&self) -> Result<()> {
         let place = self.save.first().map(PathBuf::as_path).or(self.record);
         if let (Some(document), Some(missing)) = (place, lossless::missing()) {
@@ -73,7 +73,7 @@ impl Rate<'_> {
         ))
     }
 
-    /// One recording after the other: only one is in memory.
+    /// Measures one recording after the other, so that only one is in memory.
     fn rows(&self, effort: Effort) -> Result<Vec<Row>> {
         let files = self.files()?;
         let recordings = if files.is_empty() { 3 } else { files.len() };
@@ -94,7 +94,7 @@ impl Rate<'_> {
         Ok(rows)
     }
 
-    /// The recordings; none for scenes.
+    /// Returns the recordings to measure; an empty list stands for the emulated scenes.
     fn files(&self) -> Result<Vec<(String, PathBuf)>> {
         if self.data.is_empty() {
             let folder = self.default_folder;
@@ -126,7 +126,7 @@ impl Rate<'_> {
     }
 }
 
-/// Names and files of the recordings of some paths; what is left out is said.
+/// Returns names and files of the distinct recordings in `paths`; reports on stderr what was left out.
 fn distinct(paths: &[PathBuf]) -> Result<Vec<(String, PathBuf)>> {
     let progress = Progress::new("recordings read");
     let found = recordings::read(paths, &|read| progress.set(read as u64), &mut |_| ())?;

@@ -1,4 +1,4 @@
-//! `eecvs bench --read`: events per second that recordings are read with.
+//! `eecvs bench --read`: measures how many events per second are read from recordings.
 
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
@@ -9,28 +9,28 @@ use eecvs_cli::output::{print, print_json};
 use event_files::BATCH_EVENTS;
 use serde::Serialize;
 
-/// Times that a file is read; the quickest counts.
+/// How often each file is read; the fastest run counts.
 const REPETITIONS: usize = 7;
 
-/// A recording and how quickly it is read.
+/// Reading speed of one recording.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
-    /// As it was named.
+    /// Path, as it was given.
     pub file: String,
-    /// The format's name.
+    /// Name of the format.
     pub format: &'static str,
-    /// Number of its events.
+    /// Number of events.
     pub events: u64,
-    /// Seconds from opening to the end, the least of all times.
+    /// Seconds from opening to the end of the file; the least of all runs.
     pub seconds: f64,
-    /// Of that time.
+    /// `events / seconds`.
     pub events_per_s: f64,
 }
 
-/// Reads each of `files` on one thread, keeping a batch of events at a time, and prints how quickly.
+/// Reads each of `files` on one thread, one batch of events at a time, and prints the speed.
 ///
 /// # Errors
-/// A recording that cannot be read to its end, or is not the same each time.
+/// Fails if a recording cannot be read to its end, or yields another number of events in a later run.
 pub fn run(files: &[PathBuf], quick: bool, json: bool) -> Result<()> {
     let repetitions = if quick { 1 } else { REPETITIONS };
     let rows: Result<Vec<Row>> = files
@@ -85,10 +85,10 @@ fn read(file: &Path) -> Result<Row> {
             break;
         }
         events += read as u64;
-        // Every event has been written to memory.
+        // Keeps the compiler from removing the writes of the events to memory.
         black_box(batch.as_slice());
     }
-    // A clock that did not advance would make it infinite, which JSON cannot hold.
+    // If the clock did not advance, the rate would be infinite, which JSON cannot represent.
     let seconds = start.elapsed().as_secs_f64().max(1e-9);
     Ok(Row {
         file: file.display().to_string(),

@@ -1,4 +1,4 @@
-//! `eecvs calibrate`: density thresholds from recordings.
+//! `eecvs calibrate`: computes density thresholds from recordings.
 
 use std::collections::BTreeMap;
 use std::num::NonZeroU32;
@@ -17,38 +17,38 @@ use event_files::EventReader;
 use event_files::output::{self, Kind};
 use serde_json::json;
 
-/// Seed of the calibrated scenes.
+/// Seed of the emulated scenes.
 const SCENE_SEED: u64 = 1;
 
-/// Compute the density thresholds of a set of recordings.
+/// Compute the density thresholds of a set of recordings
 ///
-/// The 25th and the 75th percentile of events per pixel per second over all windows, empty
-/// ones included, are written to a file for `eecvs encode --thresholds`.
+/// Takes the 25th and the 75th percentile of events per pixel per second over all windows, including empty ones,
+/// and writes them to a file for `eecvs encode --thresholds`.
 #[derive(Debug, Args)]
 pub struct Calibrate {
-    /// Recordings of the calibration set, of any sensor size.
+    /// Recordings of the calibration set, of any sensor size
     #[arg(required_unless_present = "scenes", value_name = "FILE")]
     files: Vec<PathBuf>,
 
-    /// Add the nine emulated scenes, as the thresholds that come with the program were made
+    /// Add the nine emulated scenes from which the program's built-in thresholds were computed
     #[arg(long)]
     scenes: bool,
 
-    /// Duration of a window in microseconds.
+    /// Duration of a window in microseconds
     #[arg(long, value_name = "T", default_value = "32768")]
     window_us: NonZeroU32,
 
     #[command(flatten)]
     reading: ReadingOptions,
 
-    /// Thresholds file to write, in TOML.
+    /// Thresholds file to write, in TOML
     #[arg(short, long, value_name = "thresholds.toml")]
     output: PathBuf,
 
     #[command(flatten)]
     overwrite: OutputOptions,
 
-    /// Print one JSON object instead of the table.
+    /// Print one JSON object instead of the table
     #[arg(long)]
     json: bool,
 }
@@ -57,8 +57,8 @@ impl Calibrate {
     /// Reads the recordings, writes the thresholds file and prints the result.
     ///
     /// # Errors
-    /// A recording that cannot be read to its end, recordings without events, or an output
-    /// that cannot be written; the message names the file.
+    /// Fails if a recording cannot be read to its end, no recording has events, or the output cannot be written;
+    /// the message names the file.
     pub fn run(self) -> anyhow::Result<()> {
         let inputs = self.files.iter().map(PathBuf::as_path);
         self.overwrite.check(&self.output, Kind::Settings, inputs)?;

@@ -1,4 +1,4 @@
-//! `eecvs compare`: distortion between two recordings.
+//! `eecvs compare`: measures the distortion between two recordings.
 
 use std::path::PathBuf;
 
@@ -14,7 +14,7 @@ use serde::Serialize;
 
 /// Compare recording B with recording A: frames, event times and events
 ///
-/// Windows are A's: half-open, consecutive, aligned to A's first event.
+/// The windows are cut from recording A: half-open, consecutive, aligned to its first event.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Compare {
     /// The original recording
@@ -25,7 +25,7 @@ pub struct Compare {
     #[arg(long, value_name = "T", default_value_t = 32_768,
           value_parser = clap::value_parser!(u64).range(1..))]
     window_us: u64,
-    /// Move the clocks onto each other first, where they differ by a constant
+    /// Align the clocks first if they differ by a constant
     #[arg(long)]
     align: bool,
     #[command(flatten)]
@@ -39,15 +39,15 @@ impl Compare {
     /// Compares and prints the result on stdout.
     ///
     /// # Errors
-    /// A recording that cannot be read, or what [`event_metrics::compare`] refuses.
+    /// Fails if a recording cannot be read, or for the reasons given at [`event_metrics::compare`].
     pub fn run(self) -> Result<()> {
         let reading = self.reading.reading();
-        // To later times, as there are none before 0.
         ensure!(
             !(is_dash(&self.a) && is_dash(&self.b)),
             "stdin is one recording: name a file for the other"
         );
         let (a, b) = (Rereadable::of(&self.a)?, Rereadable::of(&self.b)?);
+        // Clocks are only shifted to later times, since no time is below 0.
         let open = |recording: &Rereadable, later_us: i64| {
             let time_offset_us = reading.time_offset_us.saturating_add(later_us.max(0));
             let reading = Reading {
@@ -102,15 +102,15 @@ impl Compare {
 struct Report {
     #[serde(flatten)]
     comparison: Comparison,
-    /// How much B's clock is ahead of A's; null where no constant was found.
+    /// How far B's clock is ahead of A's in microseconds; null if no constant offset was found.
     clock_offset_us: Option<i64>,
-    /// Whether this was taken off before the recordings were compared.
+    /// Whether that offset was removed before the comparison.
     aligned: bool,
 }
 
-/// One line per metric: name, value, unit.
+/// Formats one line per metric: name, value, unit.
 pub fn table(c: &Comparison) -> String {
-    // Rounded down: 1.000000 stands for nothing less.
+    // Rounded down, so that 1.000000 means exactly 1.
     let floor = |share: f64| format!("{:.6}", (share * 1e6).floor() / 1e6);
     let rows = [
         ("events_a", c.events_a.to_string(), ""),

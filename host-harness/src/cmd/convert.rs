@@ -1,4 +1,4 @@
-//! `eecvs convert`: from one event-file format to another.
+//! `eecvs convert`: converts a recording from one event-file format to another.
 
 use std::path::PathBuf;
 
@@ -35,7 +35,7 @@ pub struct Convert {
     #[arg(long, value_name = "X,Y,W,H", value_parser = crop)]
     crop: Option<Crop>,
 
-    /// Leave out or change what the output's format cannot hold, and count it, in place of refusing it
+    /// Drop or change what the output's format cannot hold, and count it, instead of failing
     #[arg(long)]
     allow_loss: bool,
 
@@ -84,7 +84,7 @@ impl Convert {
     /// Converts and prints how many events were read and written.
     ///
     /// # Errors
-    /// A recording that cannot be read to its end, a format that cannot hold its events.
+    /// Fails if a recording cannot be read to its end, or the output's format cannot hold its events.
     pub fn run(self) -> Result<()> {
         if let (Some(from), Some(to)) = (self.from_us, self.to_us)
             && from > to

@@ -1,4 +1,4 @@
-//! `eecvs decode`: frames to events and volumes.
+//! `eecvs decode`: decodes frames to events and volumes.
 
 use std::path::PathBuf;
 
@@ -29,21 +29,21 @@ pub struct Decode {
     #[arg(short, long, value_name = "OUT", required_unless_present = "volume")]
     output: Option<PathBuf>,
 
-    /// How event times are found in the coefficients of the DCT and the DTFT (mode transform)
+    /// How to find event times in the coefficients of the DCT and the DTFT (mode transform)
     #[arg(long, value_parser = finder(), value_name = "HOW", default_value = "exact")]
     events: Finder,
 
-    /// Write the float32 C x H x W volume of one window: its coefficients, or with --bins its bins in time. An .npz has
-    /// the window's t0_us and duration_us too
+    /// Write the float32 C x H x W volume of one window: its coefficients, or its time bins with --bins. An .npz
+    /// also holds the window's t0_us and duration_us
     #[arg(long, value_name = "V.npy|V.npz")]
     volume: Option<PathBuf>,
 
-    /// Which window the volume is of, from 0; windows without events do not count
+    /// Number of the window whose volume is written, from 0; windows without events are not counted
     #[arg(long, value_name = "I", requires = "volume", default_value = "0")]
     window: u64,
 
-    /// Write the volumes of all windows as one array, T x C x H x W, with their times: in the .npz, or beside the .npy in
-    /// NAME.times.npy, T x 2
+    /// Write the volumes of all windows as one array, T x C x H x W, with their times: inside the .npz, or beside
+    /// the .npy in NAME.times.npy, T x 2
     #[arg(long, requires = "volume", conflicts_with = "window")]
     all_windows: bool,
 
@@ -62,11 +62,11 @@ pub struct Decode {
 }
 
 impl Decode {
-    /// Decodes and prints what was done.
+    /// Decodes, writes the outputs and prints a summary.
     ///
     /// # Errors
-    /// A file that cannot be read or holds no frame, a window that is not there, an output that
-    /// cannot be written. Where frames are damaged or missing the outputs have everything else.
+    /// Fails if a file cannot be read or holds no frame, the window does not exist, or an output cannot be written.
+    /// Also fails if frames are damaged or missing, but then the outputs hold everything else.
     pub fn run(self) -> Result<()> {
         let name = name_of(&self.input);
         let volume = self.volume.as_deref();
@@ -142,7 +142,7 @@ impl Decode {
     }
 }
 
-/// The summary for people.
+/// Formats the summary as a table.
 fn table(summary: &DecodeSummary) -> String {
     rows([
         ("frames", summary.link.frames.to_string()),

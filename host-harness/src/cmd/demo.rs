@@ -1,4 +1,4 @@
-//! `eecvs demo`: the main job from an emulated scene to a page with pictures.
+//! `eecvs demo`: runs the whole codec on an emulated scene and writes a page with pictures.
 
 use std::fs;
 use std::num::{NonZeroU32, NonZeroUsize};
@@ -34,13 +34,13 @@ use crate::report::demo::{MARKS, Page, Row, document, table};
 const WINDOW_US: NonZeroU32 = NonZeroU32::new(32_768).unwrap();
 const M: u8 = 16;
 
-/// The page, which is written last.
+/// File name of the page, which is written last.
 const REPORT: &str = "report.html";
 
 /// Emulate a scene, calibrate, encode, decode, compare, and write a page with pictures
 #[derive(Debug, Args)]
 pub struct Demo {
-    /// Folder of the results
+    /// Folder to write the results to
     #[arg(short, long, value_name = "DIR", default_value = "eecvs-demo")]
     output: PathBuf,
 
@@ -60,7 +60,7 @@ pub struct Demo {
     #[arg(long, value_name = "FILE", conflicts_with_all = ["scene", "seed"])]
     save: Option<PathBuf>,
 
-    /// Also write the rows as a committed record, of which the table is made again, into this folder
+    /// Also write the rows into this folder as a record to commit, from which the table can be made again
     #[arg(long, value_name = "DIR", conflicts_with_all = ["scene", "seed"])]
     record: Option<PathBuf>,
 }
@@ -74,15 +74,16 @@ struct Run {
 }
 
 impl Demo {
-    /// Runs the whole codec and prints where its results are.
+    /// Runs the whole codec and prints where the results are.
     ///
     /// # Errors
-    /// A folder that cannot be written.
+    /// Fails if the folder holds files already (unless `overwrite`) or cannot be written, or if a step of the codec
+    /// fails.
     pub fn run(self) -> Result<()> {
         if let Some(document) = &self.save {
             MARKS.check(document)?;
         }
-        // What an earlier run left half done is in the way as well.
+        // Files that an interrupted run left also count as results.
         let is_used = fs::read_dir(&self.output).is_ok_and(|mut entries| entries.next().is_some());
         ensure!(
             self.overwrite || !is_used,
@@ -210,7 +211,7 @@ impl Run {
         self.folder.join(format!("decoded-{name}.raw"))
     }
 
-    /// Encodes into a file, decodes it into another and compares that with the scene.
+    /// Encodes the scene to a file, decodes that to another file and compares the result with the scene.
     fn row(&self, name: &'static str, mode: Mode, transform: Option<Transform>) -> Result<Row> {
         let frames = self.folder.join(format!("{name}.eecvs"));
         let mut out = OutputFile::create(&frames)?;
@@ -226,7 +227,7 @@ impl Run {
         let mut reader = event_files::open(&self.scene, None)?;
         let progress = Progress::new("events");
         let mut show = |events| progress.set(events);
-        // The rate in the table is that of one thread, as everywhere where nothing else is said.
+        // As everywhere unless stated otherwise, the rate in the table is that of one thread.
         let encoded = encode(
             reader.as_mut(),
             config,
@@ -259,7 +260,7 @@ impl Run {
         })
     }
 
-    /// A strip for one window of each regime, and the charts of the density.
+    /// Draws a strip for one window of each regime, and the charts of the density.
     fn pictures(&self) -> Result<Vec<(String, String)>> {
         let mut windows = Vec::new();
         of_recording(
@@ -309,10 +310,10 @@ impl Run {
         Ok(pictures)
     }
 
-    /// Original, decoded and difference of the start of a window.
+    /// Draws the start of a window: original, decoded and difference.
     ///
-    /// A whole window would look alike, since its counts are exact: a slice of it shows what the
-    /// coefficients do to the times.
+    /// The counts of a whole window are exact, so that its pictures would look alike; a slice of it shows how the
+    /// coefficients change the times.
     fn strip(&self, window: &WindowDensity, path: &Path) -> Result<()> {
         let until_us = window.t0_us + 4096;
         let sums = |path: &Path| -> Result<FrameSums> {

@@ -19,7 +19,7 @@ pub struct Emulate {
     #[arg(value_parser = preset(), value_name = "SCENE", required_unless_present = "list")]
     scene: Option<Preset>,
 
-    /// List the scenes, a line about each, and exit
+    /// List the scenes, one per line with a description, and exit
     #[arg(long, conflicts_with_all = ["scene", "output"])]
     list: bool,
 
@@ -30,7 +30,7 @@ pub struct Emulate {
     #[command(flatten)]
     format: FormatOptions,
 
-    /// The same seed gives the same events on every machine
+    /// Seed of the scene; the same seed gives the same events on every machine
     #[arg(long, default_value_t = 1)]
     seed: u64,
 
@@ -58,7 +58,7 @@ pub struct Emulate {
     json: bool,
 }
 
-/// What was written.
+/// Counts of the events written.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Written {
     events: u64,
@@ -66,11 +66,11 @@ struct Written {
 }
 
 impl Emulate {
-    /// Runs the command; the result goes to stdout.
+    /// Emulates the scene, writes it and prints the result on stdout.
     ///
     /// # Errors
-    /// A scene that cannot be (its end beyond 2^64 us), an unknown extension, an unwritable
-    /// file, an event that the format cannot hold.
+    /// Fails if the scene cannot exist (its end is beyond 2^64 us), the extension is unknown, the file cannot be
+    /// written, or the format cannot hold an event.
     pub fn run(self) -> anyhow::Result<()> {
         if self.list {
             return print(&scenes());
@@ -100,11 +100,11 @@ impl Emulate {
         place.print(&format!("{}\n", self.report(&config, written, seconds)))
     }
 
-    /// The result as a table or as JSON.
+    /// Formats the result as a table or as JSON.
     fn report(&self, config: &SceneConfig, written: Written, seconds: f64) -> String {
         let scene_s = config.duration_us as f64 * 1e-6;
         let exposure = f64::from(config.sensor.pixels()) * scene_s;
-        // An empty scene has no density, not one that is not a number.
+        // The density of an empty scene is 0, not 0 / 0.
         let density = if exposure > 0.0 {
             written.events as f64 / exposure
         } else {
@@ -144,7 +144,7 @@ impl Emulate {
     }
 }
 
-/// The names of the scenes, a line about each.
+/// Lists the scenes, one line each: name and description.
 fn scenes() -> String {
     PRESETS
         .iter()
@@ -152,7 +152,7 @@ fn scenes() -> String {
         .collect()
 }
 
-/// Writes every event of a scene, batch by batch.
+/// Writes every event of a scene, batch by batch, and counts them.
 fn write_scene(emulator: &mut Emulator, writer: &mut dyn EventWriter) -> anyhow::Result<Written> {
     let progress = Progress::new("ms of scene");
     let mut written = Written::default();
@@ -185,7 +185,7 @@ mod tests {
         Line::try_parse_from(words).map(|line| line.emulate)
     }
 
-    /// A recording in memory; fails once it holds more than `room` events.
+    /// A recording in memory; writing fails once it holds more than `room` events.
     struct Memory {
         events: Vec<Event>,
         room: usize,

@@ -1,4 +1,4 @@
-//! `eecvs encode`: a recording to frames.
+//! `eecvs encode`: encodes a recording into frames.
 
 use std::fs::Metadata;
 use std::iter;
@@ -34,8 +34,8 @@ pub struct Encode {
     #[command(flatten)]
     codec: CodecOptions,
 
-    /// Kernel that computes the coefficients of the DCT and the DTFT; the Haar transform has one
-    /// alone, which is exact. A decoder need not know: coefficients differ by the kernel's error
+    /// Kernel that computes the coefficients of the DCT and the DTFT; the Haar transform has a single, exact
+    /// kernel. The decoder need not know the kernel: coefficients differ only by the kernel's error
     #[arg(long, value_enum, value_name = "NAME", default_value = "table")]
     kernel: KernelName,
 
@@ -51,8 +51,8 @@ pub struct Encode {
     #[command(flatten)]
     reading: ReadingOptions,
 
-    /// Threads that encode; the frames do not depend on it [default: as many as there
-    /// are cores; 1 where IN is a pipe, whose windows then do not wait for those behind them]
+    /// Number of encoding threads; the frames do not depend on it [default: the number of cores; 1 if IN is a pipe,
+    /// so that no window waits for later ones]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
 
@@ -65,10 +65,11 @@ pub struct Encode {
 }
 
 impl Encode {
-    /// Encodes and prints what was done.
+    /// Encodes, writes the frames and prints a summary.
     ///
     /// # Errors
-    /// A recording that cannot be read, an output that cannot be written.
+    /// Fails if the recording or a settings file cannot be read, the output cannot be written, or, unless loss is
+    /// allowed, if events came too late to be in a frame.
     pub fn run(self) -> Result<()> {
         let inputs = iter::once(self.input.as_path()).chain(self.codec.files());
         self.overwrite.check(&self.output, Kind::Frames, inputs)?;
@@ -132,7 +133,7 @@ impl Encode {
 }
 
 impl Encode {
-    /// As many as were asked for. Of a pipe one, so that no window waits for those behind it.
+    /// Returns the number asked for. The default for a pipe is one, so that no window waits for later ones.
     fn threads(&self) -> NonZeroUsize {
         let asked = self
             .threads
@@ -152,7 +153,7 @@ impl Encode {
 struct Report<'c> {
     input: String,
     output: String,
-    /// Bytes of the recording's file, where it is one.
+    /// Size of the input in bytes, if it is a regular file.
     bytes_in: Option<u64>,
     /// `bytes_in` / `bytes_out`.
     ratio: Option<f64>,
@@ -182,7 +183,7 @@ impl<'c> Report<'c> {
         }
     }
 
-    /// For people.
+    /// Formats the report as a table.
     fn table(&self) -> String {
         let summary = self.summary;
         let count = |count: u64| count.to_string();
@@ -213,7 +214,7 @@ impl<'c> Report<'c> {
             ("runs", count(summary.runs)),
             ("windows", count(summary.windows)),
         ]);
-        // Events have no transform.
+        // Only windows coded as coefficients have a transform.
         if summary.windows_as_coefficients > 0 {
             table.extend([
                 ("  dct", count(summary.windows_dct)),

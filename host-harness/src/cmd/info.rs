@@ -1,4 +1,4 @@
-//! `eecvs info`: what a recording holds.
+//! `eecvs info`: prints what a recording holds.
 
 use std::path::PathBuf;
 
@@ -27,7 +27,7 @@ impl Info {
     /// Reads the recording and prints what it holds.
     ///
     /// # Errors
-    /// A recording that cannot be read to its end.
+    /// Fails if the recording cannot be read to its end.
     pub fn run(self) -> Result<()> {
         let progress = Progress::new("events");
         let info = info(&self.file, &self.reading.reading(), &mut |events| {

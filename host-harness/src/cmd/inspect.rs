@@ -1,4 +1,4 @@
-//! `eecvs inspect`: one row per frame.
+//! `eecvs inspect`: prints one row per frame.
 
 use std::io::{Write, stdout};
 use std::path::PathBuf;
@@ -35,19 +35,19 @@ struct Row {
     duration_us: u32,
     window_events: u32,
     events: u32,
-    /// Of a transform's frame; another one's payload alone would tell.
+    /// Number of pixels, for a transform frame; other frames have it only in their payload.
     pixels: Option<u32>,
     mode: &'static str,
     coder: Option<&'static str>,
     time_tolerance_us: Option<u32>,
     bins: Option<u16>,
-    /// What of the window's events is told.
+    /// What the frame encodes of the window's events.
     fidelity: String,
-    /// Where times are told by scans.
+    /// Period of the readout, if times are coded by scans.
     scan_period_us: Option<f64>,
-    /// Where the order of events of equal time is told: bytes of it.
+    /// Bytes of the order of events of equal time, if it is coded.
     order_bytes: Option<u32>,
-    /// Decodes by itself.
+    /// Whether the frame decodes without earlier frames.
     key: bool,
     density_per_px_s: f64,
     regime: &'static str,
@@ -62,15 +62,16 @@ struct Row {
     thinned: u32,
     saturated: u32,
     truncated: bool,
-    /// The clock fell back before the window.
+    /// Whether the clock fell back before this window.
     begins_run: bool,
 }
 
 impl Inspect {
-    /// Prints the rows, of frames of several sensors too.
+    /// Prints one row per frame, in a file with frames of several sensors too.
     ///
     /// # Errors
-    /// A file that cannot be read or holds no frame; damaged or missing frames, after all the others.
+    /// Fails if the file cannot be read or holds no frame. If frames are damaged or missing, fails after printing
+    /// all the others.
     pub fn run(self) -> Result<()> {
         let name = name_of(&self.input);
         let mut reader = FrameReader::new(open_bytes(&self.input)?).of_all_sensors();
@@ -82,15 +83,15 @@ impl Inspect {
             .next_frame()
             .with_context(|| format!("{name}: cannot read"))?
         {
-            // As decoding counts windows, so that --window takes the number; the first frame of a
-            // window may be lost.
+            // Windows are numbered as in decoding, so that `decode --window` accepts these numbers. The first frame
+            // of a window may be lost.
             let header = located.frame.header;
             let goes_on = open.is_some_and(|earlier| same_window(&earlier, &header));
             windows += u64::from(header.events > 0 && !goes_on);
             open = (header.events > 0 && !header.last).then_some(header);
             let row = Row::new(index, windows.max(1) - 1, &located);
             if self.json {
-                // The bracket waits for a frame: a file without one leaves stdout empty.
+                // The bracket waits for the first frame, so that a file without frames leaves stdout empty.
                 let before = if index == 0 { '[' } else { ',' };
                 write!(out, "{before}\n{}", serde_json::to_string(&row)?).context("stdout")?;
             } else {
@@ -215,7 +216,7 @@ impl Row {
             order_bytes,
             ..
         } = self;
-        // In bytes; none where none is told.
+        // In bytes; blank if the order is not coded.
         let order = order_bytes.map_or(String::new(), |bytes| bytes.to_string());
         let coder = coder.unwrap_or("");
         writeln!(
@@ -226,7 +227,7 @@ impl Row {
     }
 }
 
-/// What a frame tells of the events of its window.
+/// Describes what a frame encodes of the events of its window.
 fn fidelity(header: &Header) -> String {
     let told = match header.mode {
         Mode::Transform | Mode::Coefficients(_) => "coefficients".to_owned(),
@@ -237,7 +238,7 @@ fn fidelity(header: &Header) -> String {
             Fidelity::Bins(count) => format!("{count} bins"),
         },
     };
-    // The rate control left events of the window out.
+    // The rate control left out some events of the window.
     let thinned = if header.thinned > 0 { ", thinned" } else { "" };
     told + thinned
 }

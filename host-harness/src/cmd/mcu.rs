@@ -1,4 +1,4 @@
-//! `eecvs mcu`: a recording through the firmware image, compared with the host's encoder.
+//! `eecvs mcu`: encodes a recording with the firmware image and compares the frames with the host encoder's.
 
 use std::path::PathBuf;
 use std::thread;
@@ -14,21 +14,21 @@ use mcu_link::qemu::{Machine, Qemu};
 use mcu_link::{Connection, Outcome, PATIENCE};
 use serde::Serialize;
 
-/// Time that an emulator takes to end.
+/// Time that an emulator needs to exit.
 const END: Duration = Duration::from_millis(200);
 
 /// Encode a recording on an emulated microcontroller and compare its frames with the host's
 ///
-/// Builds the firmware image, starts it in QEMU, sends it the events over the UART and checks that
-/// every frame has the bytes that this program's own encoder makes of the same events. Ends with
-/// status 1 if a frame differs or is missing, or an event is unaccounted for.
+/// Builds the firmware image, starts it in QEMU, sends it the events over the UART and checks that every frame is
+/// byte for byte what this program's own encoder makes of the same events. Exits with status 1 if a frame differs
+/// or is missing, or an event is unaccounted for.
 #[derive(Debug, Args)]
 pub struct Mcu {
     /// Machine to emulate
     #[arg(long, value_parser = machine(), default_value = "netduinoplus2")]
     machine: Machine,
 
-    /// Image to run [default: the encoder's, built by firmware/build.sh]
+    /// Image to run [default: the encoder's image, built by firmware/build.sh]
     #[arg(long, value_name = "ELF")]
     image: Option<PathBuf>,
 
@@ -56,11 +56,11 @@ struct Report {
 }
 
 impl Mcu {
-    /// Runs the recording and prints what came of it.
+    /// Encodes the recording on the emulated machine and prints the comparison.
     ///
     /// # Errors
-    /// No QEMU, no image, a recording that cannot be read or sent, an encoder that refuses or
-    /// stalls, frames that differ, events that are lost.
+    /// Fails if QEMU or the image is missing, the recording cannot be read or sent, the encoder refuses or stalls,
+    /// frames differ, or events are lost.
     pub fn run(self) -> Result<()> {
         let prepared = self.job.prepare()?;
         let image = match &self.image {
@@ -74,7 +74,7 @@ impl Mcu {
         let outcome =
             encode(&mut qemu, &prepared).map_err(|error| self.explain(&mut qemu, error))?;
         drop(qemu);
-        // One instruction takes a nanosecond of the machine's time.
+        // QEMU runs one instruction per nanosecond of the machine's clock.
         let [receive, encode, send] = outcome.ns_per_event();
         let report = Report {
             machine: self.machine.name(),
@@ -92,9 +92,9 @@ impl Mcu {
         outcome.verdict().with_context(|| self.job.name())
     }
 
-    /// Adds what the emulator and the image have to say.
+    /// Adds to `error` how the emulator ended; without `--log`, prints the latest lines of its log.
     fn explain(&self, qemu: &mut Qemu, error: anyhow::Error) -> anyhow::Error {
-        // An emulator that ends closes the link first.
+        // An emulator that exits closes its link first.
         thread::sleep(END);
         let end = qemu.end();
         if !self.log {
@@ -114,7 +114,7 @@ fn encode(qemu: &mut Qemu, prepared: &Prepared<'_>) -> Result<Outcome> {
     prepared.run(&mut Connection::new(&link, PATIENCE)?)
 }
 
-/// The report for people.
+/// Formats the report as a table.
 fn table(report: &Report, outcome: &Outcome) -> String {
     let mut lines = vec![("machine", format!("{} (emulated)", report.machine))];
     lines.extend(report.account.rows());

@@ -1,4 +1,4 @@
-//! Subcommands of `eecvs`, one file each, their flags beside them.
+//! Subcommands of `eecvs`: one file each, with its flags.
 
 pub mod bench;
 mod bench_rate;

@@ -1,4 +1,4 @@
-//! `eecvs monitor`: density per window, regime, histogram.
+//! `eecvs monitor`: prints density and regime per window, and a histogram.
 
 use std::iter;
 use std::num::NonZeroU32;
@@ -18,19 +18,19 @@ use serde_json::json;
 
 use crate::report::chart;
 
-/// Columns of a bar.
+/// Columns of a full bar.
 const BAR: usize = 40;
 /// Rows of the histogram.
 const HISTOGRAM_ROWS: usize = 16;
 
-/// Print density and regime of every window, and their histogram
+/// Print density and regime of every window, and a histogram of the densities
 #[derive(Debug, Args)]
 pub struct Monitor {
     /// Recording or file of frames
     #[arg(value_name = "IN")]
     input: PathBuf,
 
-    /// Duration of a window in microseconds; a file of frames has its own
+    /// Duration of a window in microseconds; ignored for a file of frames, which has its own windows
     #[arg(long, value_name = "T", default_value = "32768")]
     window_us: NonZeroU32,
 
@@ -57,10 +57,11 @@ pub struct Monitor {
 }
 
 impl Monitor {
-    /// Prints the windows and their histogram.
+    /// Prints the windows and the histogram of their densities, and writes the charts.
     ///
     /// # Errors
-    /// An input that cannot be read, a chart that cannot be written.
+    /// Fails if an input cannot be read or a chart cannot be written; also, after printing, if frames are damaged
+    /// or missing.
     pub fn run(self) -> Result<()> {
         for chart in self.chart.iter().chain(&self.histogram) {
             let inputs = iter::once(self.input.as_path()).chain(self.thresholds.files());
@@ -116,7 +117,7 @@ impl Monitor {
             "windows": windows,
         });
         place.tell(self.json, &report, || {
-            // Live, the windows have been shown.
+            // A live source has had its windows printed already.
             let shown = if is_live {
                 String::new()
             } else {
@@ -128,7 +129,7 @@ impl Monitor {
     }
 }
 
-/// Thresholds in events per pixel per second.
+/// Converts the thresholds to events per pixel per second.
 #[must_use]
 pub fn chart_thresholds(thresholds: Thresholds) -> chart::Thresholds {
     let per_px_s = |pico: u64| pico as f64 / Density::PICO as f64;
@@ -138,7 +139,7 @@ pub fn chart_thresholds(thresholds: Thresholds) -> chart::Thresholds {
     }
 }
 
-/// Points of a chart whose time starts at the first window.
+/// Returns the points of the density chart; time starts at the first window.
 #[must_use]
 pub fn points(windows: &[WindowDensity]) -> Vec<chart::DensityPoint> {
     let start_us = windows.first().map_or(0, |window| window.t0_us);
@@ -155,16 +156,16 @@ fn bar(share: f64) -> String {
     "#".repeat((share * BAR as f64).round() as usize)
 }
 
-/// Rows of windows, the titles before the first.
+/// Prints rows of windows, the titles before the first one.
 #[derive(Debug, Default)]
 struct Rows {
     count: u64,
-    /// The largest density so far.
+    /// Largest density so far.
     most: f64,
 }
 
 impl Rows {
-    /// A row whose bar is full at `full` events per pixel per second.
+    /// Formats one window; its bar is full at `full` events per pixel per second.
     fn row(&mut self, window: &WindowDensity, full: f64) -> String {
         let mut text = String::new();
         if self.count == 0 {
@@ -203,7 +204,7 @@ fn table(windows: &[WindowDensity]) -> String {
     rows.collect()
 }
 
-/// Windows by regime, and the histogram of their densities.
+/// Formats the number of windows per regime, and the histogram of the densities.
 fn totals(windows: &[WindowDensity], thresholds: Thresholds) -> String {
     let marks = chart_thresholds(thresholds);
     let mut text = format!(
@@ -220,7 +221,7 @@ fn totals(windows: &[WindowDensity], thresholds: Thresholds) -> String {
     text + &histogram(windows, most(windows))
 }
 
-/// Counts of windows in equal steps of density.
+/// Formats counts of windows in equal steps of density, up to `most`.
 fn histogram(windows: &[WindowDensity], most: f64) -> String {
     if most <= 0.0 {
         return String::new();

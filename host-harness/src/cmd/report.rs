@@ -1,4 +1,4 @@
-//! `eecvs report`: the paper's evaluation, as a page with tables and pictures.
+//! `eecvs report`: reproduces the paper's evaluation as a page with tables and pictures.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -22,42 +22,41 @@ use crate::study::set::Set;
 use crate::study::store::Store;
 use crate::study::{self, Results, kernels};
 
-/// Where recordings are looked for when --data is not given.
+/// Folder searched for recordings when `--data` is not given.
 const RECORDINGS: &str = "../shared/data";
 
 /// Reproduce the paper's tables on emulated scenes and recordings, as a page with pictures
 #[derive(Debug, Args)]
 pub struct Report {
-    /// Folder of the results: `report.html` and what it shows, as CSV, JSON, SVG and PNG. A report that
-    /// was ended goes on from its `rows.jsonl`
+    /// Folder to write the results to: `report.html` and what it shows, as CSV, JSON, SVG and PNG. An interrupted
+    /// report resumes from its `rows.jsonl`
     #[arg(short, long, value_name = "DIR", default_value = "eecvs-report")]
     output: PathBuf,
 
-    /// Recordings, and folders of them, searched two levels deep; of files with the same events one is
-    /// taken [default: ../shared/data where it is, else none]
+    /// Recordings, or folders of them, searched two levels deep; of files with the same events only one is used
+    /// [default: ../shared/data if it exists, else none]
     #[arg(long, value_name = "PATH", num_args = 1..)]
     data: Vec<PathBuf>,
 
-    /// Three windows of each emulated scene, and no recordings but those of --data
+    /// Measure three windows of each emulated scene, and no recordings except those of --data
     #[arg(long)]
     quick: bool,
 
-    /// Segment with this ONNX model instead of the built-in segmenter; docs/segmentation.md says which
-    /// models fit. Needs a program built with --features onnx
+    /// Segment with this ONNX model instead of the built-in segmenter; docs/segmentation.md says which models fit.
+    /// Needs a program built with --features onnx
     #[arg(long, value_name = "FILE")]
     segmenter: Option<PathBuf>,
 
-    /// Keep rows that another build of the program has measured, as for a page that is drawn anew
+    /// Keep rows measured by another build of the program, e.g. to redraw the page
     #[arg(long)]
     keep_rows: bool,
 
-    /// Also write the answer and a table into a document, README.md, between the lines that name this
-    /// command
+    /// Also write the answer and a table into a document, README.md, between the lines that name this command
     #[arg(long, value_name = "FILE", conflicts_with = "quick")]
     save: Option<PathBuf>,
 }
 
-/// Where the README has what is measured here.
+/// Markers of the lines in the README between which the results of the report go.
 pub const MARKS: Marks = Marks {
     name: "report",
     command: "eecvs report --save README.md",
@@ -67,8 +66,8 @@ impl Report {
     /// Measures what has not been measured yet, and writes the page.
     ///
     /// # Errors
-    /// A recording that cannot be read, a folder that cannot be written, a model that does not fit, or a
-    /// codec that does not give back what it promises.
+    /// Fails if a recording cannot be read, a folder cannot be written, a model does not fit, or a codec breaks its
+    /// promise.
     pub fn run(self) -> Result<()> {
         if let Some(document) = &self.save {
             MARKS.check(document)?;
@@ -82,7 +81,7 @@ impl Report {
             Effort::FULL
         };
         let model = self.segmenter.as_deref();
-        // A model that cannot be run is told before anything takes long.
+        // Checks the model before the measurements, which take long.
         let segmenter = segmenter(model)?.name().to_owned();
         let (sets, left_out) = self.sets(&effort)?;
         let path = folder.join("rows.jsonl");
@@ -124,7 +123,7 @@ impl Report {
         ))
     }
 
-    /// The scenes and the recordings, and which files are not among these.
+    /// Returns the sets of scenes and recordings, and the files that were left out.
     fn sets(&self, effort: &Effort) -> Result<(Vec<Set>, Vec<LeftOut>)> {
         let mut sets = vec![Set::scenes(effort)?];
         let default = PathBuf::from(RECORDINGS);
@@ -157,7 +156,7 @@ impl Report {
     }
 }
 
-/// Everything that the page shows beside its tables.
+/// Opens the ONNX model at `model`, or returns the built-in segmenter.
 fn segmenter(model: Option<&Path>) -> Result<Box<dyn Segmenter>> {
     match model {
         Some(path) => open_model(path),
@@ -165,7 +164,7 @@ fn segmenter(model: Option<&Path>) -> Result<Box<dyn Segmenter>> {
     }
 }
 
-/// Writes the page, the rows and the pictures; how many files there are beside the page.
+/// Writes the page, the rows and the pictures; returns the number of files written beside the page.
 fn write(folder: &Path, results: &Results, figures: &[Figure]) -> Result<usize> {
     let save = |name: &str, bytes: &[u8]| {
         let path = folder.join(name);

@@ -1,4 +1,4 @@
-//! `eecvs split`: frames of several sensors, taken apart.
+//! `eecvs split`: separates the frames of several sensors.
 
 use std::path::{Path, PathBuf};
 
@@ -13,17 +13,17 @@ use serde::Serialize;
 
 use crate::split::{Part, split};
 
-/// Take frames of several sensors, or of recordings put together, apart
+/// Separate the frames of several sensors, or of concatenated recordings
 ///
-/// There is a file for each size of sensor, and a further one where the numbers of its frames begin anew. Frames
-/// of two sensors of one size that alternate cannot be told apart.
+/// Writes one file per sensor size, and a further one wherever the numbers of the frames restart. Interleaved
+/// frames of two sensors of the same size cannot be separated.
 #[derive(Debug, Args)]
 pub struct Split {
     /// File of frames
     #[arg(value_name = "IN.eecvs")]
     input: PathBuf,
 
-    /// Folder to write to: 1-346x260.eecvs and so on
+    /// Folder to write the parts to, named 1-346x260.eecvs and so on
     #[arg(short, long, value_name = "FOLDER")]
     output: PathBuf,
 
@@ -44,11 +44,11 @@ struct Report<'r> {
 }
 
 impl Split {
-    /// Writes the parts and prints a row about each.
+    /// Writes the parts and prints one row per part.
     ///
     /// # Errors
-    /// Frames that cannot be read, a file that is there already; frames that are damaged or missing, after all
-    /// others were written.
+    /// Fails if the frames cannot be read or a file exists already. If frames are damaged or missing, fails after
+    /// writing all the others.
     pub fn run(self) -> Result<()> {
         let name = name_of(&self.input);
         self.check()?;
@@ -61,7 +61,7 @@ impl Split {
             bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
         }
         let link = LinkReport {
-            // What it is here for.
+            // Separating restarts is the purpose of this command, so they are no fault here.
             restarts: 0,
             ..reader.report().clone()
         };
@@ -81,7 +81,7 @@ impl Split {
             !is_dash(&self.output) && (!self.output.exists() || self.output.is_dir()),
             "{name}: parts are files of a folder: name one"
         );
-        // A part that replaces what is read would destroy it.
+        // Replacing the input by one of its own parts would destroy it.
         let folder = self.input.parent().unwrap_or(Path::new(""));
         let is_inside = folder.join(".").canonicalize().ok() == self.output.canonicalize().ok();
         ensure!(
@@ -93,7 +93,8 @@ impl Split {
     }
 }
 
-/// Says on stderr which frames of the folder are not of this input: an earlier one may have had more parts.
+/// Warns on stderr about frame files in the folder that are not parts of this input: an earlier input may have had
+/// more parts.
 fn tell_others(folder: &Path, parts: &[Part]) -> Result<()> {
     let listed = std::fs::read_dir(folder)
         .with_context(|| format!("{}: cannot be listed", folder.display()))?;

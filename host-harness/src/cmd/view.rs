@@ -1,4 +1,4 @@
-//! `eecvs view`: a recording or frames as moving pictures, original beside decoded.
+//! `eecvs view`: shows a recording or frames as moving pictures, original beside decoded.
 
 use std::io::{IsTerminal, stdout};
 use std::iter;
@@ -31,16 +31,16 @@ use crate::view::{Played, Screen, play};
 
 /// Play a recording or frames, original beside decoded
 ///
-/// A frame is the sum of the polarities of a slice of time per pixel: ON is blue, OFF orange, and the more
-/// the darker. With two files the frames are: original, decoded, and what is more in the decoded one. The
-/// slices of both are the same ones, by their own event times, and begin at --from-us or else at the first
-/// event of FILE. Of a stretch without events one second of playing is shown.
+/// Each picture shows a slice of time: per pixel the sum of the polarities, positive in blue and negative in
+/// orange, darker for larger sums. Two files give three panels: original, decoded, and decoded minus original. Both
+/// files are cut into the same slices by their own event times, starting at --from-us or else at the first event of
+/// FILE. A stretch without events is shortened to one second of playback.
 #[derive(Debug, Args)]
 pub struct View {
     /// Recording of any format, or file of frames
     file: PathBuf,
 
-    /// Recording or file of frames to show beside it, e.g. what `eecvs encode` made of it
+    /// Recording or file of frames to show beside FILE, e.g. what `eecvs encode` made of it
     #[arg(value_name = "DECODED")]
     decoded: Option<PathBuf>,
 
@@ -49,16 +49,16 @@ pub struct View {
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
 
-    /// Seconds of the recording that a second shows [default: 0.1, of a pipe 1]
+    /// Seconds of the recording per second of playback [default: 0.1, or 1 for a pipe]
     #[arg(long, value_name = "S", value_parser = speed, conflicts_with = "slice_us")]
     speed: Option<f64>,
 
-    /// Frames a second
+    /// Frames per second
     #[arg(long, value_name = "N", default_value = "30",
           value_parser = clap::value_parser!(u32).range(1..=240))]
     fps: u32,
 
-    /// Time that a frame sums, in microseconds, in place of --speed [default: speed / fps]
+    /// Duration of a slice in microseconds, instead of --speed [default: speed / fps]
     #[arg(long, value_name = "T", value_parser = clap::value_parser!(u64).range(1..))]
     slice_us: Option<u64>,
 
@@ -70,27 +70,27 @@ pub struct View {
     #[arg(long, value_name = "T")]
     to_us: Option<u64>,
 
-    /// The first N frames alone
+    /// Stop after N frames
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     frames: Option<u64>,
 
-    /// |sum| of the darkest colour
+    /// Absolute sum that gets the darkest colour
     #[arg(long, value_name = "N", default_value = "4",
           value_parser = clap::value_parser!(u32).range(1..=100))]
     clip: u32,
 
-    /// Side of the square that a pixel of the sensor becomes in a picture [default: as makes a picture
-    /// 480 wide or more]
+    /// Side in picture pixels of the square drawn per sensor pixel [default: the smallest that makes the picture at
+    /// least 480 wide]
     #[arg(long, value_name = "N", requires = "output",
           value_parser = clap::value_parser!(u16).range(1..=64))]
     upscale: Option<u16>,
 
-    /// Columns of the terminal to use; where stdout is none, frames are written as text one below the other
+    /// Columns of the terminal to use; if stdout is not a terminal, frames are written as text, one below the other
     #[arg(long, value_name = "N", conflicts_with = "output",
           value_parser = clap::value_parser!(u16).range(1..=4096))]
     terminal_columns: Option<u16>,
 
-    /// Colours of the terminal [default: as its variables NO_COLOR, COLORTERM and TERM ask for]
+    /// Colours of the terminal [default: as its variables NO_COLOR, COLORTERM and TERM request]
     #[arg(long, value_enum, value_name = "HOW", conflicts_with = "output")]
     colours: Option<Palette>,
 
@@ -105,20 +105,20 @@ pub struct View {
     json: bool,
 }
 
-/// What was written; the fields are JSON keys.
+/// Summary of what was written; the fields are JSON keys.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 struct Summary {
-    /// Frames.
+    /// Number of frames.
     frames: u64,
-    /// What each sums, in us.
+    /// Duration of a slice in us.
     slice_us: u64,
-    /// Start of slice 0 in us of the recording.
+    /// Start of slice 0, in us of the recording.
     from_us: u64,
-    /// Events of FILE in the frames.
+    /// Number of events of FILE in the frames.
     events: u64,
-    /// Events of DECODED in the frames.
+    /// Number of events of DECODED in the frames.
     decoded_events: u64,
-    /// Time without events that was left out, in us.
+    /// Duration of the omitted stretches without events, in us.
     skipped_us: u64,
 }
 
@@ -132,11 +132,11 @@ fn speed(text: &str) -> Result<f64> {
 }
 
 impl View {
-    /// Plays up to the end, or until Ctrl-C, which leaves a written file whole.
+    /// Plays to the end, or until Ctrl-C, after which an output file is complete and valid.
     ///
     /// # Errors
-    /// A file that cannot be read or has no events, an output that cannot be written, no terminal and no
-    /// output.
+    /// Fails if a file cannot be read or has no events, if the output cannot be written, or if there is neither a
+    /// terminal nor an output.
     pub fn run(self) -> Result<()> {
         if let (Some(from), Some(to)) = (self.from_us, self.to_us)
             && from > to
@@ -172,7 +172,7 @@ impl View {
             slice_us: self.slice_us(),
         };
         let stop = stop_on_signals();
-        // The screen first: a terminal or a name that cannot be used shows before a long search.
+        // The screen comes first: an unusable terminal or name must be reported before a long search for events.
         let origin_us = first_us.unwrap_or(grid.from_us);
         let panels = if decoded.is_some() { 3 } else { 1 };
         let screen = self.screen(sensor, panels, origin_us, &stop)?;
@@ -186,7 +186,7 @@ impl View {
         };
         let progress = Progress::new("frames");
         let played = play(&mut frames, screen, limit, &stop, &mut |count| {
-            // In the terminal there is a line in words below the frames.
+            // In a terminal, a line of text below the frames shows the progress.
             if self.output.is_some() {
                 progress.set(count);
             }
@@ -224,7 +224,7 @@ impl View {
         link
     }
 
-    /// Refuses an output that would replace what is there or what is read.
+    /// Refuses an output that would replace an existing file or an input.
     fn check(&self, output: &Path) -> Result<()> {
         let inputs = iter::once(&self.file).chain(&self.decoded);
         if !self.is_folder() {
@@ -247,7 +247,7 @@ impl View {
     }
 
     fn slice_us(&self) -> u64 {
-        // The ranges of both make it 1e12 at the most.
+        // The ranges of both options keep it at 1e12 or below.
         let usual = if is_stream(&self.file) { 1.0 } else { 0.1 };
         let by_speed = (self.speed.unwrap_or(usual) * 1e6 / f64::from(self.fps)).round() as u64;
         self.slice_us.unwrap_or(by_speed).max(1)
@@ -333,7 +333,7 @@ impl View {
         }
     }
 
-    /// What of the inputs was not shown, a line each, of which the first is the error.
+    /// Reports what was not shown of the inputs, one line each; returns the first as the error.
     fn warn(&self, frames: &Frames, played: &Played) -> Result<()> {
         let mut link = Ok(());
         let mut missing = |error| match link {
@@ -375,7 +375,7 @@ impl View {
     }
 }
 
-/// Where the sensors differ, as of text without a header, frames have the larger sides.
+/// Returns the larger width and height of two sensors, which may differ e.g. for text without a header.
 fn larger(a: Sensor, b: Sensor) -> Sensor {
     Sensor {
         width: a.width.max(b.width),
@@ -383,7 +383,7 @@ fn larger(a: Sensor, b: Sensor) -> Sensor {
     }
 }
 
-/// The terminal's size, its width unless `columns` are given.
+/// Returns the size of the terminal, with `columns` as its width if given.
 fn room(columns: Option<usize>) -> Room {
     let (height, width) = console::Term::stdout().size_checked().unwrap_or((24, 80));
     Room {

@@ -1,7 +1,6 @@
-//! What perception makes of decoded events: tasks run on the original and on the decoded events, and
-//! how far their answers agree.
+//! Effect of the codec on perception: runs tasks on the original and the decoded events and compares the results.
 //!
-//! | task | answers | agreement |
+//! | task | result | agreement |
 //! |---|---|---|
 //! | [`segmentation()`] | segments of event frames | IoU of the masks |
 //! | [`flow()`] | optical flow of tiles | length of the difference |

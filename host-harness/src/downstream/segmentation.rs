@@ -1,4 +1,4 @@
-//! Segments of the original and of the decoded events, slice by slice.
+//! Compares segments of the original and of the decoded events, slice by slice.
 
 use std::cmp::Ordering;
 
@@ -11,25 +11,25 @@ use super::segment::iou::{foreground_iou, mean_iou};
 use super::segment::{Frame, Masks, Segmenter};
 use super::slices::Slices;
 
-/// Frames that are in memory at a time.
+/// Number of frames in memory at a time.
 const BATCH: usize = 16;
 
-/// How far the segments agree; the fields are JSON keys.
+/// Agreement of the segments; the fields are JSON keys.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Segmentation {
-    /// Frames in which either side has a segment: those that the means are over.
+    /// Number of frames in which either side has a segment; the means are over these.
     pub frames: usize,
-    /// Mean of [`foreground_iou`]; 1 where there is no such frame.
+    /// Mean of [`foreground_iou`]; 1 if there is no such frame.
     pub foreground_iou: f64,
-    /// Mean of [`mean_iou`]; 1 where there is no such frame.
+    /// Mean of [`mean_iou`]; 1 if there is no such frame.
     pub mean_iou: f64,
 }
 
-/// Compares the segments of a recording with those of what was decoded; see
-/// [`SegmentationReference`], which serves where there are several decoded ones.
+/// Compares the segments of a recording with those of its decoded events; use [`SegmentationReference`] to compare
+/// one recording with several decoded versions.
 ///
 /// # Errors
-/// As [`SegmentationReference::new`] and [`SegmentationReference::against`].
+/// Fails as [`SegmentationReference::new`] and [`SegmentationReference::against`] do.
 pub fn segmentation(
     original: &Source,
     decoded: &[Event],
@@ -39,7 +39,7 @@ pub fn segmentation(
     SegmentationReference::new(original, slice_us, segmenter)?.against(decoded, segmenter)
 }
 
-/// The segments of a recording.
+/// Segments of a recording, to compare decoded events with.
 #[derive(Debug, Clone)]
 pub struct SegmentationReference {
     slices: Slices,
@@ -48,12 +48,13 @@ pub struct SegmentationReference {
 }
 
 impl SegmentationReference {
-    /// Segments frames of `slice_us` from the recording's first event on. In slices of
-    /// [`WINDOW_US`](eecvs_bench::source::WINDOW_US), whole windows of the codec, a frame depends on the
-    /// decoded counts alone; in shorter ones on the decoded times, too.
+    /// Segments frames of `slice_us` from the recording's first event on.
+    ///
+    /// If a slice is one whole window of the codec, [`WINDOW_US`](eecvs_bench::source::WINDOW_US), a frame depends
+    /// only on the decoded counts; in shorter slices it also depends on the decoded times.
     ///
     /// # Errors
-    /// The segmenter's; a `slice_us` of 0.
+    /// Fails if `slice_us` is 0, or with the error of the segmenter.
     pub fn new(original: &Source, slice_us: u32, segmenter: &mut dyn Segmenter) -> Result<Self> {
         ensure!(slice_us > 0, "a slice must be 1 us or longer");
         let slices = Slices::new(original.sensor, &original.events, slice_us);
@@ -62,11 +63,11 @@ impl SegmentationReference {
         Ok(Self { slices, masks })
     }
 
-    /// Compares them with the segments of `decoded`, in the same slices: events in any order; those
-    /// outside of the sensor or of the recording's slices are ignored.
+    /// Compares the segments with those of `decoded` in the same slices. Events may be in any order; those outside
+    /// of the sensor or of the recording's slices are ignored.
     ///
     /// # Errors
-    /// The segmenter's, which must be as that of [`Self::new`].
+    /// Fails with the error of the segmenter, which must be the same as in [`Self::new`].
     pub fn against(
         &self,
         decoded: &[Event],
@@ -74,7 +75,7 @@ impl SegmentationReference {
     ) -> Result<Segmentation> {
         let decoded =
             segment(self.slices, decoded, segmenter).context("segments of the decoded events")?;
-        // In place of the masks of a slice without events.
+        // Stands for the masks of a slice without events.
         let sensor = self.slices.sensor;
         let none = Masks::new(sensor, &vec![0; sensor.pixels() as usize])?;
         let (mut frames, mut foreground, mut mean) = (0, 0.0, 0.0);
@@ -106,7 +107,7 @@ impl SegmentationReference {
     }
 }
 
-/// The masks of every slice with events.
+/// Segments every slice that has events.
 fn segment(
     slices: Slices,
     events: &[Event],
@@ -152,7 +153,7 @@ mod tests {
             let shuffled = shuffled(&source.events);
             let found = segmentation(&source, &shuffled, slice_us, &mut Classical).unwrap();
             assert_eq!((found.foreground_iou, found.mean_iou), (1.0, 1.0));
-            // Every window of the scene has something that moves.
+            // Every window of the scene contains motion.
             assert!(found.frames >= (200_000 / slice_us) as usize, "{found:?}");
         }
     }
@@ -196,7 +197,7 @@ mod tests {
         assert_eq!((found.foreground_iou, found.mean_iou), (1.0, 1.0));
     }
 
-    /// Answers with masks of another size.
+    /// Returns masks of another size.
     struct Broken;
 
     impl Segmenter for Broken {

@@ -1,21 +1,21 @@
-//! Events cut into slices of time.
+//! Cuts events into slices of time.
 
 use eecvs_nostd::{Event, Sensor};
 use rayon::prelude::*;
 
-/// A grid of slices that lies on the original's events.
+/// A grid of slices that starts at the original's first event.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Slices {
     pub(super) sensor: Sensor,
     pub(super) start_us: u64,
-    /// 1 or more.
+    /// Duration of a slice in us, at least 1.
     pub(super) slice_us: u32,
-    /// The slices in use are 0 to this one.
+    /// Index of the last slice; the grid has slices 0 to `last`.
     pub(super) last: u64,
 }
 
 impl Slices {
-    /// The grid of `original`, which is sorted by time: from its first event, to the slice of its last.
+    /// Makes the grid of `original`, which is sorted by time: from its first event to the slice of its last.
     pub(super) fn new(sensor: Sensor, original: &[Event], slice_us: u32) -> Self {
         let time_us = |event: Option<&Event>| event.map_or(0, |event| event.t_us);
         let start_us = time_us(original.first());
@@ -29,19 +29,19 @@ impl Slices {
         }
     }
 
-    /// The slice that holds `event`, `None` where it is outside of the grid or the sensor.
+    /// Returns the slice that holds `event`; `None` outside of the grid or the sensor.
     fn number(&self, event: &Event) -> Option<u64> {
         let time_us = event.t_us.checked_sub(self.start_us)?;
         let number = time_us / u64::from(self.slice_us);
         (number <= self.last && self.sensor.contains(event.x, event.y)).then_some(number)
     }
 
-    /// The middle of slice `number`, which is one of the grid's, in us from [`Self::start_us`].
+    /// Returns the middle of slice `number` of the grid, in us from [`Self::start_us`].
     pub(super) fn middle_us(&self, number: u64) -> f64 {
         (number as f64 + 0.5) * f64::from(self.slice_us)
     }
 
-    /// Copies what lies on the grid, sorted: the order in which a decoder writes events tells nothing.
+    /// Copies the events on the grid, sorted, since the order in which a decoder writes events has no meaning.
     pub(super) fn sorted(&self, events: &[Event]) -> Vec<Event> {
         let mut inside: Vec<Event> = events
             .iter()
@@ -52,7 +52,7 @@ impl Slices {
         inside
     }
 
-    /// Slices with events, and their numbers, of events [`sorted`](Self::sorted).
+    /// Returns the slices that have events, with their numbers; the events must be [`sorted`](Self::sorted).
     pub(super) fn cut<'e>(&self, sorted: &'e [Event]) -> Vec<(u64, &'e [Event])> {
         sorted
             .chunk_by(|a, b| self.number(a) == self.number(b))
@@ -97,7 +97,7 @@ mod tests {
                 (3, &[event(130, 0), event(139, 1)][..]),
             ]
         );
-        // The grid goes to the end of the last event's slice.
+        // The grid ends with the slice of the last event.
         assert_eq!(slices.last, 3);
     }
 

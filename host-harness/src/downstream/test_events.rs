@@ -1,10 +1,10 @@
-//! Events as a decoder might give them.
+//! Events as a decoder might return them.
 
 use eecvs_nostd::Event;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
-/// Numbers of a fixed seed.
+/// Random numbers with a fixed seed.
 pub(super) struct Random(Xoshiro256PlusPlus);
 
 impl Random {
@@ -12,18 +12,18 @@ impl Random {
         Self(Xoshiro256PlusPlus::seed_from_u64(seed))
     }
 
-    /// 0 to `end`, without it.
+    /// Returns a number from 0 to `end` - 1.
     pub(super) fn below(&mut self, end: u64) -> u64 {
         self.0.next_u64() % end
     }
 
-    /// 0 to 1, without 1.
+    /// Returns a number from 0 to below 1.
     pub(super) fn unit(&mut self) -> f64 {
         (self.0.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
     }
 }
 
-/// The same events in another order.
+/// Returns the same events in another order.
 pub(super) fn shuffled(events: &[Event]) -> Vec<Event> {
     let mut random = Random::new(1);
     let mut events = events.to_vec();
@@ -33,7 +33,7 @@ pub(super) fn shuffled(events: &[Event]) -> Vec<Event> {
     events
 }
 
-/// The same events, each earlier or later by up to `jitter_us`.
+/// Returns the same events, each earlier or later by up to `jitter_us`.
 pub(super) fn jittered(events: &[Event], jitter_us: u64) -> Vec<Event> {
     let mut random = Random::new(2);
     events

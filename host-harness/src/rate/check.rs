@@ -1,9 +1,9 @@
-//! What a decoder's events must have in common with the original's, before any of them is measured.
+//! Checks what a decoder's events must have in common with the original's, before anything is measured.
 
 use anyhow::{Result, ensure};
 use eecvs_nostd::{Event, Polarity};
 
-/// Place and polarity, then time.
+/// Position and polarity, then time.
 type Key = (u16, u16, Polarity, u64);
 
 /// What a decoder promises.
@@ -11,16 +11,16 @@ type Key = (u16, u16, Polarity, u64);
 pub enum Promise {
     /// The same multiset of events.
     Lossless,
-    /// Events of the same places and polarities, each no further than this from its time, in us.
+    /// Events at the same positions with the same polarities, each at most this many us from its original time.
     Within(u64),
-    /// As many events of each place and polarity.
+    /// The same number of events at each position and polarity.
     Counts,
 }
 
-/// Holds the decoded events against the promise.
+/// Checks the decoded events against the promise, over the whole recording.
 ///
 /// # Errors
-/// A promise that is not kept; the message says which and by how much.
+/// Fails if the promise is broken; the message says where and by how much.
 pub fn check(promise: Promise, original: &[Event], decoded: &[Event]) -> Result<()> {
     ensure!(
         original.len() == decoded.len(),
@@ -54,7 +54,7 @@ pub fn check(promise: Promise, original: &[Event], decoded: &[Event]) -> Result<
     Ok(())
 }
 
-/// Sorted: events of one place and polarity that are paired in their order are off by the least.
+/// Returns sorted keys: pairing the events of one position and polarity in this order minimises the largest error.
 fn keys(events: &[Event]) -> Vec<Key> {
     let key = |event: &Event| (event.y, event.x, event.polarity, event.t_us);
     let mut keys: Vec<Key> = events.iter().map(key).collect();
@@ -87,7 +87,7 @@ mod tests {
         decoded[1].polarity = Polarity::Off;
         assert!(check(Promise::Counts, &original, &decoded).is_err());
         assert!(check(Promise::Counts, &original, &decoded[1..]).is_err());
-        // The same places, but not as often.
+        // The same positions, but not the same counts.
         let twice = [original[0], original[0], original[2]];
         assert!(check(Promise::Lossless, &original, &twice).is_err());
     }

@@ -1,4 +1,4 @@
-//! Events as a structure of arrays: what a general compressor is given.
+//! Events as a structure of arrays, the input of general compressors.
 //!
 //! ```text
 //! events          u64
@@ -10,20 +10,20 @@
 //! p               u8 each: 1 for ON
 //! ```
 //!
-//! Little-endian. A column of several bytes is shuffled: the lowest byte of every event, then the next
-//! one of every event, and so on, so that bytes that change little lie together.
+//! Little-endian. Columns of several bytes are shuffled: the lowest byte of every event, then the next byte of
+//! every event, and so on, so that bytes that change little lie together.
 
 use anyhow::{Context, Result, ensure};
 use eecvs_nostd::{Event, Polarity, Sensor};
 
 const HEADER_BYTES: usize = 20;
-/// Bytes of t, x, y, p.
+/// Bytes per event of t, x, y and p.
 const COLUMNS: [usize; 4] = [4, 2, 2, 1];
 
-/// The bytes of events in order of time.
+/// Serialises events in order of time.
 ///
 /// # Errors
-/// An event before the one before it, or more than 2^32 us after it.
+/// Fails if an event is earlier than the one before it, or 2^32 us or more later.
 pub fn write(sensor: Sensor, events: &[Event]) -> Result<Vec<u8>> {
     let first_us = events.first().map_or(0, |event| event.t_us);
     let mut bytes = Vec::with_capacity(HEADER_BYTES + 9 * events.len());
@@ -56,10 +56,10 @@ pub fn write(sensor: Sensor, events: &[Event]) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// The sensor and the events of [`write()`].
+/// Reads the sensor and the events that [`write()`] wrote.
 ///
 /// # Errors
-/// Bytes that it does not write.
+/// Fails if the bytes are not as [`write()`] writes them.
 pub fn read(bytes: &[u8]) -> Result<(Sensor, Vec<Event>)> {
     let damaged = "not a structure of arrays";
     let word = |at: usize| -> Option<u64> {
@@ -102,7 +102,7 @@ pub fn read(bytes: &[u8]) -> Result<(Sensor, Vec<Event>)> {
     Ok((sensor, events))
 }
 
-/// Appends the first byte of every value, then every second one, and so on.
+/// Appends the first byte of every value, then the second byte of every value, and so on.
 fn shuffle<const N: usize>(bytes: &mut Vec<u8>, values: &(impl Iterator<Item = [u8; N]> + Clone)) {
     for place in 0..N {
         bytes.extend(values.clone().filter_map(|value| value.get(place).copied()));
@@ -152,7 +152,7 @@ mod tests {
         for len in 0..bytes.len() {
             assert!(read(&bytes[..len]).is_err());
         }
-        // An end of time beyond 64 bits, and more events than bytes.
+        // A last time beyond 64 bits, and more events than bytes.
         let mut beyond = bytes.clone();
         beyond[8..16].fill(0xff);
         assert!(read(&beyond).is_err());

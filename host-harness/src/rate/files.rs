@@ -1,4 +1,4 @@
-//! Event-file formats as peers: whole files by the project's writers, read back by its readers.
+//! Event-file formats as peers: whole files written by the project's writers and read back by its readers.
 
 use std::path::Path;
 use std::time::Instant;
@@ -10,22 +10,22 @@ use event_files::evt::evt2::Evt2Writer;
 use event_files::evt::evt3::Evt3Writer;
 use event_files::{Aedat4Writer, Compression, EventWriter};
 
-/// A format.
+/// A format of event files.
 #[derive(Debug, Clone, Copy)]
 pub enum Format {
     /// EVT 2.0 words.
     Evt2,
     /// EVT 3.0 words.
     Evt3,
-    /// AEDAT 4.0, its packets compressed.
+    /// AEDAT 4.0 with compressed packets.
     Aedat4(Compression),
 }
 
 impl Format {
-    /// Writes a recording and reads it again: bytes of the file, seconds spent writing, the events.
+    /// Writes a recording and reads it again; returns the file's bytes, the seconds spent writing, and the events.
     ///
     /// # Errors
-    /// I/O, or a recording that the format cannot hold.
+    /// Fails on I/O errors, or if the format cannot hold the recording.
     pub fn round_trip(self, source: &Source) -> Result<(usize, f64, Vec<Event>)> {
         let folder = tempfile::tempdir().context("a temporary folder")?;
         let path = folder.path().join("recording");
@@ -78,7 +78,7 @@ mod tests {
             bytes
         })
         .collect();
-        // 4 bytes an event and more; 16 that are compressed, the better with Zstandard.
+        // More than 4 bytes per event in EVT 2.0; AEDAT's 16 bytes are compressed, better with Zstandard.
         assert!(bytes[0] > 4 * source.events.len(), "{bytes:?}");
         assert!(bytes[3] < bytes[2], "{bytes:?}");
     }

@@ -1,4 +1,4 @@
-//! The lossless peers of the codec, and what each of them makes of a recording.
+//! The lossless peers of the codec, and their round trips.
 
 use std::time::Instant;
 
@@ -10,7 +10,7 @@ use event_files::Compression;
 use super::files::Format;
 use super::{columns, squeeze};
 
-/// AEDAT 4.0's Zstandard, at the level that it has where none is asked for.
+/// Zstandard for AEDAT 4.0, at its default level.
 #[cfg(any(feature = "zstd", test))]
 pub const ZSTD: Compression = Compression {
     code: 3,
@@ -18,19 +18,19 @@ pub const ZSTD: Compression = Compression {
     compress: |bytes| squeeze::zstd(bytes, 3).map_err(event_types::stream::Error::other),
 };
 
-/// A lossless way to keep events.
+/// A lossless way to store events.
 #[derive(Debug, Clone, Copy)]
 pub enum Peer {
-    /// A file of events.
+    /// A format of event files.
     File(&'static str, Format),
-    /// The structure of arrays of [`columns`] through a general compressor, and back.
+    /// The structure of arrays of [`columns`], with a general compressor and its decompressor.
     Columns(&'static str, Way, Way),
 }
 
-/// Bytes to other bytes.
+/// Converts bytes to other bytes.
 type Way = fn(&[u8]) -> Result<Vec<u8>>;
 
-/// Those that need no C library.
+/// Peers that need no C library.
 const ALWAYS: [Peer; 4] = [
     Peer::File("evt2", Format::Evt2),
     Peer::File("evt3", Format::Evt3),
@@ -38,7 +38,7 @@ const ALWAYS: [Peer; 4] = [
     Peer::Columns("xz-9", squeeze::xz, squeeze::unxz),
 ];
 
-/// Those of the feature `zstd`.
+/// Peers that need the feature `zstd`.
 #[cfg(feature = "zstd")]
 const WITH_ZSTD: [Peer; 2] = [
     Peer::File("aedat4-zstd", Format::Aedat4(ZSTD)),
@@ -47,13 +47,13 @@ const WITH_ZSTD: [Peer; 2] = [
 #[cfg(not(feature = "zstd"))]
 const WITH_ZSTD: [Peer; 0] = [];
 
-/// Every peer that this program has.
+/// Returns every peer of this build.
 pub fn peers() -> impl ExactSizeIterator<Item = Peer> {
     let all: Vec<Peer> = ALWAYS.into_iter().chain(WITH_ZSTD).collect();
     all.into_iter()
 }
 
-/// What this program was built without; `None` where it has all peers.
+/// Says what this build lacks; `None` if it has all peers.
 #[must_use]
 pub const fn missing() -> Option<&'static str> {
     if cfg!(feature = "zstd") {
@@ -64,7 +64,7 @@ pub const fn missing() -> Option<&'static str> {
 }
 
 impl Peer {
-    /// As rows have it.
+    /// Returns the name used in the rows of results.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -72,10 +72,11 @@ impl Peer {
         }
     }
 
-    /// Bytes of the file, seconds spent making it, and the events that it holds.
+    /// Stores and restores a recording; returns the file's bytes, the seconds spent making it, and the events
+    /// restored.
     ///
     /// # Errors
-    /// I/O, or a recording that the peer cannot hold.
+    /// Fails on I/O errors, or if the peer cannot hold the recording.
     pub fn round_trip(self, source: &Source) -> Result<(usize, f64, Vec<Event>)> {
         match self {
             Self::File(_, format) => format.round_trip(source),

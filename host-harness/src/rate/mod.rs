@@ -1,4 +1,4 @@
-//! Rate against distortion: the codec in both modes, and its peers.
+//! Measures rate against distortion of the codec in both modes, and of its peers.
 //!
 //! ```text
 //! recording -> codec | peer -> bytes -> bits per event
@@ -33,20 +33,20 @@ use volume::{BINS, Volume};
 /// How much is measured.
 #[derive(Debug, Clone, Copy)]
 pub struct Effort {
-    /// Length of an emulated scene.
+    /// Duration of an emulated scene in us.
     pub scene_us: u64,
-    /// Tolerances of times, in us.
+    /// Time tolerances, in us.
     pub tolerances_us: &'static [u32],
-    /// B of mode `hybrid`.
+    /// Numbers B of bins of mode `hybrid`.
     pub bins: &'static [u16],
-    /// M of mode `transform`.
+    /// Numbers M of coefficients of mode `transform`.
     pub m: &'static [u8],
-    /// B of voxel grids.
+    /// Numbers B of bins of voxel grids.
     pub voxel_bins: &'static [usize],
 }
 
 impl Effort {
-    /// For figures.
+    /// The effort for published figures.
     pub const FULL: Self = Self {
         scene_us: 1_000_000,
         tolerances_us: &[5, 10, 20, 40, 80, 160, 320, 640, 1280, 2560, 5120],
@@ -54,7 +54,7 @@ impl Effort {
         m: &[2, 4, 8, 16, 24, 32, 64],
         voxel_bins: &[5, 8],
     };
-    /// For a look whether everything works.
+    /// The effort for a check that everything works.
     pub const QUICK: Self = Self {
         scene_us: 100_000,
         tolerances_us: &[40, 640],
@@ -63,45 +63,45 @@ impl Effort {
         voxel_bins: &[8],
     };
 
-    /// Rows of a recording: times that [`measure`] calls `progress` for it.
+    /// Returns the number of rows per recording, which is how often [`measure`] calls `progress`.
     #[must_use]
     pub fn rows(&self) -> usize {
         let hybrid = 2 * (1 + self.tolerances_us.len() + self.bins.len());
-        // Plain, and by the two coders.
+        // Plain, and with each of the two coders.
         let transform = 3 * Transform::ALL.len() * self.m.len();
         let arrays = Stored::ALL.len() * (1 + self.voxel_bins.len());
         hybrid + transform + lossless::peers().len() + arrays
     }
 }
 
-/// One point; the fields are its JSON keys. `None` where the metric does not apply.
+/// One point of a curve; the fields are its JSON keys. `None` if a metric does not apply.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// Its name.
+    /// Name of the recording.
     pub recording: String,
-    /// `hybrid-dense`, `hybrid-fast`, `transform-dct`, `transform-dct-fast`, `transform-dct-dense`, ...,
-    /// or a peer's name.
+    /// `hybrid-dense`, `hybrid-fast`, `transform-dct`, `transform-dct-fast`, `transform-dct-dense`, ..., or a
+    /// peer's name.
     #[serde(deserialize_with = "name")]
     pub codec: Name,
-    /// `lossless`, `50 us`, `8 bins`, `M = 16`; type and bins of an array.
+    /// `lossless`, `50 us`, `8 bins`, `M = 16`; for an array, its type and bins.
     pub setting: String,
-    /// 8 * bytes of the files / events.
+    /// 8 * bytes of the file / events.
     pub bits_per_event: f64,
-    /// As `eecvs compare` has it.
+    /// As printed by `eecvs compare`.
     pub emd_pixel_us: Option<f64>,
-    /// As `eecvs compare` has it.
+    /// As printed by `eecvs compare`.
     pub mse: Option<f64>,
-    /// As `eecvs compare` has it.
+    /// As printed by `eecvs compare`.
     pub ssim: Option<f64>,
     /// Normalised error of the box volume of the decoded events, or of a voxel grid of 8 bins.
     pub volume_nmse: Option<f64>,
-    /// The same of the box volume straight from coefficients; `None` for all but mode `transform`.
+    /// Normalised error of the box volume computed from the coefficients directly; only in mode `transform`.
     pub coefficients_nmse: Option<f64>,
-    /// Spent encoding, one thread, one run; of an array, on its active pixels.
+    /// Time spent encoding in one run on one thread, in seconds; for an array, on its active pixels.
     pub seconds: f64,
 }
 
-/// The name of a coder's rows.
+/// Returns the name of a coder's rows in mode `hybrid`.
 #[must_use]
 pub const fn coder_name(coder: Coder) -> &'static str {
     match coder {
@@ -110,7 +110,7 @@ pub const fn coder_name(coder: Coder) -> &'static str {
     }
 }
 
-/// The name of a transform's rows.
+/// Returns the name of a transform's rows.
 #[must_use]
 pub const fn transform_name(transform: Transform) -> &'static str {
     match transform {
@@ -120,7 +120,7 @@ pub const fn transform_name(transform: Transform) -> &'static str {
     }
 }
 
-/// The name of its rows by an adaptive coder.
+/// Returns the name of a transform's rows with an adaptive coder.
 #[must_use]
 pub const fn coded_name(transform: Transform, coder: Coder) -> &'static str {
     match (transform, coder) {
@@ -133,10 +133,10 @@ pub const fn coded_name(transform: Transform, coder: Coder) -> &'static str {
     }
 }
 
-/// Measures everything on a recording; `progress` is called after each row.
+/// Measures everything on a recording; calls `progress` after each row.
 ///
 /// # Errors
-/// A codec or a peer that does not give back what it promises; the message names it.
+/// Fails if a codec or a peer breaks its promise; the message names it.
 pub fn measure(source: &Source, effort: Effort, progress: &mut dyn FnMut()) -> Result<Vec<Row>> {
     let mut subject = Subject {
         source,
@@ -172,7 +172,7 @@ pub fn measure(source: &Source, effort: Effort, progress: &mut dyn FnMut()) -> R
     Ok(subject.rows)
 }
 
-/// A recording being measured.
+/// A recording that is being measured.
 struct Subject<'s> {
     source: &'s Source,
     volume: Volume,
@@ -217,7 +217,7 @@ impl Subject<'_> {
             let codec = coded_name(transform, coder);
             let coded = ours::coded(self.source, transform, m, coder, &plain);
             let (bytes, seconds) = coded.with_context(|| self.name(codec, &setting))?;
-            // What is decoded is the same.
+            // The decoded events are those of the plain coefficients.
             let of = self.row(codec, &setting, bytes, seconds);
             self.push(Row {
                 codec,
@@ -251,7 +251,8 @@ impl Subject<'_> {
         Ok(())
     }
 
-    /// With the metrics of frames alone, and the volume of a grid of as many bins as it is.
+    /// Measures a voxel grid with the metrics of frames only; adds the volume error if it has as many bins as the
+    /// box volume.
     fn voxel(&mut self, bins: usize, stored: Stored) -> Result<()> {
         let mut voxel = Voxel::new(self.source.sensor, bins);
         let setting = format!("{bins} bins, {}", voxel.range().type_name(stored));
@@ -281,7 +282,7 @@ impl Subject<'_> {
         Ok(())
     }
 
-    /// Arrays of a recording, and the events that are found in them.
+    /// Makes the arrays of a recording and decodes their events.
     fn arrays<R: Representation>(
         &self,
         representation: &mut R,
@@ -317,7 +318,7 @@ impl Subject<'_> {
         format!("{}, {codec}, {setting}", self.source.name)
     }
 
-    /// Without any metric.
+    /// Makes a row without metrics.
     fn row(&self, codec: &'static str, setting: &str, bytes: usize, seconds: f64) -> Row {
         Row {
             recording: self.source.name.clone(),
@@ -333,8 +334,8 @@ impl Subject<'_> {
         }
     }
 
-    /// With the metrics of events that must keep a promise. What is lossless is not compared again:
-    /// it is 0.
+    /// Checks the promise and adds the metrics of events. The metrics of a lossless result are known, so it is not
+    /// compared again.
     fn promised(&self, row: Row, promise: Promise, events: &[Event]) -> Result<Row> {
         check(promise, &self.source.events, events)?;
         if promise == Promise::Lossless {

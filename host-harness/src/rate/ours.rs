@@ -1,4 +1,4 @@
-//! The codec itself: a recording to a file in memory, and back.
+//! Encodes a recording with the codec to a file in memory, and decodes it.
 
 use anyhow::{Context, Result, ensure};
 use eecvs::decode::WindowReader;
@@ -11,40 +11,40 @@ use eecvs_nostd::{Coder, Event, Hybrid, Mode, Thresholds, Transform};
 use super::volume::{BINS, Grid, Volume};
 use crate::round_trip::{Encoded, config, decode};
 
-/// A recording encoded and decoded.
+/// Result of encoding and decoding a recording.
 pub struct Decoded {
-    /// The file, headers and all.
+    /// Bytes of the whole file, headers included.
     pub file: Vec<u8>,
-    /// Spent encoding, one thread.
+    /// Time spent encoding on one thread, in seconds.
     pub seconds: f64,
-    /// What came back.
+    /// Events decoded.
     pub events: Vec<Event>,
-    /// The box volume straight from the coefficients, the decoder's integral over each bin; `None` in
-    /// mode `hybrid`.
+    /// Box volume computed from the coefficients directly: the decoder's integral over each bin; `None` in mode
+    /// `hybrid`.
     pub coefficients: Option<Volume>,
 }
 
-/// In mode `hybrid`.
+/// Encodes and decodes in mode `hybrid`.
 ///
 /// # Errors
-/// A frame that does not decode, or an event that is not in any.
+/// Fails if a frame does not decode, or an event is in no frame.
 pub fn hybrid(source: &Source, hybrid: Hybrid) -> Result<Decoded> {
     round_trip(source, Mode::Hybrid(hybrid), None, 16)
 }
 
-/// In mode `transform`, with the default grid and quantiser.
+/// Encodes and decodes in mode `transform`, with the default grid and quantiser.
 ///
 /// # Errors
-/// A frame that does not decode, or an event that is not in any.
+/// Fails if a frame does not decode, or an event is in no frame.
 pub fn transform(source: &Source, transform: Transform, m: u8) -> Result<Decoded> {
     round_trip(source, Mode::Transform, Some(transform), m)
 }
 
-/// The same coefficients by an adaptive coder: bytes of the file, and seconds spent encoding on one
-/// thread. `plain` is the file of plain codes.
+/// Encodes the same coefficients with an adaptive coder; returns the file's bytes and the seconds spent encoding on
+/// one thread. `plain` is the file with plain codes.
 ///
 /// # Errors
-/// A frame that does not decode, or a coefficient that is not the plain one's.
+/// Fails if a frame does not decode, or a coefficient differs from the plain file's.
 pub fn coded(
     source: &Source,
     transform: Transform,
@@ -69,14 +69,16 @@ pub fn coded(
     }
 }
 
+/// Encodes and decodes a recording.
+///
 /// # Errors
-/// A frame that does not decode, or an event that is not in any.
+/// Fails if a frame does not decode, or an event is in no frame.
 fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) -> Result<Decoded> {
     let Encoded { file, seconds, .. } = encoded(source, mode, transform, m)?;
     let grid = grid(source);
     let is_transform = mode.is_transform();
     let mut cells = Vec::new();
-    // Tables of one transform, grid and M: all windows' are the same here.
+    // Tables of one transform, grid and M, which all windows share here.
     let mut bins = None;
     let events = decode(&file, Finder::Peaks, &mut |window| {
         let header = &window.header;
@@ -105,13 +107,13 @@ fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) 
     })
 }
 
-/// On one thread.
+/// Encodes on one thread.
 fn encoded(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) -> Result<Encoded> {
     let thresholds = Thresholds::new(0, 0).context("thresholds of 0")?;
     Encoded::new(source, config(source, thresholds, mode, transform, m))
 }
 
-/// Where its volumes lie.
+/// Returns the grid on which the recording's volumes are computed.
 #[must_use]
 pub fn grid(source: &Source) -> Grid {
     Grid {

@@ -1,20 +1,20 @@
-//! General compressors: xz, and Zstandard where the program was built with it.
+//! General compressors: xz, and Zstandard if the program was built with it.
 
 use std::io::{Read, Write};
 
 use anyhow::{Context, Result};
 use lzma_rust2::{XzOptions, XzReader, XzWriter};
 
-/// Of xz.
+/// Compression level of xz.
 const PRESET: u32 = 9;
-/// The least dictionary that LZMA2 has.
+/// Smallest dictionary of LZMA2.
 const DICTIONARY_MIN: usize = 4096;
 
-/// `xz -9`, with a CRC-64. The dictionary is no larger than the bytes: a larger one takes memory and
-/// finds nothing more.
+/// Compresses as `xz -9`, with a CRC-64. The dictionary is no larger than needed for the bytes: a larger one would
+/// take memory and find nothing more.
 ///
 /// # Errors
-/// None for bytes in memory.
+/// Never fails for bytes in memory.
 pub fn xz(bytes: &[u8]) -> Result<Vec<u8>> {
     let mut options = XzOptions::with_preset(PRESET);
     let most = options.lzma_options.dict_size;
@@ -25,10 +25,10 @@ pub fn xz(bytes: &[u8]) -> Result<Vec<u8>> {
     writer.finish().context("xz")
 }
 
-/// The bytes of [`xz`].
+/// Decompresses the output of [`xz`].
 ///
 /// # Errors
-/// Other bytes.
+/// Fails on other bytes.
 pub fn unxz(bytes: &[u8]) -> Result<Vec<u8>> {
     let mut found = Vec::new();
     let mut reader = XzReader::new(bytes, false);
@@ -36,19 +36,19 @@ pub fn unxz(bytes: &[u8]) -> Result<Vec<u8>> {
     Ok(found)
 }
 
-/// One Zstandard frame of a level, 1 to 22.
+/// Compresses to one Zstandard frame; `level` is 1 to 22.
 ///
 /// # Errors
-/// None for bytes in memory.
+/// Never fails for bytes in memory.
 #[cfg(any(feature = "zstd", test))]
 pub fn zstd(bytes: &[u8], level: i32) -> Result<Vec<u8>> {
     zstd::bulk::compress(bytes, level).context("zstd")
 }
 
-/// The bytes of [`zstd`], by a decoder that shares nothing with it.
+/// Decompresses the output of [`zstd`], with a decoder that shares no code with it.
 ///
 /// # Errors
-/// Other bytes.
+/// Fails on other bytes.
 #[cfg(any(feature = "zstd", test))]
 pub fn unzstd(bytes: &[u8]) -> Result<Vec<u8>> {
     let mut found = Vec::new();

@@ -38,7 +38,7 @@ fn every_row_is_there_once_and_its_metrics_are_what_applies() {
         let has_volume = !is_voxel || row.setting.starts_with("8 bins");
         assert_eq!(row.volume_nmse.is_some(), has_volume, "{row:?}");
         assert!(row.mse.is_some() && row.ssim.is_some());
-        // Counts are exact but in TORE volumes, so their frames are.
+        // All but TORE volumes keep the counts, and thus the frames, exactly.
         if row.codec != "tore" {
             assert_eq!((row.mse, row.ssim), (Some(0.0), Some(1.0)), "{row:?}");
         }
@@ -74,7 +74,7 @@ fn a_grid_of_eight_bins_is_held_against_the_box_volume() {
         subject.voxel(8, stored).unwrap();
         subject.rows.remove(0).volume_nmse.unwrap()
     };
-    // In the first and the last bin the weights are nearly all one bin's.
+    // At the ends of the window, nearly all weight is in the first or the last bin.
     let ends = [event(0, 4, 3, true), event(32_767, 4, 3, false)];
     assert!(volume_nmse(&ends, Stored::F32) < 1e-6);
     let many: Vec<Event> = (0..40)

@@ -1,26 +1,26 @@
-//! The signed box volume that distortions are taken of, and its normalised error.
+//! The signed box volume on which distortions are measured, and its normalised error.
 //!
-//! `V[w, y, x, b]` is the number of ON less that of OFF events of pixel (x, y) in bin b of window w:
-//! times in `[t0 + w T + b T / B, t0 + w T + (b + 1) T / B)`, T = 32,768 us, B = 8, t0 the first event
-//! of the original. The normalised error is `sum (V_decoded - V)^2 / sum V^2`.
+//! `V[w, y, x, b]` is the number of ON minus that of OFF events of pixel (x, y) in bin b of window w, i.e. with
+//! times in `[t0 + w T + b T / B, t0 + w T + (b + 1) T / B)`; T = 32,768 us, B = 8, and t0 is the time of the
+//! original's first event. The normalised error is `sum (V_decoded - V)^2 / sum V^2`.
 
 use eecvs_bench::source::WINDOW_US;
 use eecvs_nostd::{Event, Sensor};
 
-/// B.
+/// Number B of bins per window.
 pub const BINS: usize = 8;
 
-/// Where the volumes of a recording lie.
+/// The grid of a recording's volumes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Grid {
-    /// t0.
+    /// Time t0 of the first event, in us.
     pub start_us: u64,
-    /// Of the recording.
+    /// Sensor of the recording.
     pub sensor: Sensor,
 }
 
 impl Grid {
-    /// Number of the cell of bin `bin` of pixel (x, y) in window `window`.
+    /// Returns the index of the cell for bin `bin` of pixel (x, y) in window `window`.
     #[must_use]
     pub fn cell(&self, window: u64, x: u16, y: u16, bin: usize) -> u64 {
         let Sensor { width, height } = self.sensor;
@@ -28,7 +28,7 @@ impl Grid {
         pixel * BINS as u64 + bin as u64
     }
 
-    /// The window of a time, and the time since its start. A time before t0 is t0's.
+    /// Returns the window of a time, and the time since its start in us. A time before t0 counts as t0.
     #[must_use]
     pub fn window(&self, t_us: u64) -> (u64, u64) {
         let since_us = t_us.saturating_sub(self.start_us);
@@ -36,7 +36,7 @@ impl Grid {
         (since_us / window_us, since_us % window_us)
     }
 
-    /// The volume of some events.
+    /// Computes the volume of events.
     #[must_use]
     pub fn volume(&self, events: &[Event]) -> Volume {
         let cells = events.iter().map(|event| {
@@ -49,15 +49,15 @@ impl Grid {
     }
 }
 
-/// A volume's cells that are not empty.
+/// The non-empty cells of a volume.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Volume {
-    /// Number and value, by number.
+    /// Index and value, in order of the index.
     cells: Vec<(u64, f64)>,
 }
 
 impl Volume {
-    /// The sum of what is in each cell, which may come more than once and in any order.
+    /// Sums the values per cell; cells may be repeated and in any order.
     #[must_use]
     pub fn new(cells: impl IntoIterator<Item = (u64, f64)>) -> Self {
         let mut cells: Vec<(u64, f64)> = cells.into_iter().collect();
@@ -72,8 +72,8 @@ impl Volume {
         Self { cells }
     }
 
-    /// Normalised error of `decoded`; `None` where this volume is 0 everywhere, as nothing is
-    /// relative to that.
+    /// Returns the normalised error of `decoded`; `None` if this volume is 0 everywhere, which leaves nothing to
+    /// relate it to.
     #[must_use]
     pub fn nmse(&self, decoded: &Self) -> Option<f64> {
         let (mut error, mut power) = (0.0, 0.0);

@@ -1,9 +1,8 @@
-//! Charts of the event density, which need no fonts to be made.
+//! Charts of the event density, drawn without system fonts.
 //!
-//! Regimes have colours of the Okabe-Ito set, which colour-blind readers tell apart: sparse
-//! blue, moderate green, dense vermilion. A chart uses a logarithmic density axis where the
-//! densities and thresholds above 0 span a factor of 30 or more; a density of 0 is then drawn
-//! at the foot of the axis.
+//! Regimes have colours of the Okabe-Ito set, which colour-blind readers can distinguish: sparse blue, moderate
+//! green, dense vermilion. The density axis is logarithmic if the positive densities and thresholds span a factor
+//! of 30 or more; densities of 0 are then drawn at the foot of the axis.
 
 use std::ops::Range;
 
@@ -18,10 +17,10 @@ use super::sheet::{Chart, Sheet};
 
 const WIDTH: u32 = 960;
 const HEIGHT: u32 = 420;
-/// Windows that a line chart draws one by one; above that, runs of windows are merged.
+/// Largest number of windows that a line chart draws one by one; of more, runs of windows are merged.
 const POINTS_MAX: usize = 2000;
 const BINS: usize = 48;
-/// Span of the densities from which on the axis is logarithmic.
+/// Ratio of the largest to the least density from which the axis is logarithmic.
 const LOGARITHMIC_SPAN: f64 = 30.0;
 
 const INK: RGBColor = RGBColor(50, 50, 50);
@@ -33,17 +32,17 @@ const DENSE: RGBColor = RGBColor(213, 94, 0);
 const REGIMES: [(&str, RGBColor); 3] =
     [("sparse", SPARSE), ("moderate", MODERATE), ("dense", DENSE)];
 
-/// The two densities that part the regimes, in events per pixel per second.
+/// The two densities that separate the regimes, in events per pixel per second.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Thresholds {
-    /// Below it a window is sparse.
+    /// Windows below this density are sparse.
     pub tau_low: f64,
-    /// From it on a window is dense.
+    /// Windows of this density or more are dense.
     pub tau_high: f64,
 }
 
 impl Thresholds {
-    /// 0 sparse, 1 moderate, 2 dense.
+    /// Returns the index of a density's regime: 0 sparse, 1 moderate, 2 dense.
     fn regime(self, density: f64) -> usize {
         usize::from(density >= self.tau_low) + usize::from(density >= self.tau_high)
     }
@@ -62,13 +61,13 @@ impl Thresholds {
 /// One window of a line chart.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DensityPoint {
-    /// Start of the window in seconds, from wherever the chart is to begin.
+    /// Start of the window in seconds, from any origin.
     pub time_s: f64,
     /// Density in events per pixel per second, 0 or more.
     pub density: f64,
 }
 
-/// The density axis: the value itself, or its logarithm.
+/// The density axis: linear or logarithmic.
 #[derive(Debug, Clone, Copy)]
 struct Axis {
     logarithmic: bool,
@@ -123,7 +122,7 @@ impl Axis {
     }
 }
 
-/// A density in three digits.
+/// Formats a density with three digits.
 fn short(density: f64) -> String {
     if density == 0.0 {
         return "0".to_owned();
@@ -141,14 +140,14 @@ fn short(density: f64) -> String {
     }
 }
 
-/// Density per window over time: a line, a dot per window in the colour of its regime, and the
-/// two thresholds as dashed lines.
+/// Draws the density per window over time: a line, a dot per window in the colour of its regime, and the two
+/// thresholds as dashed lines.
 ///
-/// Above 2,000 windows, runs of neighbours are merged into the two of least and greatest density,
-/// so that the file stays small and no peak is lost. No window at all gives empty axes.
+/// With more than 2,000 windows, each run of neighbours is merged into its windows of least and greatest density,
+/// so that the file stays small and no peak is lost. Without windows, the axes are empty.
 ///
 /// # Errors
-/// A time, density or threshold that is not finite, or a negative density.
+/// Fails if a time, density or threshold is not finite, or a density is negative.
 pub fn density_over_time(
     title: &str,
     windows: &[DensityPoint],
@@ -183,7 +182,7 @@ pub fn density_over_time(
     })
 }
 
-/// What [`density_over_time`] draws.
+/// The chart of [`density_over_time`].
 struct OverTime<'c> {
     title: &'c str,
     points: Vec<DensityPoint>,
@@ -241,7 +240,7 @@ impl Chart for OverTime<'_> {
             .map(|tau| chart.backend_coord(&(last, axis.at(tau))));
         let labels = [("tau_low", SPARSE), ("tau_high", DENSE)];
         let taus = [thresholds.tau_low, thresholds.tau_high];
-        // Labels of thresholds that lie close together are spread so that both can be read.
+        // Labels of thresholds close to each other are spread apart to stay legible.
         let close = (heights[0].1 - heights[1].1).abs() < 28 * scale;
         for (i, ((name, colour), (x, y))) in labels.iter().zip(heights).enumerate() {
             let shift = match (close, i) {
@@ -262,14 +261,14 @@ impl Chart for OverTime<'_> {
     }
 }
 
-/// How many windows have which density, the bars in the colour of their middle's regime and the
-/// two thresholds as dashed lines.
+/// Draws a histogram of the windows' densities, each bar in the colour of the regime at its middle, and the two
+/// thresholds as dashed lines.
 ///
-/// 48 bins of equal width on the axis. Densities of 0 on a logarithmic axis stand in the first
-/// bin. No window at all gives empty axes.
+/// It has 48 bins of equal width on the axis. On a logarithmic axis, densities of 0 count in the first bin. Without
+/// windows, the axes are empty.
 ///
 /// # Errors
-/// A density or threshold that is not finite, or a negative density.
+/// Fails if a density or threshold is not finite, or a density is negative.
 pub fn density_histogram(title: &str, densities: &[f64], thresholds: Thresholds) -> Result<Sheet> {
     thresholds.check()?;
     for (i, density) in densities.iter().enumerate() {
@@ -287,13 +286,13 @@ pub fn density_histogram(title: &str, densities: &[f64], thresholds: Thresholds)
     })
 }
 
-/// What [`density_histogram`] draws.
+/// The chart of [`density_histogram`].
 struct Histogram<'c> {
     title: &'c str,
     bins: [u64; BINS],
     axis: Axis,
     thresholds: Thresholds,
-    /// End of the axis of windows.
+    /// End of the axis of window counts.
     highest: f64,
 }
 
@@ -361,8 +360,8 @@ impl Chart for Histogram<'_> {
             ))?;
             let (x, y) = places[i];
             let label = format!("{name} {}", short(*tau));
-            // The lower threshold's label stands to its left, so the two never meet; at the left
-            // border, where it has no room, on a line of its own.
+            // The lower threshold's label is to the left of its line, so the two never meet. At the left border,
+            // where it has no room, it is on the right, one row lower.
             let length = 6 * label.len() as i32 * scale;
             let (dx, dy) = match i {
                 0 if x - length > 90 * scale => (-6 * scale - length, 2 * scale),
@@ -392,7 +391,7 @@ fn histogram(densities: &[f64], axis: Axis) -> [u64; BINS] {
     let mut bins = [0; BINS];
     for density in densities {
         let place = (axis.at(*density) - axis.from) / (axis.to - axis.from) * BINS as f64;
-        // A cast from below 0 gives 0.
+        // A cast of a negative value gives 0.
         if let Some(bin) = bins.get_mut((place as usize).min(BINS - 1)) {
             *bin += 1;
         }
@@ -400,7 +399,7 @@ fn histogram(densities: &[f64], axis: Axis) -> [u64; BINS] {
     bins
 }
 
-/// At most [`POINTS_MAX`] points: of each run of neighbours the least and the greatest.
+/// Returns at most [`POINTS_MAX`] points: the least and the greatest of each run of neighbours.
 fn merged(windows: &[DensityPoint]) -> Vec<DensityPoint> {
     if windows.len() <= POINTS_MAX {
         return windows.to_vec();
@@ -423,10 +422,10 @@ fn text_style(size: i32) -> TextStyle<'static> {
     ("sans-serif", size).into_font().color(&INK)
 }
 
-/// A chart of numbers on an area.
+/// A chart with numeric axes.
 type Axes<'a, B> = ChartContext<'a, B, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
-/// The two spans below a title, with room for labels at the left, below and at the right.
+/// Makes a chart with a title, two axes, and room for labels at the left, the bottom and the right.
 fn framed<'a, B: DrawingBackend>(
     area: &'a DrawingArea<B, Shift>,
     title: &str,
@@ -446,7 +445,7 @@ where
         .build_cartesian_2d(across, up)
 }
 
-/// The lines and labels that every chart has.
+/// Sets the lines and labels common to all charts.
 fn mesh<'a, 'c, B: DrawingBackend>(
     chart: &'c mut Axes<'a, B>,
     scale: i32,
@@ -460,7 +459,7 @@ fn mesh<'a, 'c, B: DrawingBackend>(
     mesh
 }
 
-/// Names of the regimes, in their colours, at the right border.
+/// Draws the names of the regimes, in their colours, at the right border.
 fn draw_regimes<B: DrawingBackend>(area: &DrawingArea<B, Shift>, scale: i32) -> Drawn<B>
 where
     B::ErrorType: 'static,
@@ -507,7 +506,7 @@ mod tests {
         let svg = density_over_time("density", &windows, THRESHOLDS)
             .unwrap()
             .svg;
-        // One more dot per regime explains its colour.
+        // The legend has one more dot per regime.
         assert_eq!(dots(&svg, "#0072B2"), 2 + 1);
         assert_eq!(dots(&svg, "#009E73"), 2 + 1);
         assert_eq!(dots(&svg, "#D55E00"), 3 + 1);

@@ -8,17 +8,17 @@ use eecvs_bench::record_file::{Name, name};
 use event_metrics::Comparison;
 use serde::{Deserialize, Serialize};
 
-/// One way of encoding the scene, and how well it came back.
+/// Results of encoding and decoding the scene in one way.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Row {
-    /// `auto`, `dct`, `dtft` or `dwt`; or a coder, with what was asked of it.
+    /// `auto`, `dct`, `dtft` or `dwt`; or the name of a coder, with its tolerance if any.
     #[serde(deserialize_with = "name")]
     pub name: Name,
-    /// The frames hold coefficients.
+    /// Whether the frames hold coefficients.
     pub is_transform: bool,
-    /// What the encoder did.
+    /// Summary of the encoder.
     pub encoded: EncodeSummary,
-    /// The decoded events against the original ones.
+    /// Comparison of the decoded events with the original ones.
     pub compared: Comparison,
 }
 
@@ -34,7 +34,7 @@ const HEADINGS: [&str; 8] = [
 ];
 
 impl Row {
-    /// Windows by transform, where there is one.
+    /// Formats the number of windows, per transform if there is one.
     fn windows(&self) -> String {
         let e = &self.encoded;
         if self.is_transform {
@@ -59,7 +59,7 @@ impl Row {
     }
 }
 
-/// The table for the terminal.
+/// Formats the table for the terminal.
 #[must_use]
 pub fn table(rows: &[Row]) -> String {
     let cells: Vec<_> = rows.iter().map(Row::cells).collect();
@@ -84,13 +84,13 @@ pub fn table(rows: &[Row]) -> String {
     line(HEADINGS) + &body.collect::<String>()
 }
 
-/// Where the README has its table.
+/// Markers of the lines in the README between which its table goes.
 pub const MARKS: Marks = Marks {
     name: "demo",
     command: "eecvs demo --save README.md",
 };
 
-/// The table for the README, which leaves out what the link carries exactly.
+/// Formats the table for the README, without the metrics that are exact for all rows.
 #[must_use]
 pub fn document(rows: &[Row]) -> String {
     let mut text = String::from(
@@ -122,12 +122,12 @@ pub fn document(rows: &[Row]) -> String {
     text
 }
 
-/// What the page shows.
+/// Contents of the page.
 #[derive(Debug)]
 pub struct Page<'p> {
-    /// The scene in words.
+    /// Description of the scene.
     pub scene: &'p str,
-    /// M, window and so on in words.
+    /// Description of the settings, such as M and the window.
     pub setting: &'p str,
     /// Picture files with their captions.
     pub pictures: &'p [(String, String)],
@@ -136,7 +136,7 @@ pub struct Page<'p> {
 }
 
 impl Page<'_> {
-    /// The page as HTML that needs nothing but the files beside it.
+    /// Formats the page as HTML that refers only to the files beside it.
     #[must_use]
     pub fn html(&self) -> String {
         let mut html = format!(
@@ -217,7 +217,7 @@ mod tests {
             document(&["fast", "dense", "dense50us", "auto", "dct", "dtft", "dwt"].map(row));
         let line = "| coefficients, by density | 8/15/9 | 52.3 | 24.7 | 0.090 | 120 |";
         assert_eq!(expected.lines().nth(5), Some(line));
-        // The terminal's has more digits.
+        // The terminal's table has more digits.
         let terminal = table(&[row("auto")]);
         let cells: Vec<&str> = terminal
             .lines()

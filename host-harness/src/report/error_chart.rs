@@ -1,9 +1,9 @@
-//! Error per event of every kernel over k, n and T: a column for each axis, a row for each
-//! transform that has an error.
+//! Charts of the error per event of every kernel over k, n and T: one column per axis, one row per transform that
+//! has errors.
 //!
-//! All axes are logarithmic. A kernel has the colour that it has in [`super::kernel_chart`]: its
-//! curve with dots is the largest error, the thin one the root mean square, and its documented bound
-//! is a dashed line. What is far below every bound, or 0, stands at the foot.
+//! All axes are logarithmic. A kernel has the same colour as in [`super::kernel_chart`]: its curve with dots is the
+//! largest error, the thin curve the root mean square, and the dashed line its documented bound. Errors of 0, or
+//! far below every bound, are drawn at the foot.
 
 use anyhow::{Result, anyhow, ensure};
 use eecvs_bench::errors::{AXES, Row};
@@ -17,13 +17,13 @@ use super::picture_backend::PictureBackend;
 const WIDTH: u32 = 1040;
 const HEAD_HEIGHT: u32 = 104;
 const PANEL_HEIGHT: u32 = 300;
-/// Dashes of a bound's line.
+/// Number of dashes in the line of a bound.
 const DASHES: usize = 36;
 
-/// The chart as SVG text.
+/// Draws the chart as SVG text.
 ///
 /// # Errors
-/// An error or a bound that is not a number.
+/// Fails if an error or a bound is negative or not finite.
 pub fn svg(rows: &[Row]) -> Result<String> {
     let layout = Layout::new(rows)?;
     let mut svg = String::new();
@@ -36,10 +36,10 @@ pub fn svg(rows: &[Row]) -> Result<String> {
     Ok(svg)
 }
 
-/// The chart as a picture.
+/// Draws the chart as a picture.
 ///
 /// # Errors
-/// As [`svg`].
+/// Fails as [`svg`] does.
 pub fn picture(rows: &[Row]) -> Result<Picture> {
     let layout = Layout::new(rows)?;
     let side = |side: u32| side as usize * PNG_SCALE as usize;
@@ -52,17 +52,17 @@ pub fn picture(rows: &[Row]) -> Result<Picture> {
     Ok(picture)
 }
 
-/// What all panels have in common.
+/// What all panels share.
 struct Layout {
-    /// Transforms with an error somewhere.
+    /// Transforms that have an error somewhere.
     drawn: Vec<&'static str>,
-    /// Kernels of them and their bounds.
+    /// Their kernels, with the bounds.
     bounds: Vec<(&'static str, f64)>,
     /// Kernels without any error.
     exact: Vec<&'static str>,
-    /// Ends of the axis of errors.
+    /// Ends of the error axis.
     errors: (f64, f64),
-    /// Where an error of 0, and all that is below this, stands.
+    /// Error at which 0 and all smaller errors are drawn.
     foot: f64,
 }
 
@@ -97,7 +97,7 @@ impl Layout {
         } else {
             1e-8
         };
-        // A line of the grid of its own, two decades or more below.
+        // On a grid line of its own, at least two decades below.
         let foot = 10_f64.powf(least.log10().floor() - 2.0);
         Ok(Self {
             drawn,
@@ -112,7 +112,7 @@ impl Layout {
         HEAD_HEIGHT + PANEL_HEIGHT * self.drawn.len() as u32
     }
 
-    /// Of the errors.
+    /// Formats the label of an error.
     fn label(&self, error: f64) -> String {
         if (error / self.foot - 1.0).abs() < 1e-6 {
             format!("<{}", power(error))
@@ -128,7 +128,7 @@ fn add<T: PartialEq>(list: &mut Vec<T>, item: T) {
     }
 }
 
-/// Name and description of an axis.
+/// Returns name and symbol of an axis.
 fn describe(axis: &str) -> (&'static str, &'static str) {
     match axis {
         "k" => ("coefficient", "k"),
@@ -137,7 +137,7 @@ fn describe(axis: &str) -> (&'static str, &'static str) {
     }
 }
 
-/// A power of ten in the axis's unit.
+/// Formats a power of ten in the axis's unit.
 fn tick(axis: &str, value: f64) -> String {
     if axis != "T" {
         return power(value);
@@ -231,7 +231,7 @@ where
         .x_label_formatter(&|value| tick(axis, *value))
         .y_label_formatter(&|error| layout.label(*error))
         .draw()?;
-    // Kernels with one bound have the dashes of its line in turn.
+    // Kernels that share a bound take turns in the dashes of its line.
     let here = |kernel: &str| rows.iter().any(|row| row.kernel == kernel);
     for (kernel, bound) in &layout.bounds {
         let same: Vec<_> = layout
@@ -300,10 +300,10 @@ mod tests {
             let is_one = |line: &&str| line.starts_with(shape) && line.contains(colour);
             svg.lines().filter(is_one).count()
         };
-        // Three points in each of three panels, and one that explains the colour.
+        // Three points in each of three panels, and one in the legend.
         for colour in ["#0072B2", "#CC79A7"] {
             assert_eq!(count("<circle", colour), 10);
-            // Two curves, and half of the dashes of the bound that both have.
+            // Two curves, and half of the dashes of the bound that both kernels share.
             assert_eq!(count("<polyline", colour), 3 * (2 + DASHES / 2));
         }
         assert_eq!(count("<circle", "#56B4E9"), 0);

@@ -1,11 +1,11 @@
-//! What sensors at full load through a hub come to, as the README has it.
+//! The README's table of sensors at full load through a hub.
 
 use std::fmt::Write as _;
 
 use eecvs_bench::marks::Marks;
 use serde::{Deserialize, Serialize};
 
-/// Where the README has its table.
+/// Markers of the lines in the README between which its table goes.
 pub const MARKS: Marks = Marks {
     name: "hub load",
     command: "host-harness/record.sh hub-load",
@@ -15,71 +15,71 @@ pub const MARKS: Marks = Marks {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Row {
-    /// Sensors, a hub and receivers as programs of their own.
+    /// Sensors, a hub and receivers, each as a program of its own.
     Load {
-        /// Whether the hub was killed, and started again after 5 s.
+        /// Whether the hub was killed during the run, and restarted after 5 s.
         killed: bool,
-        /// Programs that send.
+        /// Number of sending programs.
         sensors: u64,
-        /// Programs that receive.
+        /// Number of receiving programs.
         receivers: u64,
-        /// How long they sent.
+        /// Duration of sending, in seconds.
         seconds: f64,
-        /// Events a second of all together.
+        /// Events per second of all sensors together.
         events_per_s: f64,
-        /// Bytes of frames a second.
+        /// Bytes of frames per second.
         bytes_per_s: f64,
         /// Whether every event is in a frame, at its exact time.
         events_exact: bool,
-        /// Frames that were sent.
+        /// Number of frames sent.
         frames: u64,
-        /// Frames that receivers got, all together.
+        /// Number of frames received by all receivers together.
         frames_received: u64,
-        /// Of these, frames that were asked for again.
+        /// Number of these that had to be requested again.
         frames_again: u64,
-        /// Frames that receivers gave up.
+        /// Number of frames that receivers gave up.
         frames_lost: u64,
-        /// Median from a window's end to its frame's arrival, of the slowest.
+        /// Median delay from the end of a window to the arrival of its frame, for the slowest sensor and receiver.
         delay_p50_ms: f64,
-        /// 99th percentile.
+        /// 99th percentile of this delay, for the slowest sensor and receiver.
         delay_p99_ms: f64,
     },
-    /// All in one process.
+    /// A simulation in one process.
     Simulation {
-        /// Sensors.
+        /// Number of sensors.
         sensors: u64,
-        /// Hubs.
+        /// Number of hubs.
         hubs: u64,
-        /// Receivers.
+        /// Number of receivers.
         receivers: u64,
-        /// How long they sent.
+        /// Duration of sending, in seconds.
         seconds: f64,
-        /// Events, all together.
+        /// Number of events of all sensors together.
         events: u64,
-        /// Bytes of frames a second.
+        /// Bytes of frames per second.
         bytes_per_s: f64,
-        /// Frames that were to be received, all together.
+        /// Number of frames that all receivers together should receive.
         expected: u64,
-        /// Frames that came as they were sent.
+        /// Number of frames that arrived unchanged.
         delivered: u64,
-        /// Of these, frames that were asked for again.
+        /// Number of these that had to be requested again.
         again: u64,
-        /// Frames that receivers gave up.
+        /// Number of frames that receivers gave up.
         lost: u64,
-        /// Frames that came otherwise than they were sent.
+        /// Number of frames that arrived changed.
         wrong: u64,
-        /// Median from when a frame was due to its arrival.
+        /// Median delay from when a frame was due to its arrival.
         delay_p50_ms: f64,
-        /// 99th percentile.
+        /// 99th percentile of this delay.
         delay_p99_ms: f64,
-        /// Processor seconds per second.
+        /// Processor time per time elapsed.
         cores: f64,
-        /// Most memory that was resident.
+        /// Peak resident memory.
         memory_peak_bytes: u64,
     },
 }
 
-/// The README's table: a line for every run.
+/// Formats the README's table, one line per run.
 #[must_use]
 pub fn document(rows: &[Row]) -> String {
     let mut text = String::from(
@@ -140,7 +140,7 @@ pub fn document(rows: &[Row]) -> String {
     text
 }
 
-/// Runs in which something was lost, was wrong, or was not exact.
+/// Counts the runs in which something was lost, wrong or inexact.
 #[must_use]
 pub fn failures(rows: &[Row]) -> usize {
     let is_whole = |row: &&Row| match row {

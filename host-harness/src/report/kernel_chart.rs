@@ -1,9 +1,8 @@
-//! Run time against error of every kernel: a row of panels for each target, a panel for each
-//! transform.
+//! Charts of run time against error of every kernel: one row of panels per target, one panel per transform.
 //!
-//! Both axes are logarithmic. A kernel has a colour of the Okabe-Ito set and a point for each M; a
-//! point on the front of its M is filled, and a line joins those of one M. An error of 0 stands at
-//! the foot.
+//! Both axes are logarithmic. A kernel has a colour of the Okabe-Ito set and a point for each M. Points on the
+//! Pareto front of their M are filled, and a line joins the points of one front. An error of 0 is drawn at the
+//! foot.
 
 use anyhow::{Result, anyhow, ensure};
 use eecvs_bench::Row;
@@ -14,11 +13,11 @@ use plotters::prelude::*;
 use super::picture_backend::PictureBackend;
 
 const WIDTH: u32 = 1200;
-/// Title and key.
+/// Height of title and legend.
 const HEAD: u32 = 62;
-/// A row of panels.
+/// Height of a row of panels.
 const ROW: u32 = 458;
-/// Pixels of the PNG for one of the SVG.
+/// Pixels of the PNG per pixel of the SVG.
 pub(super) const PNG_SCALE: i32 = 2;
 
 pub(super) const INK: RGBColor = RGBColor(50, 50, 50);
@@ -36,7 +35,7 @@ pub(super) const COLOURS: [(&str, RGBColor); 9] = [
     ("voxel-bilinear", VOXEL),
 ];
 const VOXEL: RGBColor = RGBColor(150, 110, 60);
-/// Targets, and what stands above their panels.
+/// Targets and the headings of their panels.
 const TARGETS: [(&str, &str); 3] = [
     ("host", "host"),
     ("cortex-m4", "Cortex-M4"),
@@ -44,10 +43,10 @@ const TARGETS: [(&str, &str); 3] = [
 ];
 const PANELS: [(&str, &str); 3] = [("dct", "DCT"), ("dtft", "DTFT"), ("dwt", "Haar DWT")];
 
-/// The chart as SVG text.
+/// Draws the chart as SVG text.
 ///
 /// # Errors
-/// A cost that is not above 0, or an error that is not a number.
+/// Fails if a cost is not above 0, or an error is not a number.
 pub fn svg(title: &str, rows: &[Row]) -> Result<String> {
     let targets = targets(rows)?;
     let mut svg = String::new();
@@ -60,10 +59,10 @@ pub fn svg(title: &str, rows: &[Row]) -> Result<String> {
     Ok(svg)
 }
 
-/// The chart as a picture.
+/// Draws the chart as a picture.
 ///
 /// # Errors
-/// As [`svg`].
+/// Fails as [`svg`] does.
 pub fn picture(title: &str, rows: &[Row]) -> Result<Picture> {
     let targets = targets(rows)?;
     let side = |side: u32| side as usize * PNG_SCALE as usize;
@@ -76,14 +75,14 @@ pub fn picture(title: &str, rows: &[Row]) -> Result<Picture> {
     Ok(picture)
 }
 
-/// The rows of a target.
+/// A target and its rows.
 struct Target<'r> {
     name: &'static str,
     rows: Vec<&'r Row>,
     axes: Axes,
 }
 
-/// The targets that have rows; the first of all where none has.
+/// Returns the targets that have rows; if none has, the first of all.
 fn targets(rows: &[Row]) -> Result<Vec<Target<'_>>> {
     let mut targets = Vec::new();
     for (target, name) in TARGETS {
@@ -109,7 +108,7 @@ fn height(targets: &[Target<'_>]) -> u32 {
 struct Axes {
     costs: (f64, f64),
     errors: (f64, f64),
-    /// Where an error of 0 stands.
+    /// Error at which 0 is drawn.
     zero: f64,
 }
 
@@ -135,14 +134,14 @@ impl Axes {
                 }
             }
         }
-        // Without any point: some axes.
+        // Default axes if there are no points.
         if costs.1 == 0.0 {
             costs = (1.0, 100.0);
         }
         if errors.1 == 0.0 {
             errors = (1e-8, 1.0);
         }
-        // A line of the grid of its own.
+        // On a grid line of its own.
         let zero = 10_f64.powf(errors.0.log10().floor() - 1.0);
         Ok(Self {
             costs: (costs.0 / 1.6, costs.1 * 2.0),
@@ -155,7 +154,7 @@ impl Axes {
         row.max_error.map(|error| error.max(self.zero))
     }
 
-    /// Of the errors.
+    /// Formats the label of an error.
     fn label(&self, error: f64) -> String {
         if (error / self.zero - 1.0).abs() < 1e-6 {
             "0".to_owned()
@@ -174,7 +173,7 @@ pub(super) fn text(size: i32, scale: i32) -> TextStyle<'static> {
     ("sans-serif", size * scale).into_font().color(&INK)
 }
 
-/// A power of ten, or nothing.
+/// Formats a power of ten; any other value gives an empty text.
 pub(super) fn power(value: f64) -> String {
     let log10 = value.log10();
     let whole = log10.round();
@@ -220,7 +219,7 @@ where
     area.present()
 }
 
-/// What the colours stand for, in a row at height `y`: kernels and what is written beside them.
+/// Draws the legend in a row at height `y`: kernels and their labels.
 pub(super) fn legend<B: DrawingBackend>(
     head: &DrawingArea<B, Shift>,
     entries: &[(&str, String)],
@@ -296,7 +295,7 @@ where
             continue;
         };
         let (at, colour) = ((row.cost, error), colour(row.kernel));
-        // White below a ring, so that lines end at it.
+        // A white disc below a ring hides the line inside it.
         chart.draw_series([Circle::new(at, 4 * scale, WHITE.filled())])?;
         let style = if row.pareto {
             colour.filled()
@@ -310,7 +309,7 @@ where
         let at = (x - left + 5 * scale, y - top - 14 * scale);
         panel.draw_text(&row.m.to_string(), &label, at)?;
     }
-    // At the foot: what has no error.
+    // Methods without an error are drawn at the foot.
     for row in rows.iter().filter(|row| row.transform == "none") {
         let at = (row.cost, axes.errors.0);
         chart.draw_series([TriangleMarker::new(at, 4 * scale, VOXEL.filled())])?;
@@ -356,7 +355,7 @@ mod tests {
             let circle = |line: &&str| line.starts_with("<circle") && line.contains(colour);
             svg.lines().filter(circle).count()
         };
-        // One more of each explains its colour.
+        // The legend has one more of each.
         assert_eq!(dots("#0072B2"), 3);
         assert_eq!(dots("#E69F00"), 2);
         assert!(svg.contains("</svg>") && !svg.contains("NaN"));

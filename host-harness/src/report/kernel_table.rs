@@ -1,4 +1,4 @@
-//! Run time against error of every kernel as tables: for a terminal, and for the README.
+//! Tables of run time against error of every kernel: for a terminal, and for the README.
 
 use std::fmt::Write as _;
 
@@ -7,12 +7,12 @@ use eecvs_bench::mcu::TARGETS;
 use eecvs_bench::window::CROWDED_EVENTS;
 use eecvs_bench::{M, Row};
 
-/// Where the README has the host's table.
+/// Markers of the lines in the README between which the host's table goes.
 pub const MARKS: Marks = Marks {
     name: "host kernels",
     command: "eecvs bench --save README.md",
 };
-/// Kernels and peers of the README's table, and what they are called there.
+/// Kernels and peers in the README's table, with their names there.
 const KERNELS: [(&str, &str); 7] = [
     ("table", "table"),
     ("recurrence", "recurrence"),
@@ -22,7 +22,7 @@ const KERNELS: [(&str, &str); 7] = [
     ("binning-fft", "1,024 bins and an FFT"),
     ("oracle-f64", "f64 reference"),
 ];
-/// Its columns.
+/// Columns of the README's table: transform, its name, M.
 const COLUMNS: [(&str, &str, u8); 4] = [
     ("dct", "DCT", 8),
     ("dct", "DCT", 16),
@@ -30,8 +30,8 @@ const COLUMNS: [(&str, &str, u8); 4] = [
     ("dtft", "DTFT", 16),
 ];
 
-/// The host's rows as the README has them: ns per event, largest error, `*` on the front; `None`
-/// where one is missing.
+/// Formats the host's rows for the README: ns per event, largest error, and `*` on the Pareto front; `None` if a
+/// row is missing.
 #[must_use]
 pub fn document(rows: &[Row]) -> Option<String> {
     let find = |kernel: &str, transform: &str, m: u8| {
@@ -61,8 +61,8 @@ pub fn document(rows: &[Row]) -> Option<String> {
     Some(text)
 }
 
-/// A table for each transform and target, and for crowded pixels: kernels down, M across; `*` is on
-/// the front.
+/// Formats one table per transform and target, and for crowded pixels: kernels down, M across; `*` marks the Pareto
+/// front.
 #[must_use]
 pub fn table(rows: &[Row]) -> String {
     let mut text = String::new();
@@ -82,7 +82,7 @@ pub fn table(rows: &[Row]) -> String {
     text
 }
 
-/// Of one transform and target; nothing without rows.
+/// Formats the table of one transform and target; empty without rows.
 fn kernels_table(rows: &[&Row]) -> String {
     let Some(first) = rows.first() else {
         return String::new();
@@ -122,7 +122,7 @@ fn kernels_table(rows: &[&Row]) -> String {
     text
 }
 
-/// Cost, error, and whether it is on the front, in 22 columns.
+/// Formats cost, error and the mark of the Pareto front, in 22 columns.
 fn cell(row: &Row) -> String {
     let mark = if row.pareto { '*' } else { ' ' };
     format!("{:>11.1} {:>8} {mark}", row.cost, error(row))
@@ -162,7 +162,7 @@ mod tests {
         }
     }
 
-    /// Rows of everything, and some of a microcontroller, which come first.
+    /// Returns rows of everything; those of a microcontroller come before the host's.
     fn rows() -> Vec<Row> {
         let mut rows = Vec::new();
         for m in M {

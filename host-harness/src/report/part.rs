@@ -1,15 +1,15 @@
-//! The part of a sensor that small pictures show: all of a small one, the densest part of a wide one.
+//! The part of a sensor shown in small pictures: all of a small sensor, the densest part of a large one.
 
 use std::fmt;
 
 use eecvs_nostd::{Event, Sensor};
 
-/// The largest sensor that is shown whole: so many pixels fit four times beside each other.
+/// The largest sensor that is shown whole: four panels of this size fit beside each other.
 const WHOLE_MAX: Sensor = Sensor {
     width: 346,
     height: 260,
 };
-/// What is shown of a larger one: twice as wide, four of them fill a page.
+/// Size of the part shown of a larger sensor: enlarged twice, four of them fill a page.
 const CUT: Sensor = Sensor {
     width: 200,
     height: 150,
@@ -18,18 +18,18 @@ const CUT: Sensor = Sensor {
 /// A rectangle of a sensor's pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Part {
-    /// Left column.
+    /// Leftmost column.
     pub x: u16,
-    /// Upper row.
+    /// Uppermost row.
     pub y: u16,
-    /// Its columns and rows.
+    /// Columns and rows of the part.
     pub size: Sensor,
     of: Sensor,
 }
 
 impl Part {
-    /// All of a sensor of at most 346 x 260 pixels; of a larger one the 200 x 150 pixels, fewer where it has
-    /// fewer, that hold most of `events`: the uppermost of these, and there the leftmost.
+    /// Returns the part to show: all of a sensor of at most 346 x 260 pixels. Of a larger one, the 200 x 150 pixels
+    /// (limited to its own sides) that hold most of `events`; of equals the uppermost, then the leftmost.
     #[must_use]
     pub fn densest(sensor: Sensor, events: &[Event]) -> Self {
         let is_small = sensor.width <= WHOLE_MAX.width && sensor.height <= WHOLE_MAX.height;
@@ -50,7 +50,7 @@ impl Part {
         }
     }
 
-    /// The events inside, at their places in the part.
+    /// Returns the events inside, with coordinates relative to the part.
     #[must_use]
     pub fn cut(&self, events: &[Event]) -> Vec<Event> {
         let inside = |event: &Event| {
@@ -61,7 +61,7 @@ impl Part {
         events.iter().filter_map(inside).collect()
     }
 
-    /// Whether it is less than the sensor.
+    /// Returns whether the part is smaller than the sensor.
     #[must_use]
     pub fn is_cut(&self) -> bool {
         self.size != self.of
@@ -82,11 +82,12 @@ impl fmt::Display for Part {
     }
 }
 
-/// The upper left corner of the rectangle of `size` with most events.
+/// Returns the upper left corner of the rectangle of `size` with the most events.
 fn densest(sensor: Sensor, size: Sensor, events: &[Event]) -> (u16, u16) {
     let [width, height, part_width, part_height] =
         [sensor.width, sensor.height, size.width, size.height].map(usize::from);
-    // Of (x, y): the events above y and left of x. A row and a column of zeros spare all borders.
+    // Summed-area table: entry (x, y) counts the events above y and left of x. A row and a column of zeros avoid
+    // special cases at the borders.
     let pitch = width + 1;
     let mut sums = vec![0_u64; pitch * (height + 1)];
     for event in events
@@ -103,7 +104,7 @@ fn densest(sensor: Sensor, size: Sensor, events: &[Event]) -> (u16, u16) {
             let at = at.checked_sub(back)?;
             sums.get(at).copied()
         };
-        // A row begins with 0 and stays so.
+        // The first entry of a row is 0 and stays so.
         let (left, above, corner) = if at.is_multiple_of(pitch) {
             (0, 0, 0)
         } else {
@@ -165,8 +166,7 @@ mod tests {
 
     #[test]
     fn the_part_is_where_most_events_are() {
-        // One event alone in a corner, three far from it that fit into a part by a pixel, and many outside
-        // of the sensor.
+        // One event in a corner, three far from it that just fit into one part, and many outside of the sensor.
         let mut events = vec![event(0, 0, 0, true)];
         events.extend([(400, 300), (599, 449), (450, 310)].map(|(x, y)| event(1, x, y, false)));
         events.extend(vec![event(2, 640, 480, true); 100]);
@@ -189,7 +189,7 @@ mod tests {
         assert_eq!(whole.cut(&events), [event(0, 0, 0, true)]);
     }
 
-    /// Counts every place anew.
+    /// Compares with a count over every position.
     #[test]
     fn no_other_part_holds_more() {
         let sensor = sensor(400, 270);

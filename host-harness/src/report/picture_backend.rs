@@ -1,4 +1,4 @@
-//! Charts of plotters on a [`Picture`], with its letters instead of fonts of the system.
+//! Draws plotters' charts on a [`Picture`], with its own letters instead of system fonts.
 
 use std::convert::Infallible;
 
@@ -8,11 +8,11 @@ use plotters_backend::{
     BackendColor, BackendCoord, BackendTextStyle, DrawingBackend, DrawingErrorKind, FontTransform,
 };
 
-/// Draws on a picture; whatever lies outside is cut off.
+/// Drawing backend on a picture; whatever lies outside is cut off.
 #[derive(Debug)]
 pub struct PictureBackend<'p>(pub &'p mut Picture);
 
-/// Scale of the letters: those of 8 pixels, which are wide, stand for fonts of 10.
+/// Returns the scale of the letters: letters of 8 pixels, which are wide, stand for fonts of size 10.
 fn scale(size: f64) -> usize {
     (size / 10.0).clamp(1.0, 64.0) as usize
 }

@@ -1,9 +1,9 @@
-//! Rate against distortion: a column of panels for each of three recordings, a panel for the error of
-//! times and one for that of the volume.
+//! Charts of rate against distortion: one column per recording, for three recordings; one panel for the error of
+//! times and one for the error of the volume.
 //!
-//! Both axes are logarithmic; what is lossless stands at the foot. Colours are of the Okabe-Ito set,
-//! and what has one colour has one form: circles for tolerances and for M, triangles for bins, digits
-//! for peers. Arrays that would take the axis to thousands of bits are named at its right end.
+//! Both axes are logarithmic; lossless results are drawn at the foot. Colours are of the Okabe-Ito set, and shapes
+//! distinguish settings of the same colour: circles for tolerances and for M, triangles for bins, digits for peers.
+//! Arrays that would extend the axis to thousands of bits are named at its right end instead.
 
 use anyhow::{Result, anyhow, ensure};
 use event_pictures::picture::Picture;
@@ -16,14 +16,14 @@ use super::rate_table::{figure, of_times, of_volume, recordings};
 use crate::rate::Row;
 
 const WIDTH: u32 = 1200;
-/// Title and keys.
+/// Height of title and legends.
 const HEAD: u32 = 82;
-/// A row of panels.
+/// Height of a row of panels.
 const ROW: u32 = 400;
 const PANELS: u32 = 2;
-/// Recordings that are drawn.
+/// Number of recordings drawn.
 const COLUMNS: usize = 3;
-/// Those that are drawn where they are there: of many, some and few events in a pixel.
+/// Recordings that are preferred: with many, some and few events per pixel.
 const PREFERRED: [&str; COLUMNS] = [
     "gen3_vga_dense_evt2",
     "davis346_building_dense",
@@ -31,7 +31,7 @@ const PREFERRED: [&str; COLUMNS] = [
 ];
 const BROWN: RGBColor = RGBColor(150, 90, 30);
 
-/// A line: codec, whether of its bins, what it is called, and its colour.
+/// A line of the chart: the codec, whether it is of its bins, name and colour.
 struct Series {
     codec: &'static str,
     is_bins: bool,
@@ -64,7 +64,7 @@ const SERIES: [Series; 7] = [
     series("transform-dtft", false, "DTFT", RGBColor(230, 159, 0)),
     series("transform-dwt", false, "Haar", RGBColor(204, 121, 167)),
 ];
-/// Lossless peers by their digits.
+/// Lossless peers, in the order of their digits.
 const PEERS: [(&str, &str); 6] = [
     ("zstd-19", "zstd -19"),
     ("xz-9", "xz -9"),
@@ -74,13 +74,13 @@ const PEERS: [(&str, &str); 6] = [
     ("aedat4-lz4", "AEDAT 4 LZ4"),
 ];
 
-/// Arrays: codec, setting, what they are called.
+/// Arrays: codec, setting, name.
 const ARRAYS: [(&str, &str, &str); 2] = [
     ("tore", "u8", "TORE u8"),
     ("voxel", "8 bins, i8", "voxels i8"),
 ];
 
-/// What a panel shows upwards.
+/// A distortion, drawn on the vertical axis of a panel.
 struct Measure {
     name: &'static str,
     of: fn(&Row) -> Option<f64>,
@@ -97,10 +97,10 @@ const MEASURES: [Measure; PANELS as usize] = [
     },
 ];
 
-/// The chart as SVG text.
+/// Draws the chart as SVG text.
 ///
 /// # Errors
-/// A rate that is not above 0, or a distortion that is not a number of 0 or more.
+/// Fails if a rate is not above 0, or a distortion is negative or not a number.
 pub fn svg(title: &str, rows: &[Row]) -> Result<String> {
     check(rows)?;
     let mut svg = String::new();
@@ -113,10 +113,10 @@ pub fn svg(title: &str, rows: &[Row]) -> Result<String> {
     Ok(svg)
 }
 
-/// The chart as a picture.
+/// Draws the chart as a picture.
 ///
 /// # Errors
-/// As [`svg`].
+/// Fails as [`svg`] does.
 pub fn picture(title: &str, rows: &[Row]) -> Result<Picture> {
     check(rows)?;
     let side = |side: u32| side as usize * PNG_SCALE as usize;
@@ -142,7 +142,7 @@ fn check(rows: &[Row]) -> Result<()> {
     Ok(())
 }
 
-/// The recordings that are drawn: the preferred ones, then the first others.
+/// Returns the recordings to draw: the preferred ones, then the first others.
 fn shown(rows: &[Row]) -> Vec<&str> {
     let all = recordings(rows);
     let preferred = PREFERRED.iter().copied().filter(|name| all.contains(name));
@@ -187,7 +187,7 @@ where
     area.present()
 }
 
-/// What the colours and the digits are.
+/// Draws the legends of the colours and the digits.
 fn keys<B: DrawingBackend>(head: &DrawingArea<B, Shift>, scale: i32) -> Drawn<B>
 where
     B::ErrorType: 'static,
@@ -213,7 +213,7 @@ where
     Ok(())
 }
 
-/// A point of a series at a place in pixels.
+/// Draws a point of a series at a position in pixels.
 fn mark<B: DrawingBackend>(
     area: &DrawingArea<B, Shift>,
     at: (i32, i32),
@@ -236,7 +236,7 @@ where
 struct Axes {
     bits: (f64, f64),
     errors: (f64, f64),
-    /// Where an error of 0 stands.
+    /// Error at which 0 is drawn.
     zero: f64,
 }
 
@@ -310,7 +310,7 @@ impl Panel<'_> {
             .x_label_formatter(&|v| tick(*v))
             .y_label_formatter(&|v| axes.label(*v))
             .draw()?;
-        // Of an area within an area, pixels count from the sheet's corner.
+        // In nested areas, pixels count from the corner of the whole chart.
         let (left, top) = panel.get_base_pixel();
         let place = |at: &(f64, f64)| {
             let (x, y) = chart.backend_coord(at);
@@ -327,7 +327,7 @@ impl Panel<'_> {
                 panel.draw_text(label, &text(10, scale).color(&series.colour), at)?;
             }
         }
-        // Next to each other they stand on steps.
+        // Digits at increasing heights stay legible next to each other.
         for (digit, (codec, _)) in (1..).zip(PEERS) {
             let peer = self.rows.iter().find(|row| row.codec == codec);
             let Some(row) = peer else { continue };
@@ -349,7 +349,7 @@ impl Panel<'_> {
             if row.bits_per_event < axes.bits.1 {
                 let at = place(&(row.bits_per_event, error));
                 panel.draw(&TriangleMarker::new(at, 5 * scale, BROWN.filled()))?;
-                // To its left: arrays stand near the right border.
+                // The label is on the left, since arrays are near the right border.
                 let width = 8 * name.len() as i32 * scale;
                 let at = (at.0 - 6 * scale - width, at.1 - 4 * scale);
                 panel.draw_text(name, &text(10, scale).color(&BROWN), at)?;
@@ -366,7 +366,7 @@ impl Panel<'_> {
         Ok(())
     }
 
-    /// Where the points of a series are, by their rates, and what stands beside them.
+    /// Returns the points of a series with their labels, in order of the rates.
     fn points(&self, series: &Series) -> Vec<((f64, f64), String)> {
         let mut points: Vec<_> = self
             .rows
@@ -384,7 +384,7 @@ impl Panel<'_> {
     }
 }
 
-/// A rate at a line of the grid: those whose labels have room beside each other.
+/// Formats a rate at a grid line; only labels that have room beside each other are not empty.
 fn tick(bits: f64) -> String {
     let digit = bits / 10_f64.powf((bits.log10() + 1e-9).floor());
     if [1.0, 2.0, 5.0]
@@ -431,7 +431,7 @@ mod tests {
             let found = |line: &&str| line.starts_with(tag) && line.contains(colour);
             svg.lines().filter(found).count()
         };
-        // In two panels, and in the keys.
+        // In two panels, and in the legend.
         assert_eq!(count("<circle", "#0072B2"), 2 * 2 + 1);
         assert_eq!(count("<polygon", "#0072B2"), 2 + 1);
         assert_eq!(count("<circle", "#D55E00"), 2 + 1);

@@ -1,4 +1,4 @@
-//! Rate against distortion as tables: for a terminal, for the README, and for METHODOLOGY.md.
+//! Tables of rate against distortion: for a terminal, for the README, and for METHODOLOGY.md.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -7,17 +7,17 @@ use eecvs_bench::marks::Marks;
 
 use crate::rate::Row;
 
-/// Where METHODOLOGY.md has its tables.
+/// Markers of the lines in METHODOLOGY.md between which its tables go.
 pub const MARKS: Marks = Marks {
     name: "rate and distortion",
     command: "eecvs bench --rate --save METHODOLOGY.md",
 };
-/// Where the README has its table.
+/// Markers of the lines in the README between which its table goes.
 pub const README_MARKS: Marks = Marks {
     name: "rates",
     command: "eecvs bench --rate --save README.md",
 };
-/// Columns of the README's: codec, setting, what stands above them.
+/// Columns of the README's table: codec, setting, heading.
 const README: [(&str, &str, &str); 9] = [
     ("hybrid-fast", "lossless", "fast"),
     ("hybrid-dense", "lossless", "dense"),
@@ -29,7 +29,7 @@ const README: [(&str, &str, &str); 9] = [
     ("evt2", "lossless", "EVT 2.0"),
     ("aedat4-lz4", "lossless", "AEDAT 4, LZ4"),
 ];
-/// Lossless rows of the table, and what stands above them.
+/// Lossless codecs of the table, with their headings.
 const LOSSLESS: [(&str, &str); 8] = [
     ("hybrid-dense", "dense"),
     ("hybrid-fast", "fast"),
@@ -40,7 +40,7 @@ const LOSSLESS: [(&str, &str); 8] = [
     ("aedat4-zstd", "AEDAT 4, zstd"),
     ("aedat4-lz4", "AEDAT 4, LZ4"),
 ];
-/// Arrays of the table.
+/// Arrays of the table: codec, setting, name.
 const ARRAYS: [(&str, &str, &str); 5] = [
     ("tore", "f32", "TORE, f32"),
     ("tore", "u8", "TORE, u8"),
@@ -54,7 +54,7 @@ const TRANSFORMS: [(&str, &str); 3] = [
     ("transform-dwt", "Haar"),
 ];
 
-/// Columns of the table of coefficients by coder: transform, M, what stands above them.
+/// Columns of the table of coefficients by coder: transform, M, heading.
 const CODERS: [(&str, u8, &str); 6] = [
     ("transform-dct", 8, "DCT, M = 8"),
     ("transform-dct", 16, "DCT, M = 16"),
@@ -64,23 +64,23 @@ const CODERS: [(&str, u8, &str); 6] = [
     ("transform-dwt", 16, "Haar, M = 16"),
 ];
 
-/// What both modes are held to.
+/// A distortion on which both modes are compared.
 type Distortion = fn(&Row) -> Option<f64>;
 
-/// The error of times.
+/// Returns the error of times, `emd_pixel_us`.
 #[must_use]
 pub fn of_times(row: &Row) -> Option<f64> {
     row.emd_pixel_us
 }
 
-/// The error of the volume: of coefficients, the better one of the two that a decoder can make.
+/// Returns the error of the volume; for coefficients, the better of the two volumes that a decoder can make.
 #[must_use]
 pub fn of_volume(row: &Row) -> Option<f64> {
     let both = row.volume_nmse.into_iter().chain(row.coefficients_nmse);
     both.reduce(f64::min)
 }
 
-/// A setting of mode `transform`, and the cheapest one of mode `hybrid` that is no worse.
+/// A setting of mode `transform`, and the cheapest setting of mode `hybrid` with no more distortion.
 #[derive(Debug, Clone, Copy)]
 struct Duel<'r> {
     coefficients: &'r Row,
@@ -88,13 +88,13 @@ struct Duel<'r> {
 }
 
 impl Duel<'_> {
-    /// Below 1 the coefficients take fewer bits.
+    /// Returns the ratio of bits; below 1 the coefficients take fewer.
     fn ratio(&self) -> f64 {
         self.coefficients.bits_per_event / self.events.bits_per_event
     }
 }
 
-/// Every setting of one transform and coder of a recording.
+/// Pairs every setting of one transform and coder on a recording with its opponent.
 fn duels<'r>(
     rows: &'r [Row],
     recording: &str,
@@ -118,8 +118,8 @@ fn duels<'r>(
         .collect()
 }
 
-/// Bits of coefficients over those of events, for each way of measuring what is lost, of mode `transform` by the
-/// coder of that suffix: of every setting, and of the best one of each recording and transform.
+/// Returns the bits of coefficients over those of events, for mode `transform` with the coder of that suffix and
+/// for both distortions: of every setting, and of the best setting per recording, transform and distortion.
 #[must_use]
 pub fn ratios(rows: &[Row], suffix: &str) -> (Vec<f64>, Vec<f64>) {
     let (mut all, mut best) = (Vec::new(), Vec::new());
@@ -137,7 +137,7 @@ pub fn ratios(rows: &[Row], suffix: &str) -> (Vec<f64>, Vec<f64>) {
     (all, best)
 }
 
-/// Names of the recordings, in their order.
+/// Returns the names of the recordings, in their order.
 #[must_use]
 pub fn recordings(rows: &[Row]) -> Vec<&str> {
     let mut names: Vec<&str> = rows.iter().map(|row| row.recording.as_str()).collect();
@@ -145,7 +145,7 @@ pub fn recordings(rows: &[Row]) -> Vec<&str> {
     names
 }
 
-/// A row of that name.
+/// Finds the row of a recording, codec and setting.
 fn find<'r>(rows: &'r [Row], recording: &str, codec: &str, setting: &str) -> Option<&'r Row> {
     let is_it = |row: &&Row| {
         (row.recording.as_str(), row.codec, row.setting.as_str()) == (recording, codec, setting)
@@ -153,10 +153,10 @@ fn find<'r>(rows: &'r [Row], recording: &str, codec: &str, setting: &str) -> Opt
     rows.iter().find(is_it)
 }
 
-/// What makes a document's text of the rows; `None` where one is missing.
+/// Formats the text of a document from the rows; `None` if a row is missing.
 pub type Table = fn(&[Row]) -> Option<String>;
 
-/// The document's marks and what belongs between them, by the document's name.
+/// Returns the document's markers, and the table that belongs between them, by the document's name.
 #[must_use]
 pub fn of(document: &Path) -> (Marks, Table) {
     if document.file_name().is_some_and(|name| name == "README.md") {
@@ -166,7 +166,7 @@ pub fn of(document: &Path) -> (Marks, Table) {
     }
 }
 
-/// What the README has of the rows; `None` where one is missing.
+/// Formats the README's table; `None` if a row is missing.
 #[must_use]
 pub fn readme(rows: &[Row]) -> Option<String> {
     let recordings = recordings(rows);
@@ -183,7 +183,7 @@ pub fn readme(rows: &[Row]) -> Option<String> {
     Some(text)
 }
 
-/// What METHODOLOGY.md has of the rows; `None` where one is missing.
+/// Formats the tables of METHODOLOGY.md; `None` if a row is missing.
 #[must_use]
 pub fn document(rows: &[Row]) -> Option<String> {
     let recordings = recordings(rows);
@@ -285,13 +285,13 @@ fn heading<const N: usize>(text: &mut String, first: &str, columns: [&str; N]) {
     let _ = writeln!(text, "|{}", "---|".repeat(N + 1));
 }
 
-/// Coder and fidelity.
+/// Formats coder and fidelity.
 fn of_events(row: &Row) -> String {
     let coder = row.codec.trim_start_matches("hybrid-");
     format!("{coder}, {}", row.setting)
 }
 
-/// A table for a terminal: the rows of each recording.
+/// Formats a table for a terminal: the rows of each recording.
 #[must_use]
 pub fn table(rows: &[Row]) -> String {
     let mut text = String::new();
@@ -331,7 +331,7 @@ pub fn table(rows: &[Row]) -> String {
     text
 }
 
-/// Bits, with commas from a thousand on.
+/// Formats bits, with commas from a thousand on.
 pub(super) fn figure(value: f64) -> String {
     match value {
         1000.0.. => {
@@ -352,7 +352,7 @@ pub(super) fn figure(value: f64) -> String {
     }
 }
 
-/// Three digits at the most; powers of ten for small ones.
+/// Formats at most three digits; small values as powers of ten.
 fn small(value: f64) -> String {
     match value {
         0.0 => "0".to_owned(),

@@ -1,43 +1,43 @@
-//! How quickly recordings are read here and by other libraries, as the README has it.
+//! The README's table of the speed at which this project and other libraries read recordings.
 
 use std::fmt::Write as _;
 
 use eecvs_bench::marks::Marks;
 use serde::{Deserialize, Serialize};
 
-/// Where the README has its table.
+/// Markers of the lines in the README between which its table goes.
 pub const MARKS: Marks = Marks {
     name: "read speed",
     command: "host-harness/record.sh read-speed",
 };
 
-/// This project among the libraries.
+/// Name of this project among the libraries.
 const HERE: &str = "eecvs";
 
 /// A recording read by a library.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// The file's name, whose ending tells the format.
+    /// Name of the file, whose extension identifies the format.
     pub file: String,
-    /// `eecvs` or another one's name.
+    /// `eecvs`, or the name of another library.
     pub library: String,
-    /// The other one's.
+    /// Version of the other library.
     pub version: Option<String>,
     /// Number of events.
     pub events: u64,
-    /// From opening to the end on one thread, the least of all times.
+    /// Seconds from opening to the end of the file on one thread; the least of all runs.
     pub seconds: f64,
 }
 
 impl Row {
-    /// Million events per second.
+    /// Returns the million events read per second.
     #[must_use]
     pub fn rate_mev_s(&self) -> f64 {
         self.events as f64 / self.seconds / 1e6
     }
 }
 
-/// The README's table: a line for every file, a column for every library.
+/// Formats the README's table: one line per file, one column per library.
 #[must_use]
 pub fn document(rows: &[Row]) -> String {
     let mut libraries: Vec<&str> = vec![HERE];
@@ -74,7 +74,7 @@ pub fn document(rows: &[Row]) -> String {
     text
 }
 
-/// Files that another library reads more quickly, and which that is.
+/// Returns the files that another library reads faster, with the name of that library.
 #[must_use]
 pub fn slower(rows: &[Row]) -> Vec<(&str, &str)> {
     let here = |file: &str| {

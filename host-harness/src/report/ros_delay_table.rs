@@ -1,36 +1,36 @@
-//! How long after their windows' end frames arrive on ROS 2, as the README has it.
+//! The README's table of the delay from a window's end to its frame's arrival on ROS 2.
 
 use std::fmt::Write as _;
 
 use eecvs_bench::marks::Marks;
 use serde::{Deserialize, Serialize};
 
-/// Where the README has its table.
+/// Markers of the lines in the README between which its table goes.
 pub const MARKS: Marks = Marks {
     name: "ros delay",
     command: "host-harness/record.sh ros-delay",
 };
 
-/// Frames of one length of window by one transport, as `eecvs-ros/delay.sh` has measured them.
+/// Frames of one window duration over one transport, as measured by `eecvs-ros/delay.sh`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// `dds` or `zenoh`.
     pub transport: String,
     /// Duration of the windows.
     pub window_us: u32,
-    /// Messages of events that never came to the encoder.
+    /// Number of messages with events that did not reach the encoder.
     pub packets_lost: u64,
-    /// Frames that came.
+    /// Number of frames that arrived.
     pub frames: u64,
-    /// Frames that never came.
+    /// Number of frames that did not arrive.
     pub frames_lost: u64,
-    /// Events in the frames that came.
+    /// Rate of the events in the frames that arrived.
     pub events_per_s: f64,
-    /// Time from a window's end to its frame's arrival: median.
+    /// Median delay from the end of a window to the arrival of its frame.
     pub delay_p50_ms: f64,
-    /// 99th percentile.
+    /// 99th percentile of this delay.
     pub delay_p99_ms: f64,
-    /// Largest.
+    /// Largest delay.
     pub delay_max_ms: f64,
 }
 
@@ -44,7 +44,7 @@ impl Row {
     }
 }
 
-/// The README's table: a line for every transport and window.
+/// Formats the README's table, one line per transport and window.
 #[must_use]
 pub fn document(rows: &[Row]) -> String {
     let mut text = String::from(

@@ -1,4 +1,4 @@
-//! Every marked section of the documents, made of its committed record.
+//! Makes every marked section of the documents from its committed record.
 
 use std::path::Path;
 
@@ -19,16 +19,16 @@ use crate::study::Results;
 pub struct Section {
     /// `README.md` or `METHODOLOGY.md`.
     pub document: &'static str,
-    /// Where it is there.
+    /// Markers of the lines between which the section goes.
     pub marks: Marks,
-    /// What belongs there.
+    /// Text of the section.
     pub text: String,
 }
 
-/// The sections whose records are in `folder`.
+/// Makes the sections whose records are in `folder`.
 ///
 /// # Errors
-/// A record that cannot be read, or lacks a row that its section shows.
+/// Fails if a record cannot be read, or lacks a row that its section shows.
 pub fn of_records(folder: &Path) -> Result<Vec<Section>> {
     let whole = |text: Option<String>, name: &str| {
         text.with_context(|| format!("{}/{name}.json: a row is missing", folder.display()))
@@ -119,14 +119,14 @@ mod tests {
     use super::*;
     use crate::rate;
 
-    /// Sections of `tests/`, which compares them with their records in `firmware/`.
+    /// Sections that `tests/` compares with their records in `firmware/`.
     const ELSEWHERE: [&str; 2] = ["instructions", "kernels"];
 
     fn folder() -> std::path::PathBuf {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("record")
     }
 
-    /// With the variable `EECVS_BLESS` it writes the sections in place of comparing them.
+    /// If the variable `EECVS_BLESS` is set, writes the sections instead of comparing them.
     #[test]
     fn every_section_of_the_documents_is_of_its_record() {
         let sections = of_records(&folder()).unwrap();
@@ -146,7 +146,7 @@ mod tests {
                 section.document
             );
         }
-        // And there is no other one.
+        // The documents have no other sections.
         for document in ["README.md", "METHODOLOGY.md"] {
             let text = of_project(document);
             let begins = text
@@ -165,7 +165,7 @@ mod tests {
         }
     }
 
-    /// What the README says of the rates in words.
+    /// Checks the README's sentences on rates.
     #[test]
     fn the_sentences_about_rates_are_of_their_record() {
         let rows: Vec<rate::Row> = read(&folder(), "rates").unwrap().rows;
@@ -216,7 +216,7 @@ mod tests {
         assert_eq!([percent(least), percent(most)], [1.0, 15.0]);
     }
 
-    /// What the README says of delays in words.
+    /// Checks the README's sentence on delays.
     #[test]
     fn the_sentence_about_delays_is_of_its_record() {
         let rows: Vec<ros_delay_table::Row> = read(&folder(), "ros-delay").unwrap().rows;
@@ -244,13 +244,14 @@ mod tests {
         }
     }
 
-    /// What the README says of reading in words.
+    /// Checks that the runs at full load lost nothing.
     #[test]
     fn nothing_is_lost_under_load() {
         let rows: Vec<hub_load_table::Row> = read(&folder(), "hub-load").unwrap().rows;
         assert_eq!((rows.len(), hub_load_table::failures(&rows)), (3, 0));
     }
 
+    /// Checks the README's sentence on reading.
     #[test]
     fn the_sentence_about_reading_is_of_its_record() {
         let rows: Vec<read_speed_table::Row> = read(&folder(), "read-speed").unwrap().rows;
@@ -260,7 +261,7 @@ mod tests {
         assert_eq!(read_speed_table::slower(&rows), []);
     }
 
-    /// What the README says of kernels in words.
+    /// Checks the README's sentences on kernels.
     #[test]
     fn the_sentences_about_kernels_are_of_their_records() {
         let rows: Vec<Row> = read(&folder(), "kernels").unwrap().rows;

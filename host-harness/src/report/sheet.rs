@@ -8,34 +8,34 @@ use plotters::prelude::*;
 use super::kernel_chart::{Drawn, PNG_SCALE};
 use super::picture_backend::PictureBackend;
 
-/// What can be drawn on any backend.
+/// A chart that can be drawn on any backend.
 pub trait Chart {
-    /// Width and height, in pixels of the SVG.
+    /// Returns width and height, in pixels of the SVG.
     fn size(&self) -> (u32, u32);
 
-    /// Draws everything, lengths times `scale`.
+    /// Draws the chart with all lengths times `scale`.
     ///
     /// # Errors
-    /// What the backend reports.
+    /// Fails with the error of the backend.
     fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, scale: i32) -> Drawn<B>
     where
         B::ErrorType: 'static;
 }
 
-/// Both forms of a chart.
+/// A chart in both forms.
 #[derive(Debug, Clone)]
 pub struct Sheet {
-    /// Scales to any size.
+    /// The chart as SVG, for any size.
     pub svg: String,
-    /// Twice as many pixels each way.
+    /// The chart as a picture with twice as many pixels each way.
     pub png: Picture,
 }
 
 impl Sheet {
-    /// Draws a chart twice.
+    /// Draws a chart in both forms.
     ///
     /// # Errors
-    /// What the backends report.
+    /// Fails with the error of a backend.
     pub fn new(chart: &impl Chart) -> Result<Self> {
         let (width, height) = chart.size();
         let mut svg = String::new();

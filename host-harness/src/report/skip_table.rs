@@ -1,16 +1,16 @@
-//! What skipping saves as tables: for a terminal, and for METHODOLOGY.md.
+//! Tables of what skipping saves: for a terminal, and for METHODOLOGY.md.
 
 use std::fmt::Write as _;
 
 use eecvs_bench::marks::Marks;
 use eecvs_bench::skips::Row;
 
-/// Where METHODOLOGY.md has its table.
+/// Markers of the lines in METHODOLOGY.md between which its table goes.
 pub const MARKS: Marks = Marks {
     name: "skips",
     command: "eecvs bench --skips --save METHODOLOGY.md",
 };
-/// Recordings of its columns, and what stands above them.
+/// Recordings of the table's columns, with their headings.
 pub const COLUMNS: [(&str, &str); 5] = [
     ("davis346_building_dense", "davis346, building"),
     ("dvs128_walking_moderate", "dvs128, walking"),
@@ -25,7 +25,7 @@ const ALL: &[&str] = &["dct", "dtft", "dwt"];
 const DCT: &[&str] = &["dct"];
 const DTFT: &[&str] = &["dtft"];
 const DWT: &[&str] = &["dwt"];
-/// Its rows: what is skipped, unit, transforms.
+/// Rows of the table: what is skipped, unit, transforms.
 const SHOWN: [(&str, &str, &[&str]); 15] = [
     ("inactive pixels, looked at", TIME, DCT),
     ("inactive pixels, transformed", TIME, ALL),
@@ -44,7 +44,7 @@ const SHOWN: [(&str, &str, &[&str]); 15] = [
     ("nothing", TIME, DCT),
 ];
 
-/// What METHODOLOGY.md has of the rows, in per cent; `None` where one is missing.
+/// Formats the table of METHODOLOGY.md, in per cent; `None` if a row is missing.
 #[must_use]
 pub fn document(rows: &[Row]) -> Option<String> {
     let mut text = String::from("| saved by skipping | transform | of | how |");
@@ -70,7 +70,7 @@ pub fn document(rows: &[Row]) -> Option<String> {
             let of = if unit == TIME { "time" } else { "bits" };
             let _ = write!(text, "| {skip} | {name} | {of} | {how} |");
             for (recording, _) in COLUMNS {
-                // Adding 0 leaves no sign to a 0.
+                // Adding 0 turns -0 into 0.
                 let saved = find(recording)?.saved_percent.round() + 0.0;
                 let _ = write!(text, " {saved:.0} % |");
             }
@@ -80,7 +80,7 @@ pub fn document(rows: &[Row]) -> Option<String> {
     Some(text)
 }
 
-/// A table in Markdown: what is skipped down, recordings across.
+/// Formats a table in Markdown: what is skipped down, recordings across.
 #[must_use]
 pub fn table(rows: &[Row]) -> String {
     let mut recordings: Vec<&str> = rows.iter().map(|row| row.recording).collect();
@@ -118,7 +118,7 @@ pub fn table(rows: &[Row]) -> String {
     text
 }
 
-/// Three digits, or all before the point.
+/// Formats three digits, or all digits before the point.
 fn figure(value: f64) -> String {
     match value {
         100.0.. => format!("{value:.0}"),
@@ -134,7 +134,7 @@ mod tests {
 
     use super::*;
 
-    /// A row of each kind, transform and recording; more than are shown.
+    /// Returns a row of each kind, transform and recording, which are more than the table shows.
     fn rows() -> Vec<Row> {
         let mut rows = Vec::new();
         for (column, (recording, _)) in COLUMNS.into_iter().enumerate() {

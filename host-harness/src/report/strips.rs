@@ -1,7 +1,7 @@
-//! A slice of a recording as several methods bring it back, and what each gets wrong, in one picture.
+//! Draws a slice of a recording as several methods decode it, with the errors of each, in one picture.
 //!
-//! The first column is the original; each other one is a method's panel above its difference to the
-//! original. Columns that do not fit beside each other go on below.
+//! The first column is the original. Every other column is a method's panel above its difference from the original.
+//! Columns that do not fit beside each other continue below.
 
 use eecvs_nostd::{Event, Sensor};
 use event_pictures::frame_picture::{
@@ -11,28 +11,28 @@ use event_pictures::picture::{CELL, Picture};
 
 use super::part::Part;
 
-/// Width that a picture keeps below, in pixels: twice that of a page.
+/// Largest width of a picture in pixels: twice the width of a page.
 pub const WIDTH_MAX: usize = 1_720;
-/// Letters are twice their size, so that they are legible on a page.
+/// Letters are drawn at twice their size, to be legible on a page.
 const SCALE: usize = 2;
 /// Height and width of a letter, in pixels.
 pub const LETTER: usize = CELL * SCALE;
 const MARGIN: usize = 16;
-/// Height of a caption and the space around it.
+/// Height of a caption with the space around it.
 const BAR: usize = LETTER + MARGIN;
-/// Columns beside each other; more would cut most captions off.
+/// Largest number of columns beside each other; more would cut most captions off.
 const COLUMNS_MAX: usize = 4;
 
-/// A slice by several methods.
+/// A slice as decoded by several methods.
 #[derive(Debug, Clone)]
 pub struct Strips {
-    /// 1,720 pixels wide at the most.
+    /// The picture, at most 1,720 pixels wide.
     pub picture: Picture,
-    /// What is shown of the sensor, the same in every panel.
+    /// Part of the sensor shown, the same in every panel.
     pub part: Part,
 }
 
-/// How many panels stand beside each other, and their size.
+/// Number of panels beside each other, and their scale.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Layout {
     columns: usize,
@@ -40,7 +40,7 @@ struct Layout {
 }
 
 impl Layout {
-    /// As few columns as the least number of rows takes: the last row is as full as can be.
+    /// Uses the least number of rows, and for it the fewest columns, so that the last row is as full as possible.
     fn new(part: Sensor, count: usize, upscale_max: usize) -> Self {
         let count = count.max(1);
         let rows = count.div_ceil(COLUMNS_MAX);
@@ -53,16 +53,16 @@ impl Layout {
     }
 }
 
-/// Width of a panel where so many are beside each other, in pixels.
+/// Returns the width of a panel in pixels if there are `columns` beside each other.
 const fn room(columns: usize) -> usize {
     (WIDTH_MAX - MARGIN) / columns - MARGIN - 2
 }
 
-/// Draws the original's events of a slice, and below each method's name its events of that slice and
-/// their difference to the original.
+/// Draws the original's events of a slice, and for each method its name, its events of that slice and their
+/// difference from the original.
 ///
-/// Of a wide sensor the densest part of the original is shown, see [`Part::densest`]; panels are enlarged
-/// as [`FrameStyle::for_sensor`] has it and as they fit. A caption that is longer than its panel is cut off.
+/// Of a large sensor, the densest part of the original is shown, see [`Part::densest`]. Panels are enlarged as far
+/// as [`FrameStyle::for_sensor`] asks for and the width allows. Captions longer than their panel are cut off.
 #[must_use]
 pub fn strips(sensor: Sensor, original: &[Event], methods: &[(String, Vec<Event>)]) -> Strips {
     let part = Part::densest(sensor, original);
@@ -106,7 +106,7 @@ pub fn strips(sensor: Sensor, original: &[Event], methods: &[(String, Vec<Event>
     }
 }
 
-/// A panel with its caption, the upper left corner of both together at (x, y).
+/// Draws a panel with its caption; (x, y) is the upper left corner of both together.
 fn place(canvas: &mut Picture, (x, y): (usize, usize), caption: &str, panel: &Picture) {
     let letters = panel.width() / LETTER;
     let caption: String = caption.chars().take(letters).collect();
@@ -152,7 +152,7 @@ mod tests {
             assert_eq!(at(column, slot, 10, 20), at_original, "{column} {slot}");
             assert_eq!(at(column, slot, 50, 60), at_other, "{column} {slot}");
         }
-        // Below the original is nothing.
+        // Below the original, the picture is empty.
         assert_eq!(at(0, 1, 10, 20), Some(PAPER));
         assert_eq!(picture.width(), 3 * (500 + 2 + MARGIN) + MARGIN);
     }
@@ -188,7 +188,7 @@ mod tests {
     #[test]
     fn every_panel_of_a_wide_sensor_shows_the_same_part() {
         let at = |x, y| event(0, x, y, true);
-        // The densest part is the original's, whatever a method makes of it.
+        // The part is the densest of the original, whatever a method decodes.
         let original = [at(900, 500), at(1099, 649), at(3, 3)];
         let moved = vec![at(901, 500), at(3, 3), at(4, 4), at(5, 5), at(6, 6)];
         let Strips { picture, part } =

@@ -1,4 +1,4 @@
-//! What the paper says, held against the rows; and what keeps events best at equal bits.
+//! Compares the paper's claims with the measured rows, and finds what keeps events best at equal bits.
 
 use std::collections::BTreeMap;
 
@@ -10,46 +10,46 @@ use super::quality::Quality;
 use super::set::{RECORDINGS, SCENES};
 use super::speed::{HOST, MCU};
 
-/// Whether a claim holds here.
+/// Whether a claim of the paper holds here.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
-    /// By the figures beside it.
+    /// The figures given confirm it.
     Holds,
-    /// In a part of the cases, which the text names.
+    /// It holds in some of the cases, which the text names.
     Partly,
-    /// By the figures beside it.
+    /// The figures given contradict it.
     Fails,
-    /// There are no rows to tell.
+    /// There are no rows to decide it.
     Unknown,
 }
 
-/// A claim of the paper, and what is seen here.
+/// A claim of the paper and what was measured here.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Claim {
-    /// As the paper has it, in short.
+    /// The paper's claim, in short.
     pub claim: String,
-    /// Whether it holds.
+    /// Whether the claim holds.
     pub verdict: Verdict,
-    /// The figures, and what differs.
+    /// The figures measured, and what differs.
     pub here: String,
 }
 
-/// The transforms that one is chosen of.
+/// The single transforms, as opposed to the choice by density.
 const FIXED: [&str; 3] = ["dct", "dtft", "dwt"];
-/// What the paper's Table I compares.
+/// Methods compared in the paper's Table I.
 const TABLE_ONE: [&str; 5] = ["dct", "dtft", "dwt", "ces", "tore"];
 
-/// A metric of a row.
+/// Reads a metric from a row.
 pub type Metric = fn(&Quality) -> f64;
-/// Both, as the paper does not say which distance its EMD is: of the times of a window's events, and of
-/// those of each pixel.
+/// Two metrics, as the paper does not say which distance its EMD is: one over the times of a window's events, one
+/// over the times of each pixel's events.
 const METRICS: [(&str, Metric); 2] = [
     ("emd_time_ms", |row| row.emd_time_ms),
     ("emd_pixel_us", |row| row.emd_pixel_us),
 ];
 
 impl Results {
-    /// The names of a set's sources, in the order of the rows.
+    /// Returns the names of a set's sources, in the order of the rows.
     #[must_use]
     pub fn sources(&self, set: &str) -> Vec<&str> {
         let record = self.record.sources.iter();
@@ -59,21 +59,21 @@ impl Results {
             .collect()
     }
 
-    /// The sets that were measured.
+    /// Returns the names of the sets that were measured.
     #[must_use]
     pub fn sets(&self) -> Vec<&'static str> {
         let has = |set: &&str| self.record.sources.iter().any(|source| source.set == **set);
         [SCENES, RECORDINGS].into_iter().filter(has).collect()
     }
 
-    /// Densities of the sets, in the order of [`Results::sets`].
+    /// Returns the densities of the sets, in the order of [`Results::sets`].
     pub fn densities(&self) -> impl Iterator<Item = &Densities> {
         let of = |set: &'static str| self.density.iter().filter(move |of| of.set == set);
         self.sets().into_iter().flat_map(of)
     }
 
-    /// A row of Tables I and II: natural type, times found exactly where there is a choice; of those
-    /// without coefficients the only one.
+    /// Returns a row of Tables I and II: stored in the natural type, with exact finding of times if there is a
+    /// choice. A method without coefficients has only one row, whatever `m` is.
     #[must_use]
     pub fn row(&self, set: &str, source: &str, method: &str, m: u8) -> Option<&Quality> {
         self.quality.iter().find(|row| {
@@ -89,7 +89,7 @@ impl Results {
         self.row(set, source, method, m).map(metric)
     }
 
-    /// Every claim, in the order of the paper.
+    /// Returns every claim, in the order of the paper.
     #[must_use]
     pub fn claims(&self) -> Vec<Claim> {
         vec![
@@ -152,7 +152,7 @@ impl Results {
         }
     }
 
-    /// Sources in which the DTFT is the best of the three transforms by a decoder like the paper's.
+    /// Counts the sources in which the DTFT is the best of the three transforms with a decoder like the paper's.
     fn lowest_by_peaks(&self, set: &str, metric: Metric) -> usize {
         let of = |source: &str, method: &str| {
             let mut rows = self.quality.iter();
@@ -370,7 +370,7 @@ impl Results {
         }
     }
 
-    /// The answer in the report's first paragraph.
+    /// Returns the answers for the report's first paragraph, one per set.
     #[must_use]
     pub fn answer(&self) -> Vec<Answer> {
         self.sets()
@@ -438,25 +438,25 @@ impl Results {
     }
 }
 
-/// What keeps events best at equal bits, over the sources of a set.
+/// Representations that keep events best at equal bits, over the sources of a set.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Answer {
     /// `scenes` or `recordings`.
     pub set: &'static str,
-    /// How many it has.
+    /// Number of sources in the set.
     pub sources: usize,
-    /// Median bits per event of the default: every event exactly, by the fast coder.
+    /// Median bits per event of the default: lossless events by the fast coder.
     pub default_bits: f64,
-    /// The same by the dense coder.
+    /// Median bits per event of lossless events by the dense coder.
     pub dense_bits: f64,
-    /// Representation, median over sources of the least `emd_pixel_us` at no more bits than the dense
-    /// coder's lossless events take, and in how many sources it gets by with these.
+    /// Per representation: its name, the median over sources of the least `emd_pixel_us` at no more bits than
+    /// lossless events take by the dense coder, and the number of sources in which it fits into these bits.
     pub at_lossless: Vec<(String, Option<f64>, usize)>,
     /// The same at half of those bits.
     pub at_half: Vec<(String, Option<f64>, usize)>,
 }
 
-/// Both coders of events are one representation.
+/// Returns the name of a method's representation; both coders of events share one.
 #[must_use]
 pub fn family(method: &str) -> &str {
     if method.starts_with("hybrid") {
@@ -483,7 +483,7 @@ fn mean(values: Vec<f64>) -> Option<f64> {
     (!values.is_empty()).then(|| values.into_iter().sum::<f64>() / count)
 }
 
-/// The middle one, or the mean of the two; `None` of none.
+/// Returns the median; the mean of the middle two for an even count, `None` for no values.
 #[must_use]
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
@@ -496,7 +496,7 @@ pub fn median(mut values: Vec<f64>) -> Option<f64> {
     Some((lower + upper) / 2.0)
 }
 
-/// A number in about three digits.
+/// Formats a number with about three digits.
 #[must_use]
 pub fn figure(value: f64) -> String {
     let magnitude = value.abs();

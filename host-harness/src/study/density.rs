@@ -1,4 +1,4 @@
-//! Densities of the windows of a set, and the regimes that they make.
+//! Densities of the windows of a set, and the resulting regimes.
 
 use eecvs_bench::source::WINDOW_US;
 use eecvs_nostd::{Density, Regime};
@@ -6,31 +6,31 @@ use serde::{Deserialize, Serialize};
 
 use super::set::Set;
 
-/// The windows of a source, empty ones included.
+/// Densities of a source's windows, including empty ones.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SourceDensities {
-    /// Its name.
+    /// Name of the source.
     pub source: String,
-    /// Events per pixel and second of one window after the other.
+    /// Events per pixel per second, window by window.
     pub density_per_px_s: Vec<f64>,
-    /// Windows that are sparse, moderate, dense.
+    /// Numbers of sparse, moderate and dense windows.
     pub regimes: [u64; 3],
 }
 
-/// The windows of a set, and the thresholds that its percentiles are.
+/// Densities of a set's windows; the percentiles of the set are its thresholds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Densities {
     /// `scenes` or `recordings`.
     pub set: String,
-    /// 25th percentile, events per pixel and second.
+    /// 25th percentile, in events per pixel per second.
     pub tau_low: f64,
-    /// 75th percentile, events per pixel and second.
+    /// 75th percentile, in events per pixel per second.
     pub tau_high: f64,
-    /// One for each source.
+    /// One entry per source.
     pub sources: Vec<SourceDensities>,
 }
 
-/// The densities of windows of T, aligned to the first event.
+/// Measures the densities of windows of T = [`WINDOW_US`], aligned to each source's first event.
 #[must_use]
 pub fn measure(set: &Set) -> Densities {
     let [tau_low, tau_high] = set.tau;

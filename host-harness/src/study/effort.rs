@@ -13,30 +13,30 @@ pub const M_SPEED: u8 = 8;
 /// M of Tables II, IV and V.
 pub const M_ALL: [u8; 3] = [8, 16, 24];
 
-/// Sizes of the sources, and which settings are measured.
+/// Sizes of the sources, and the settings that are measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Effort {
     /// `full` or `quick`.
     pub name: &'static str,
-    /// Length of an emulated scene.
+    /// Duration of an emulated scene in us.
     pub scene_us: u64,
-    /// A recording is cut after the last whole window that keeps it within so many events; a source
-    /// has one window at least.
+    /// A recording is cut after the last whole window with which it has at most this many events; a source has at
+    /// least one window.
     pub events_max: usize,
     /// M of the tables.
     pub m: &'static [u8],
-    /// Further M of the curves of rate and distortion.
+    /// Further M of the rate-distortion curves.
     pub m_curve: &'static [u8],
-    /// Tolerances of times in us of the curves.
+    /// Time tolerances of the curves, in us.
     pub tolerances_us: &'static [u32],
     /// Bins of the curves.
     pub bins: &'static [u16],
-    /// Seconds for which the time of a window is taken.
+    /// Time spent on each measurement of speed, in seconds.
     pub speed_s: f64,
 }
 
 impl Effort {
-    /// For figures.
+    /// The effort for published figures.
     pub const FULL: Self = Self {
         name: "full",
         scene_us: 10 * 32_768,
@@ -47,7 +47,7 @@ impl Effort {
         bins: &[4, 8, 16],
         speed_s: 3.0,
     };
-    /// For a first look: three windows of each scene.
+    /// The effort for a first look: three windows of each scene.
     pub const QUICK: Self = Self {
         name: "quick",
         scene_us: 3 * 32_768,
@@ -59,7 +59,7 @@ impl Effort {
         speed_s: 0.5,
     };
 
-    /// Every way that a source is encoded and decoded.
+    /// Returns every method with which a source is encoded and decoded.
     #[must_use]
     pub fn methods(&self) -> Vec<Method> {
         let mut methods = Vec::new();
@@ -83,7 +83,8 @@ impl Effort {
                     });
                 }
             }
-            // The choice by density is a table's row; its curve would lie between those of three others.
+            // The choice by density is a row of the tables; its curve would lie between those of the three
+            // transforms.
             for m in self.m_curve.iter().filter(|_| transform.is_some()) {
                 let finder = Finder::Exact;
                 methods.push(Method::Transform {

@@ -1,7 +1,7 @@
-//! Run time against error of every kernel of the accumulate stage, kept as the rows of a study are.
+//! Run time against error of every kernel of the accumulate stage, stored as rows of a study.
 //!
-//! The host's times are taken on windows of emulated scenes; the microcontroller's instructions are
-//! those saved with the project.
+//! The host's times are measured on windows of emulated scenes; the microcontroller's instruction counts are those
+//! saved with the project.
 
 use anyhow::{Context, Result};
 use eecvs_bench::{Effort, Origin, cut, mcu};
@@ -9,10 +9,10 @@ use serde::{Deserialize, Serialize};
 
 use super::store::{Row, Store};
 
-/// What the store calls it.
+/// Name of the task in the store.
 const TASK: &str = "kernels";
 
-/// What rows of [`bench`] are called, in any of their columns.
+/// All names in the columns of an [`eecvs_bench::Row`].
 const NAMES: [&str; 17] = [
     "table",
     "recurrence",
@@ -33,41 +33,42 @@ const NAMES: [&str; 17] = [
     "instructions/event",
 ];
 
-/// A kernel over all windows; the fields are those of [`eecvs_bench::Row`].
+/// Cost and error of a kernel over all windows; the fields are those of [`eecvs_bench::Row`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct KernelRow {
-    /// Of the kernel or the peer.
+    /// Name of the kernel or the peer.
     pub kernel: String,
-    /// `none` for a voxel grid.
+    /// Name of the transform; `none` for a voxel grid.
     pub transform: String,
-    /// M; the number of bins of a voxel grid.
+    /// M, or the number of bins of a voxel grid.
     pub m: u8,
     /// `host` or `cortex-m4`.
     pub target: String,
-    /// Median.
+    /// Median cost.
     pub cost: f64,
     /// `ns/event` or `instructions/event`.
     pub unit: String,
-    /// First quartile.
+    /// First quartile of the cost.
     pub cost_low: f64,
-    /// Third quartile.
+    /// Third quartile of the cost.
     pub cost_high: f64,
-    /// Largest error of any coefficient; `None` where there are none.
+    /// Largest error of any coefficient; `None` if no coefficients were compared.
     pub max_error: Option<f64>,
-    /// Root of the mean square of the errors.
+    /// Root mean square of the errors.
     pub rms_error: Option<f64>,
-    /// Whether no other of its transform, M and target is as good in both and better in one.
+    /// Whether no other row of the same transform, M and target is at least as good in cost and error and better in
+    /// one.
     pub pareto: bool,
-    /// Measured.
+    /// Number of events measured.
     pub events: usize,
-    /// Compared.
+    /// Number of coefficients compared.
     pub coefficients: usize,
 }
 
-/// Adds the kernels' rows to a store that has none: times of a clock, to be taken while nothing else runs.
+/// Adds the kernels' rows to a store that has none. It measures times, so nothing else should run meanwhile.
 ///
 /// # Errors
-/// As [`measure`]; a store that cannot be written.
+/// Fails as [`measure`] does, or if the store cannot be written.
 pub fn add_to(store: &Store, effort: Effort) -> Result<()> {
     if store.has(TASK) {
         return Ok(());
@@ -76,10 +77,10 @@ pub fn add_to(store: &Store, effort: Effort) -> Result<()> {
     store.add(TASK, rows.map(Row::Kernel))
 }
 
-/// Takes the host's times and reads the microcontroller's counts.
+/// Measures the host's times and reads the microcontroller's saved counts.
 ///
 /// # Errors
-/// A kernel that is not within its documented error, or saved counts that cannot be read.
+/// Fails if a kernel exceeds its documented error or the saved counts cannot be read.
 pub fn measure(effort: Effort) -> Result<Vec<KernelRow>> {
     let windows = eecvs_bench::windows(&cut::of_scenes()?, effort)?;
     let mut counts = mcu::saved()?;
@@ -109,10 +110,10 @@ impl KernelRow {
         }
     }
 
-    /// As charts take it.
+    /// Converts the row to the type that charts take.
     ///
     /// # Errors
-    /// A name that no row of this build has.
+    /// Fails if a name is none of this build's.
     pub fn of_bench(&self) -> Result<eecvs_bench::Row> {
         let known = |name: &str| {
             let found = NAMES.into_iter().find(|known| *known == name);

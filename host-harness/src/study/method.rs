@@ -1,4 +1,4 @@
-//! The ways that events are encoded and decoded: the codec's and the baselines'.
+//! The ways in which events are encoded and decoded: the codec's and the baselines'.
 
 use anyhow::{Context, Result};
 use eecvs::reconstruct::events::Finder;
@@ -10,16 +10,16 @@ use crate::baseline::{self, Baseline, Stored};
 use crate::rate::check::{Promise, check};
 use crate::round_trip::{Encoded, config, decode};
 
-/// One of them, with its settings.
+/// A way to encode and decode, with its settings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Method {
-    /// Coefficients, as the paper has them; by density where there is no transform.
+    /// Coefficients, as in the paper.
     Transform {
-        /// `None`: chosen by the window's density.
+        /// The transform; `None` chooses it by the window's density.
         transform: Option<Transform>,
-        /// Coefficients kept.
+        /// Number of coefficients kept per pixel.
         m: u8,
-        /// How event times are found in them.
+        /// How event times are found from the coefficients.
         finder: Finder,
     },
     /// Events, as the codec sends them by default.
@@ -29,37 +29,37 @@ pub enum Method {
         /// `Lossless` is the default.
         fidelity: Fidelity,
     },
-    /// A representation that the paper compares with.
+    /// A representation that the paper compares itself with.
     Baseline {
-        /// Which.
+        /// The representation.
         baseline: Baseline,
-        /// Channels, or complex coefficients.
+        /// Number of channels or complex coefficients.
         m: u8,
-        /// Type of its numbers.
+        /// Type in which its numbers are stored.
         stored: Stored,
     },
 }
 
-/// A source there and back.
+/// Result of encoding and decoding a source.
 #[derive(Debug, Clone)]
 pub struct Trip {
-    /// As it is sent: frames with the mode's default coder, or dense arrays.
+    /// Bytes as sent: frames with the mode's default coder, or dense arrays.
     pub bytes: usize,
-    /// The same by what packs it best: the dense coder, or xz of the active pixels.
+    /// Bytes when packed best: by the dense coder, or by xz of the active pixels.
     pub packed_bytes: usize,
-    /// Spent encoding, one thread.
+    /// Time spent encoding on one thread, in seconds.
     pub seconds: f64,
-    /// What came back.
+    /// Events decoded.
     pub events: Vec<Event>,
-    /// Whether its times are more than a guess.
+    /// Whether the decoded times are more than a guess.
     pub has_times: bool,
-    /// Windows by transform: DCT, DTFT, DWT; 0 where there is none.
+    /// Windows per transform: DCT, DTFT, DWT; all 0 without a transform.
     pub windows: [u64; 3],
 }
 
 impl Method {
-    /// Name of the representation: `dct`, `dtft`, `dwt`, `auto`, `hybrid-fast`, `hybrid-dense`, or the
-    /// baseline's.
+    /// Returns the name of the representation: `dct`, `dtft`, `dwt`, `auto`, `hybrid-fast`, `hybrid-dense`, or the
+    /// baseline's name.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -75,7 +75,7 @@ impl Method {
         }
     }
 
-    /// What else tells it from others: `exact`, `peaks`; `lossless`, `50 us`, `8 bins`; `f32`, `8 bits`.
+    /// Returns the setting: `exact`, `peaks`; `lossless`, `50 us`, `8 bins`; `f32`, `8 bits`.
     #[must_use]
     pub fn setting(self) -> String {
         match self {
@@ -92,7 +92,7 @@ impl Method {
         }
     }
 
-    /// Coefficients or channels of a pixel; 0 where events are sent.
+    /// Returns the number of coefficients or channels per pixel; 0 if events are sent.
     #[must_use]
     pub const fn m(self) -> u8 {
         match self {
@@ -101,13 +101,13 @@ impl Method {
         }
     }
 
-    /// Tells it from all others.
+    /// Returns a text that identifies the method and its settings.
     #[must_use]
     pub fn key(self) -> String {
         format!("{} {} {}", self.name(), self.m(), self.setting())
     }
 
-    /// About how long an event takes, in units of the fastest.
+    /// Returns roughly how long an event takes, in units of the fastest method.
     #[must_use]
     pub const fn cost(self) -> u64 {
         match self {
@@ -133,7 +133,7 @@ impl Method {
         }
     }
 
-    /// Whether the errors of its times are shown: those of Table I, as its page has them.
+    /// Returns whether the errors of its times are reported: those of the methods in Table I.
     #[must_use]
     pub const fn has_time_errors(self) -> bool {
         match self {
@@ -150,7 +150,7 @@ impl Method {
         }
     }
 
-    /// Whether perception is tried on what it gives back: Tables IV and V.
+    /// Returns whether perception is measured on its decoded events: Tables IV and V.
     #[must_use]
     pub const fn has_perception(self) -> bool {
         match self {
@@ -163,10 +163,10 @@ impl Method {
         }
     }
 
-    /// Encodes a source and decodes it again. Thresholds part the regimes of what is chosen by density.
+    /// Encodes a source and decodes it again. `thresholds` separate the regimes for the choice by density.
     ///
     /// # Errors
-    /// Events that are not those that the method promises; the message names both.
+    /// Fails if the decoded events break the method's promise; the message names the source and the method.
     pub fn round_trip(self, source: &Source, thresholds: Thresholds) -> Result<Trip> {
         self.trip(source, thresholds)
             .with_context(|| format!("{}, {}", source.name, self.key()))
@@ -215,7 +215,7 @@ impl Method {
             } => {
                 let config = |mode| config(source, thresholds, mode, transform, m);
                 let plain = Encoded::new(source, config(Mode::Transform))?;
-                // The same coefficients, to the bit, so that they are not decoded again.
+                // The dense coder keeps these coefficients bit for bit, so they need not be decoded again.
                 let dense = Encoded::new(source, config(Mode::Coefficients(Coder::Dense)))?;
                 let events = decode(&plain.file, finder, &mut |_| Ok(()))?;
                 check(Promise::Counts, &source.events, &events)?;

@@ -1,16 +1,15 @@
-//! The paper's evaluation, on emulated scenes and on recordings.
+//! Reproduces the paper's evaluation on emulated scenes and on recordings.
 //!
 //! ```text
 //! set (scenes, recordings) -> source -> method -> events -> quality      Tables I and II, rate-distortion
-//!                                                        -> times        how far off event times are
+//!                                                        -> times        errors of event times
 //!                                                        -> perception   Tables IV and V, optical flow
 //!                             windows -> speed                           Table III
 //!                             density                                    histogram, regime over time
 //! ```
 //!
-//! Every measurement is a row of one of the tables of [`Results`], kept in a [`store`] as soon as it
-//! is made, so that a study goes on where it was ended. [`claims`] holds the rows against what the
-//! paper says.
+//! Every measurement is a row of one of the tables of [`Results`]. It is written to a [`store`] as soon as it is
+//! made, so that an interrupted study resumes. [`claims`] compares the rows with the paper.
 
 pub mod claims;
 pub mod density;
@@ -48,45 +47,45 @@ use speed::Speed;
 use store::{Row, Store};
 use times::Times;
 
-/// Everything that a study found; what the page is made of, and `results.json`.
+/// All results of a study: the contents of the page and of `results.json`.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Results {
-    /// Of what, by what, when.
+    /// What was measured, by which program, and when.
     pub record: Record,
-    /// Tables I and II, and rate-distortion.
+    /// Rows of Tables I and II, and of the rate-distortion curves.
     pub quality: Vec<Quality>,
-    /// Table III.
+    /// Rows of Table III.
     pub speed: Vec<Speed>,
-    /// Tables IV and V, and optical flow.
+    /// Rows of Tables IV and V, and of optical flow.
     pub perception: Vec<Perception>,
     /// Errors of event times.
     pub times: Vec<Times>,
     /// Densities of the sets' windows.
     pub density: Vec<Densities>,
-    /// Run time against error of kernels; results of before they were kept have none.
+    /// Run time against error of kernels; empty in results from versions that did not store them.
     #[serde(default)]
     pub kernels: Vec<KernelRow>,
 }
 
-/// Makes the segmenter of a thread.
+/// Makes a segmenter, one per thread.
 pub type NewSegmenter<'f> = &'f (dyn Fn() -> Result<Box<dyn Segmenter>> + Sync);
 
-/// A method on a source, which is decoded once for all that is measured of it.
+/// One method on one source, which is decoded once for all measurements.
 struct Task<'s> {
     set: &'s Set,
     source: &'s Source,
-    /// What perception makes of it, which all methods are held against.
+    /// Perception of the original, which all methods are compared with.
     reference: &'s OnceLock<Reference>,
     method: Method,
 }
 
-/// Measures what the store does not have yet, on every core; `progress` is told what is done and of
-/// how much.
+/// Measures on all cores what the store does not have yet; calls `progress` with the number of finished tasks and
+/// their total.
 ///
-/// Rows that hold times of a clock ([`speed`]) are measured first, while nothing else runs.
+/// Rows that hold measured times ([`speed`]) come first, while nothing else runs.
 ///
 /// # Errors
-/// A codec that does not give back what it promises, or a store that cannot be written.
+/// Fails if a codec breaks its promise or the store cannot be written.
 pub fn run(
     sets: &[Set],
     effort: &Effort,
@@ -144,7 +143,7 @@ impl Task<'_> {
         )
     }
 
-    /// The long ones come first, so that no core ends alone with one.
+    /// Estimates the duration. Long tasks come first, so that no core ends alone with one of them.
     fn cost(&self) -> u64 {
         self.source.events.len() as u64 * self.method.cost()
     }

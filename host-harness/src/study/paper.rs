@@ -1,11 +1,12 @@
-//! Figures of the paper (arXiv 2603.14738) that ours stand beside.
+//! Figures of the paper (arXiv 2603.14738) to compare with.
 //!
-//! Only those that this project has from the paper's text are here. Its Tables I, II, IV and V are on
-//! EHPT-XC and MVSEC, which are not shipped with anything; their single cells are in the paper.
+//! Only figures from the paper's text are here. Its Tables I, II, IV and V were measured on EHPT-XC and MVSEC,
+//! which are not shipped with this project; their single cells are in the paper.
 
 use eecvs_nostd::Transform;
 
-/// Table III: thousand events per second at M = 8, windows of about 3,200 events, a desktop computer.
+/// Returns the throughput in Table III: thousand events per second at M = 8, for windows of about 3,200 events, on
+/// a desktop computer.
 #[must_use]
 pub const fn kev_per_s(transform: Transform) -> f64 {
     match transform {
@@ -15,17 +16,17 @@ pub const fn kev_per_s(transform: Transform) -> f64 {
     }
 }
 
-/// Table III: time of a window by DCT.
+/// Table III: time per window by the DCT, in ms.
 pub const DCT_MS_PER_WINDOW: f64 = 1.5;
 
-/// Table III's windows.
+/// Table III: events per window.
 pub const EVENTS_PER_WINDOW: f64 = 3200.0;
 
-/// Abstract: throughput of the DCT over that of the others.
+/// Abstract: throughput of the DCT over that of the other transforms.
 pub const DCT_THROUGHPUT: f64 = 2.7;
 
-/// Table V (and the abstract): mean IoU on MVSEC at 24 channels, of the paper's codec and of voxel grids.
+/// Table V (and the abstract): mean IoU on MVSEC with 24 channels, for the paper's codec and for voxel grids.
 pub const IOU_MVSEC_24: [f64; 2] = [0.87, 0.44];
 
-/// Table I: scenes of nine in which the DTFT has the lowest EMD.
+/// Table I: number of the nine scenes in which the DTFT has the lowest EMD.
 pub const DTFT_LOWEST: usize = 8;

@@ -1,4 +1,4 @@
-//! What perception makes of what came back: Tables IV and V, and optical flow.
+//! Measures perception on the decoded events: Tables IV and V, and optical flow.
 
 use std::sync::OnceLock;
 
@@ -11,48 +11,48 @@ use super::set::Set;
 use crate::downstream::segment::Segmenter;
 use crate::downstream::{FlowReference, SegmentationReference};
 
-/// Length of the frames whose contents depend on decoded times: about a tenth of a window, and no whole
-/// number of the bins of any representation, which would come back whole.
+/// Duration of the slices whose contents depend on decoded times: about a tenth of a window, and not a multiple of
+/// any representation's bins, whose counts would be exact.
 pub const SLICE_US: u32 = 3277;
 
-/// A row; the fields are the columns of `perception.csv`.
+/// Results for one method and source; the fields are the columns of `perception.csv`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Perception {
     /// `scenes` or `recordings`.
     pub set: String,
-    /// Of the set.
+    /// Name of the source in the set.
     pub source: String,
-    /// As [`Method::name`] has it.
+    /// Name of the method, see [`Method::name`].
     pub method: String,
-    /// Coefficients or channels; 0 where events are sent.
+    /// Number of coefficients or channels; 0 if events are sent.
     pub m: u8,
-    /// As [`Method::setting`] has it.
+    /// Setting of the method, see [`Method::setting`].
     pub setting: String,
     /// Name of the segmenter.
     pub segmenter: String,
-    /// Frames of whole windows with a segment on either side.
+    /// Number of frames of whole windows with a segment on either side.
     pub window_frames: u64,
-    /// Mean IoU of what is no background, whole windows.
+    /// Mean IoU of foreground against background, over whole windows.
     pub window_foreground_iou: f64,
-    /// Mean IoU of matched segments, whole windows.
+    /// Mean IoU of matched segments, over whole windows.
     pub window_mean_iou: f64,
-    /// Frames of [`SLICE_US`] with a segment on either side.
+    /// Number of frames of [`SLICE_US`] with a segment on either side.
     pub slice_frames: u64,
-    /// As of whole windows.
+    /// Mean IoU of foreground against background, over slices.
     pub slice_foreground_iou: f64,
-    /// As of whole windows.
+    /// Mean IoU of matched segments, over slices.
     pub slice_mean_iou: f64,
-    /// Tiles whose flow is told by the original.
+    /// Number of tiles with reliable flow in the original.
     pub flow_tiles: u64,
-    /// Those of them whose flow what came back does not tell.
+    /// Number of these without reliable flow in the decoded events.
     pub flow_lost: u64,
-    /// Mean end-point difference in pixels per window, over the others; `None` where there are none.
+    /// Mean end-point difference of the others, in pixels per window; `None` if there are none.
     pub flow_mean_px: Option<f64>,
-    /// Median end-point difference in pixels per window.
+    /// Median end-point difference of the others, in pixels per window.
     pub flow_median_px: Option<f64>,
 }
 
-/// What is the original's alone, for all methods.
+/// Results on the original, shared by all methods.
 #[derive(Debug)]
 pub struct Reference {
     windows: SegmentationReference,
@@ -70,11 +70,11 @@ impl Reference {
     }
 }
 
-/// Segments frames of both and follows both through windows; `reference` keeps what is the original's
-/// alone.
+/// Segments frames of original and decoded events, and compares their flow. `reference` caches the results on the
+/// original.
 ///
 /// # Errors
-/// A segmenter that fails.
+/// Fails if the segmenter fails.
 pub fn measure(
     set: &Set,
     source: &Source,

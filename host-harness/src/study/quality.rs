@@ -1,4 +1,4 @@
-//! What a method keeps of a source, and at how many bits: Tables I and II, and the curves.
+//! Measures how well a method keeps a source, and at how many bits: Tables I and II, and the curves.
 
 use std::sync::Arc;
 
@@ -11,53 +11,53 @@ use serde::{Deserialize, Serialize};
 use super::method::{Method, Trip};
 use super::set::Set;
 
-/// A row; the fields are the columns of `quality.csv`.
+/// Results for one method and source; the fields are the columns of `quality.csv`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Quality {
     /// `scenes` or `recordings`.
     pub set: String,
-    /// Of the set.
+    /// Name of the source in the set.
     pub source: String,
-    /// As [`Method::name`] has it.
+    /// Name of the method, see [`Method::name`].
     pub method: String,
-    /// Coefficients or channels; 0 where events are sent.
+    /// Number of coefficients or channels; 0 if events are sent.
     pub m: u8,
-    /// As [`Method::setting`] has it.
+    /// Setting of the method, see [`Method::setting`].
     pub setting: String,
-    /// Of the source.
+    /// Number of events of the source.
     pub events: u64,
-    /// Events per pixel and second of the source, over its windows.
+    /// Events per pixel per second of the source, over its windows.
     pub density_per_px_s: f64,
-    /// 8 * bytes / events, as it is sent: frames, or dense arrays.
+    /// 8 * bytes / events as sent: frames, or dense arrays.
     pub bits_per_event: f64,
-    /// 8 * bytes / events by what packs it best.
+    /// 8 * bytes / events when packed best.
     pub packed_bits_per_event: f64,
-    /// As `eecvs compare` has it.
+    /// As printed by `eecvs compare`.
     pub mse: f64,
-    /// As `eecvs compare` has it.
+    /// As printed by `eecvs compare`.
     pub ssim: f64,
-    /// As `eecvs compare` has it.
+    /// As printed by `eecvs compare`.
     pub emd_time_ms: f64,
-    /// As `eecvs compare` has it.
+    /// As printed by `eecvs compare`.
     pub emd_pixel_us: f64,
-    /// As `eecvs compare` has it.
+    /// As printed by `eecvs compare`.
     pub exact_fraction: f64,
-    /// Events that came back.
+    /// Number of events decoded.
     pub events_decoded: u64,
-    /// Whether their times are more than a guess.
+    /// Whether the decoded times are more than a guess.
     pub has_times: bool,
-    /// Windows by transform; 0 where there is none.
+    /// Number of windows coded with the DCT; 0 without a transform.
     pub windows_dct: u64,
-    /// As `windows_dct`.
+    /// Number of windows coded with the DTFT.
     pub windows_dtft: u64,
-    /// As `windows_dct`.
+    /// Number of windows coded with the DWT.
     pub windows_dwt: u64,
 }
 
-/// Compares what came back with the source.
+/// Compares the decoded events with the source.
 ///
 /// # Errors
-/// What [`compare`] reports.
+/// Fails with the error of [`compare`].
 pub fn measure(set: &Set, source: &Source, method: Method, trip: &Trip) -> Result<Quality> {
     let events: Arc<[Event]> = trip.events.as_slice().into();
     let sensor = source.sensor;
@@ -92,7 +92,8 @@ pub fn measure(set: &Set, source: &Source, method: Method, trip: &Trip) -> Resul
     })
 }
 
-/// Events per pixel and second of a source, over all windows from the first event's to the last one's.
+/// Returns the events per pixel per second of a source, over all windows from the first event's to the last
+/// event's.
 #[must_use]
 pub fn density_per_px_s(source: &Source) -> f64 {
     let last_us = source.events.last().map_or(0, |event| event.t_us);

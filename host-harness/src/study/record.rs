@@ -1,4 +1,4 @@
-//! Of what a study is made, by what, and when.
+//! Records what a study measured, with which program, and when.
 
 use eecvs_bench::machine::{SEED, date, machine};
 use eecvs_bench::source::{Source, WINDOW_US};
@@ -9,64 +9,64 @@ use super::effort::Effort;
 use super::set::Set;
 use crate::recordings::LeftOut;
 
-/// A source, so that another one of its name is told from it.
+/// Identifies a source beyond its name.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SourceRecord {
     /// `scenes` or `recordings`.
     pub set: String,
-    /// Of the set.
+    /// Name of the source in the set.
     pub source: String,
-    /// Pixels in a row, and rows.
+    /// Columns and rows of the sensor.
     pub sensor: [u16; 2],
-    /// In what is measured of it.
+    /// Number of events in the part that is measured.
     pub events: u64,
-    /// From the first event to the last.
+    /// Time from the first event to the last, in seconds.
     pub duration_s: f64,
-    /// SHA-256 of its events: t, x, y and polarity as little-endian u64, u16, u16 and u8.
+    /// SHA-256 of the events: t, x, y and polarity as little-endian u64, u16, u16 and u8.
     pub sha256: String,
 }
 
-/// Rows that a build of the program has measured.
+/// Number of rows that one build of the program measured.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Build {
     /// SHA-256 of the program's file.
     pub program: String,
-    /// How many.
+    /// Number of rows.
     pub rows: usize,
 }
 
-/// What results depend on, and the machine and the day, which only times of a clock depend on.
+/// What the results depend on; also the machine and the day, on which only measured times depend.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Record {
-    /// Of this program.
+    /// Version of this program.
     pub version: String,
-    /// SHA-256 of the file of the program that measured first: rows of another build are measured again
-    /// unless they are to be kept.
+    /// SHA-256 of the program file that started the study. Rows of another build are measured again unless they are
+    /// to be kept.
     pub program: String,
-    /// Every build that measured something; in results alone, and not in those of before it was kept.
+    /// Every build that measured rows; only in results, and empty in results from versions that did not record it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub builds: Vec<Build>,
     /// `full` or `quick`.
     pub effort: String,
-    /// Of the scenes.
+    /// Seed of the scenes.
     pub seed: u64,
-    /// T.
+    /// Duration T of a window in us.
     pub window_us: u32,
-    /// Every one.
+    /// Every source.
     pub sources: Vec<SourceRecord>,
-    /// Files that were found and are not among them.
+    /// Files that were found but left out.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub left_out: Vec<LeftOut>,
-    /// The model of `--segmenter`, or the one that is built in.
+    /// The model of `--segmenter`, or the built-in segmenter.
     pub segmenter: String,
-    /// Processor and its threads.
+    /// Processor and number of its threads.
     pub machine: String,
     /// Day of the first row, UTC.
     pub date: String,
 }
 
 impl Record {
-    /// Of a study that begins now.
+    /// Makes the record of a study that starts now.
     #[must_use]
     pub fn new(sets: &[Set], left_out: &[LeftOut], effort: &Effort, segmenter: &str) -> Self {
         let of_set = |set: &Set| {
@@ -91,8 +91,8 @@ impl Record {
         }
     }
 
-    /// Whether rows of one study are rows of the other: all but machine, day and what is left out
-    /// agree, and, if asked, the program.
+    /// Returns whether rows of one study are valid for the other: everything agrees except the machine, the day,
+    /// the files left out and, unless `same_program`, the program.
     #[must_use]
     pub fn is_same_study(&self, other: &Self, same_program: bool) -> bool {
         let program = if same_program { other } else { self };
@@ -132,7 +132,7 @@ fn hex(digest: &[u8]) -> String {
     digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// Nothing where the system does not tell, in which case the version has to do.
+/// Returns the SHA-256 of this program's file; empty if the system does not name it, when the version must suffice.
 fn program() -> String {
     let bytes = std::env::current_exe().and_then(std::fs::read);
     bytes.map_or_else(|_| String::new(), |bytes| hex(&Sha256::digest(bytes)))

@@ -1,4 +1,4 @@
-//! The sets of sources that a study is made on, each calibrated by itself.
+//! Sets of sources on which a study is made, each calibrated by itself.
 
 use std::num::NonZeroU32;
 use std::path::PathBuf;
@@ -26,30 +26,30 @@ pub const RECORDINGS: &str = "recordings";
 pub struct Set {
     /// [`SCENES`] or [`RECORDINGS`].
     pub name: &'static str,
-    /// One or more.
+    /// The sources, at least one.
     pub sources: Vec<Source>,
-    /// 25th and 75th percentile of the densities of all their windows.
+    /// Thresholds: the 25th and the 75th percentile of the densities of all windows.
     pub thresholds: Thresholds,
-    /// The same in events per pixel per second.
+    /// The thresholds in events per pixel per second.
     pub tau: [f64; 2],
 }
 
 impl Set {
-    /// The nine scenes of the paper's Table I, emulated.
+    /// Emulates the nine scenes of the paper's Table I.
     ///
     /// # Errors
-    /// None: they are fixed.
+    /// Never fails, since the scenes are fixed.
     pub fn scenes(effort: &Effort) -> Result<Self> {
         let sources = PRESETS.into_iter();
         let sources = sources.map(|preset| Source::scene(preset, SEED, effort.scene_us));
         Self::new(SCENES, sources.collect::<Result<_>>()?)
     }
 
-    /// The start of every recording of some files and folders, `None` where there is none, and what is
-    /// left out of it; `progress` is told how many have been read.
+    /// Reads the start of every recording in files and folders, and lists what is left out; `None` if there are no
+    /// recordings. Calls `progress` with the number read so far.
     ///
     /// # Errors
-    /// As [`recordings::read`].
+    /// Fails as [`recordings::read`] does.
     pub fn recordings(
         paths: &[PathBuf],
         effort: &Effort,
@@ -89,7 +89,7 @@ impl Set {
     }
 }
 
-/// As many whole windows from the first on as hold at most `events_max` events, and one at least.
+/// Keeps as many whole windows from the start as hold at most `events_max` events, and at least one.
 fn start(source: Source, events_max: usize) -> Source {
     if source.events.len() <= events_max {
         return source;

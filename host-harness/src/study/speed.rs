@@ -1,9 +1,9 @@
-//! Table III: the time of a window and events per second, on a host and on a microcontroller.
+//! Table III: time per window and events per second, on a host and on a microcontroller.
 //!
-//! The host encodes a window of as many events as the paper's, again and again, on one thread. The
-//! microcontroller's rows are instructions per event of its image in QEMU, as saved by
-//! `firmware/instructions.sh`: events per second are of 168 million *instructions* per second, which a
-//! Cortex-M4 of 168 MHz does not quite run, as some take several cycles.
+//! The host encodes a window with as many events as the paper's, repeatedly, on one thread. The microcontroller's
+//! rows are instructions per event of its image in QEMU, as saved by `firmware/instructions.sh`. Its events per
+//! second assume 168 million *instructions* per second; a real Cortex-M4 at 168 MHz is somewhat slower, as some
+//! instructions take several cycles.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -18,41 +18,41 @@ use super::effort::{Effort, M_SPEED};
 use super::paper::EVENTS_PER_WINDOW;
 
 const SAVED: &str = include_str!("../../../firmware/instructions.json");
-/// Instructions of a Cortex-M4 in a second, if each took one of its 168 million cycles.
+/// Instructions per second of a Cortex-M4 if each took one of its 168 million cycles.
 const INSTRUCTIONS_PER_S: f64 = 168e6;
-/// Runs of the window between two looks at the clock.
+/// Encodings of the window between two readings of the clock.
 const BATCH: usize = 16;
 
-/// Name of the host's rows.
+/// Target name in the host's rows.
 pub const HOST: &str = "host, one thread";
-/// Name of the microcontroller's rows.
+/// Target name in the microcontroller's rows.
 pub const MCU: &str = "Cortex-M4 in QEMU, 168 million instructions/s";
 
-/// A row; the fields are the columns of `speed.csv`.
+/// Speed of one method on one target; the fields are the columns of `speed.csv`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Speed {
     /// [`HOST`] or [`MCU`].
     pub target: String,
     /// `dct`, `dtft`, `dwt`, `hybrid-fast`, `hybrid-dense`.
     pub method: String,
-    /// Coefficients; 0 where events are sent.
+    /// Number of coefficients; 0 if events are sent.
     pub m: u8,
-    /// Events of a window of the paper's size: of the window that is encoded, or that is told from
-    /// instructions per event.
+    /// Events of the window that is encoded, or of a window of the paper's size, for which the time is computed
+    /// from instructions per event.
     pub events_per_window: f64,
-    /// Median.
+    /// Median time per window, in us.
     pub us_per_window: f64,
-    /// Half the distance between the quartiles of `us_per_window`; 0 where instructions are counted.
+    /// Half the interquartile range of `us_per_window`; 0 if instructions are counted.
     pub spread_us: f64,
     /// Thousand events per second.
     pub kev_per_s: f64,
-    /// Over the slowest transform's of the target.
+    /// `kev_per_s` over that of the slowest transform on the same target.
     pub relative: f64,
-    /// Counted; `None` on the host.
+    /// Instructions counted per event; `None` on the host.
     pub instructions_per_event: Option<f64>,
 }
 
-/// A line of the saved counts, as far as it is of use here.
+/// The fields used here of a line of the saved counts.
 #[derive(Debug, Deserialize)]
 struct Saved {
     origin: String,
@@ -63,10 +63,10 @@ struct Saved {
     whole: u64,
 }
 
-/// Takes the host's times and reads the microcontroller's counts.
+/// Measures the host's times and reads the microcontroller's saved counts.
 ///
 /// # Errors
-/// An encoder that does not encode, or saved counts that cannot be read.
+/// Fails if an encoder does not encode every event or the saved counts cannot be read.
 pub fn measure(effort: &Effort) -> Result<Vec<Speed>> {
     let mut rows = host(effort)?;
     rows.extend(mcu()?);
@@ -95,7 +95,7 @@ fn host(effort: &Effort) -> Result<Vec<Speed>> {
         let mut storage = HostStorage::new(SENSOR, WINDOW_EVENTS);
         let mut encoder = storage.encoder(config)?;
         let mut out = vec![0; FRAME_BYTES_MAX];
-        // The answer first: a frame that reads back with every event.
+        // Check the result first: a frame that decodes to every event.
         let Scan::Frame(frame) = scan(encode(&mut encoder, events, &mut out)) else {
             anyhow::bail!("{method}: not a frame; please report this");
         };
@@ -132,7 +132,8 @@ fn host(effort: &Effort) -> Result<Vec<Speed>> {
     Ok(relative(rows))
 }
 
-/// Of the cut of davis346_building_dense, which has as many events in a pixel as most recordings.
+/// Reads the counts on the cut of davis346_building_dense, whose events per pixel are like those of most
+/// recordings.
 fn mcu() -> Result<Vec<Speed>> {
     let mut rows = Vec::new();
     for line in SAVED.lines() {

@@ -1,7 +1,7 @@
-//! The rows of a study on disk, so that one that was ended goes on.
+//! Stores the rows of a study on disk, so that an interrupted study can resume.
 //!
-//! `rows.jsonl`: a line of what is measured ([`Record`]), then a line for each finished task with its
-//! rows. A line that was not finished, as the last one of a study that was killed, is measured again.
+//! `rows.jsonl` holds a line on what is measured ([`Record`]), then one line per finished task with its rows. The
+//! task of an incomplete line, left by a study that was killed, is measured again.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{File, OpenOptions};
@@ -25,11 +25,11 @@ use super::times::Times;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Row {
-    /// Tables I and II.
+    /// Row of Tables I and II.
     Quality(Quality),
-    /// Table III.
+    /// Row of Table III.
     Speed(Speed),
-    /// Tables IV and V.
+    /// Row of Tables IV and V.
     Perception(Perception),
     /// Errors of times.
     Times(Times),
@@ -42,18 +42,18 @@ pub enum Row {
 #[derive(Debug, Serialize, Deserialize)]
 struct Finished {
     task: String,
-    /// SHA-256 of the program that measured it; `None` where that is the record's.
+    /// SHA-256 of the program that measured it; `None` if it is the record's program.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     program: Option<String>,
     rows: Vec<Row>,
 }
 
-/// The file, open to be added to.
+/// The file of rows, open for appending.
 #[derive(Debug)]
 pub struct Store {
     path: PathBuf,
     record: Record,
-    /// SHA-256 of this program, where the record's is another one.
+    /// SHA-256 of this program, if it is not the record's.
     program: Option<String>,
     inside: Mutex<Inside>,
 }
@@ -63,7 +63,7 @@ struct Inside {
     file: File,
     tasks: BTreeSet<String>,
     rows: Vec<(String, Row)>,
-    /// Rows of each program.
+    /// Number of rows per program.
     builds: BTreeMap<String, usize>,
 }
 
@@ -85,12 +85,13 @@ impl Inside {
 }
 
 impl Store {
-    /// Opens the store of a study, and begins it where there is none, or one of another study; with
-    /// `same_program` also where another build began it. The second is the number of tasks that are in
-    /// it.
+    /// Opens the store of a study; returns it with the number of tasks finished.
+    ///
+    /// Starts a new store if there is none, if it belongs to another study, or, with `same_program`, if another
+    /// build started it.
     ///
     /// # Errors
-    /// A file that cannot be read or written; the message names it.
+    /// Fails if the file cannot be read or written; the message names it.
     pub fn open(path: &Path, record: Record, same_program: bool) -> Result<(Self, usize)> {
         let name = || format!("{}: cannot be opened", path.display());
         let text = match std::fs::read(path) {
@@ -119,7 +120,7 @@ impl Store {
             }
         }
         let program = record.program.clone();
-        // What is left out is not measured: it may be other files today.
+        // The files left out are not part of the study, and may differ today.
         let record = Record {
             left_out: record.left_out.clone(),
             ..known.unwrap_or(record)
@@ -150,7 +151,7 @@ impl Store {
         Ok((store, count))
     }
 
-    /// Whether a task is finished.
+    /// Returns whether a task is finished.
     #[must_use]
     pub fn has(&self, task: &str) -> bool {
         self.inside
@@ -158,10 +159,10 @@ impl Store {
             .is_ok_and(|inside| inside.tasks.contains(task))
     }
 
-    /// Adds the rows of a task, and is done with it.
+    /// Adds the rows of a task and marks it as finished.
     ///
     /// # Errors
-    /// A file that cannot be written.
+    /// Fails if the file cannot be written.
     pub fn add(&self, task: &str, rows: impl IntoIterator<Item = Row>) -> Result<()> {
         let finished = Finished {
             task: task.to_owned(),
@@ -169,7 +170,7 @@ impl Store {
             rows: rows.into_iter().collect(),
         };
         let line = serde_json::to_string(&finished)? + "\n";
-        // A thread that panicked while it held the lock has left the rows whole or not there.
+        // A thread that panicked while holding the lock cannot have left a row half added.
         let mut inside = self
             .inside
             .lock()
@@ -182,7 +183,7 @@ impl Store {
         Ok(())
     }
 
-    /// Everything so far, in the order of the tasks' names, whichever came first.
+    /// Returns all results so far, in the order of the tasks' names.
     #[must_use]
     pub fn results(&self) -> Results {
         let inside = self
@@ -250,7 +251,7 @@ mod tests {
         store.add("one", [row()]).unwrap();
         store.add("two", [row(), row()]).unwrap();
         drop(store);
-        // Killed within a line.
+        // Simulates a study killed while it wrote a line.
         let mut file = OpenOptions::new().append(true).open(&path).unwrap();
         file.write_all(b"{\"task\":\"three\",\"rows\":[").unwrap();
         let (store, count) = Store::open(&path, record.clone(), true).unwrap();
@@ -259,7 +260,7 @@ mod tests {
         store.add("three", []).unwrap();
         assert_eq!(store.results().speed.len(), 3);
         assert_eq!(Row::Speed(store.results().speed[0].clone()), row());
-        // On another day it is the same study; of other sources or another seed it is not.
+        // On another day it is the same study; with other sources or another seed it is not.
         let later = Record {
             date: "2030-01-01".to_owned(),
             ..record.clone()
@@ -280,7 +281,7 @@ mod tests {
             program: "another".to_owned(),
             ..record.clone()
         };
-        // Rows of another build are its own, and stay so.
+        // Rows of another build are attributed to it.
         let (store, count) = Store::open(&path, rebuilt.clone(), false).unwrap();
         assert_eq!(count, 3);
         store.add("four", [row(), row()]).unwrap();

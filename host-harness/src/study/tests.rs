@@ -1,4 +1,4 @@
-//! A small study, whole.
+//! Runs a small study as a whole.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -60,13 +60,13 @@ fn a_study_has_every_row_and_goes_on_where_it_was_ended() {
         assert!(all.iter().all(|value| value.is_finite()), "{row:?}");
         let is_lossless = row.setting == "lossless";
         assert!(row.exact_fraction == 1.0 || !is_lossless, "{row:?}");
-        // Arrays may tell all times of a quiet scene.
+        // Even arrays may preserve every time of a quiet scene.
         assert_eq!(
             row.exact_fraction == 1.0,
             row.emd_pixel_us == 0.0,
             "{row:?}"
         );
-        // Counts are on the codec's link.
+        // The codec transmits exact counts.
         if Baseline::ALL
             .iter()
             .all(|baseline| baseline.name() != row.method)
@@ -87,7 +87,7 @@ fn a_study_has_every_row_and_goes_on_where_it_was_ended() {
         assert_eq!(all, source.events.len() as u64, "{times:?}");
     }
 
-    // What is there is not measured again, and another run of what is not gives the same rows.
+    // Stored rows are not measured again, and measuring the missing ones again gives the same rows.
     let text = std::fs::read_to_string(&path).unwrap();
     let lines: Vec<&str> = text.lines().collect();
     let kept = lines.len() - 12;
@@ -101,7 +101,7 @@ fn a_study_has_every_row_and_goes_on_where_it_was_ended() {
         first.fetch_min(done, Ordering::Relaxed);
     })
     .unwrap();
-    // Speed and density are rows too, but no task of a source.
+    // Speed and density have tasks of their own, which do not count as tasks of a source.
     assert_eq!(first.into_inner(), count - 2);
     let again = store.results();
     assert_eq!(again.quality, results.quality);
@@ -110,7 +110,7 @@ fn a_study_has_every_row_and_goes_on_where_it_was_ended() {
     claims(results);
 }
 
-/// What the rows tell of the paper's claims, and what they would tell if the DTFT were the best.
+/// Checks the claims on the rows, and again with the DTFT made the best and the worst.
 fn claims(mut results: Results) {
     assert_eq!(results.claims().len(), 6);
     let nothing = Results {
@@ -125,7 +125,7 @@ fn claims(mut results: Results) {
     let (method, emd, sources) = &answer.at_lossless[0];
     assert_eq!((method.as_str(), *emd, *sources), ("events", Some(0.0), 2));
     assert!(answer.dense_bits < answer.default_bits);
-    // A DTFT that is better than all is seen, and one that is not.
+    // A DTFT that beats all others is recognised, and one that does not.
     for (emd, wins) in [(0.0, "in 2,"), (1e9, "in 0,")] {
         for row in results
             .quality

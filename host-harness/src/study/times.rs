@@ -1,4 +1,4 @@
-//! How far decoded events are from their own times.
+//! Errors of the decoded events' times.
 
 use eecvs_bench::source::{Source, WINDOW_US};
 use eecvs_nostd::Event;
@@ -7,34 +7,35 @@ use serde::{Deserialize, Serialize};
 use super::method::{Method, Trip};
 use super::set::Set;
 
-/// Upper ends of the bins in us, the first of exact times; beyond the last lies nothing, as a window
-/// ends there.
+/// Upper ends of the bins in us; the first bin is for exact times. No error exceeds the last, since a window ends
+/// there.
 pub const EDGES_US: [u64; 16] = [
     0, 1, 3, 7, 15, 31, 63, 127, 255, 511, 1023, 2047, 4095, 8191, 16_383, 32_767,
 ];
 
-/// Errors of a method's times on a source.
+/// Histogram of the time errors of a method on a source.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Times {
     /// `scenes` or `recordings`.
     pub set: String,
-    /// Of the set.
+    /// Name of the source in the set.
     pub source: String,
-    /// As [`Method::name`] has it.
+    /// Name of the method, see [`Method::name`].
     pub method: String,
-    /// Coefficients or channels; 0 where events are sent.
+    /// Number of coefficients or channels; 0 if events are sent.
     pub m: u8,
-    /// As [`Method::setting`] has it.
+    /// Setting of the method, see [`Method::setting`].
     pub setting: String,
-    /// Events of the source whose times are off by at most [`EDGES_US`], and by more than the edge
+    /// Number of events of the source whose time error is at most [`EDGES_US`] of the bin, and above the edge
     /// before.
     pub counts: [u64; EDGES_US.len()],
-    /// Events of the source at places where another number of events came back, which are not paired.
+    /// Number of events of the source that are not paired, because another number of events was decoded in their
+    /// place.
     pub unpaired: u64,
 }
 
-/// Pairs the events of each window, pixel and polarity in their order, which is the pairing of least
-/// cost, where as many came back.
+/// Pairs the original and decoded events of each window, pixel and polarity in order of time, which is the pairing
+/// of least cost, if their numbers agree; counts the errors.
 #[must_use]
 pub fn measure(set: &Set, source: &Source, method: Method, trip: &Trip) -> Times {
     let mut times = Times {
@@ -107,8 +108,8 @@ mod tests {
             bytes: 0,
             packed_bytes: 0,
             seconds: 0.0,
-            // The two of the first group are 3 and 4 us off, the third is exact, the fourth lost; the
-            // last has two in its place.
+            // The two events of the first group are off by 3 and 4 us, the third is exact and the fourth is lost;
+            // the last one has two in its place.
             events: vec![
                 event(104, 1, 1, true),
                 event(3, 1, 1, true),

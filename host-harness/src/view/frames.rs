@@ -1,4 +1,4 @@
-//! Slices of one or two streams -> the frames to show, with stretches without events shortened.
+//! Pairs slices of one or two streams into frames, and shortens stretches without events.
 
 use anyhow::Result;
 use event_pictures::frame_picture::FrameSums;
@@ -10,32 +10,32 @@ use super::slices::{Grid, Slice, Slices};
 pub struct Frame {
     /// Start of the slice, in us of the first input's clock.
     pub start_us: u64,
-    /// Events of the first input.
+    /// Number of events of the first input.
     pub events: u64,
-    /// Events of the second; 0 where there is none.
+    /// Number of events of the second input; 0 if there is none.
     pub decoded_events: u64,
-    /// Sums of the first input.
+    /// Sums of the first input per pixel.
     pub original: FrameSums,
-    /// Sums of the second, where there is one.
+    /// Sums of the second input per pixel, if there is one.
     pub decoded: Option<FrameSums>,
-    /// Time that was left out before this frame, in us.
+    /// Time omitted before this frame, in us.
     pub skipped_us: u64,
 }
 
-/// Walks one or two streams slice by slice; both lie on one grid by their own event times.
+/// Walks one or two streams slice by slice; events of both are placed on one grid by their own times.
 pub struct Frames {
     grid: Grid,
-    /// Frames in a row that may be empty.
+    /// Largest number of consecutive empty frames.
     empty_max: u64,
     original: Peeked,
     decoded: Option<Peeked>,
-    /// Slice to show next; `None` before the first.
+    /// Index of the slice to show next; `None` before the first.
     next: Option<u64>,
     skipped_us: u64,
     shared: u64,
 }
 
-/// Slices, the next one known.
+/// Slices of one stream, with a look at the next one.
 struct Peeked {
     slices: Slices,
     next: Option<Slice>,
@@ -55,8 +55,8 @@ impl Peeked {
 }
 
 impl Frames {
-    /// Pairs the slices of `original` with those of `decoded`, which lie on the same `grid`. The first
-    /// frame is the first slice with events; `empty_max` or fewer without are shown in a row.
+    /// Pairs the slices of `original` with those of `decoded`, which use the same `grid`. The first frame is the
+    /// first slice with events; at most `empty_max` consecutive frames without events are shown.
     #[must_use]
     pub fn new(grid: Grid, empty_max: u64, original: Slices, decoded: Option<Slices>) -> Self {
         let peeked = |slices| Peeked { slices, next: None };
@@ -71,34 +71,34 @@ impl Frames {
         }
     }
 
-    /// The first input's slices, for what they count.
+    /// Returns the slices of the first input, for their counts.
     #[must_use]
     pub const fn original(&self) -> &Slices {
         &self.original.slices
     }
 
-    /// The second input's.
+    /// Returns the slices of the second input, if there is one, for their counts.
     #[must_use]
     pub fn decoded(&self) -> Option<&Slices> {
         self.decoded.as_ref().map(|peeked| &peeked.slices)
     }
 
-    /// Time without events that was not shown so far, in us.
+    /// Returns the duration of the stretches without events omitted so far, in us.
     #[must_use]
     pub const fn skipped_us(&self) -> u64 {
         self.skipped_us
     }
 
-    /// Frames so far in which both inputs have events.
+    /// Returns the number of frames so far in which both inputs have events.
     #[must_use]
     pub const fn shared(&self) -> u64 {
         self.shared
     }
 
-    /// The next frame, `None` at the end.
+    /// Returns the next frame, or `None` at the end.
     ///
     /// # Errors
-    /// Damage of an input; every frame before it has been returned.
+    /// Fails if an input is damaged, after every frame before the damage has been returned.
     pub fn next_frame(&mut self) -> Result<Option<Frame>> {
         let decoded = match &mut self.decoded {
             Some(decoded) => decoded.index()?,
@@ -109,10 +109,10 @@ impl Frames {
             (Some(index), None) | (None, Some(index)) => index,
             (None, None) => return Ok(None),
         };
-        // Slices come in order, so `busy` never is before `next`.
+        // Slices come in order, so `busy` is never less than `next`.
         let wanted = self.next.unwrap_or(busy).min(busy);
         let empty = busy - wanted;
-        // A short stretch is shown whole; of a long one its last `empty_max` slices.
+        // A short stretch is shown whole; of a long one, only its last `empty_max` slices.
         let left_out = empty.saturating_sub(self.empty_max);
         let index = wanted.saturating_add(left_out);
         let skipped_us = left_out.saturating_mul(self.grid.slice_us);
@@ -177,7 +177,8 @@ mod tests {
         ];
         let (found, frames) = all(Frames::new(GRID, 5, slices(&events), None));
         let starts: Vec<_> = found.iter().map(|f| (f.start_us, f.events)).collect();
-        // The start is not waited for, a pause of 3 slices is kept, that of hours becomes one of 5.
+        // The time before the first event is skipped, a pause of 3 slices is kept, and one of hours is shortened to
+        // 5.
         let after = |slices: u64| 1_600 + 3 * HOUR_US + slices * 100;
         let expected = [
             (1_200, 1),
@@ -215,7 +216,7 @@ mod tests {
 
     #[test]
     fn memory_does_not_grow_with_the_length() {
-        // Slices close as they are taken: no more waits than the disorder allows.
+        // Slices close as they are taken: no more events wait than the allowed disorder requires.
         let events: Vec<_> = (0..100_000)
             .map(|i| event(1_000 + 1_000 * i, 0, 0, true))
             .collect();

@@ -1,4 +1,4 @@
-//! Frames -> an animated GIF: the convention's colours as its palette, only what changed in each frame.
+//! Writes frames as an animated GIF, with the style's colours as palette; each frame stores only what changed.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -12,22 +12,22 @@ use super::Screen;
 use super::frames::Frame;
 use super::picture::{Look, picture};
 
-/// Browsers show anything faster at a tenth of it.
+/// Largest frame rate; browsers show a GIF with shorter delays ten times too slowly.
 pub const FPS_MAX: u32 = 50;
 
-/// A GIF file being written; it is created with its first frame.
+/// A GIF file that is being written; it is created with its first frame.
 pub struct Gif {
     path: PathBuf,
     look: Look,
     fps: u32,
     colours: Colours,
     frames: u64,
-    /// Colour numbers of the last frame.
+    /// Palette indices of the previous frame's pixels.
     last: Vec<u8>,
     encoder: Option<Encoder<OutputFile>>,
 }
 
-/// Colours and their numbers.
+/// The palette and the index of each of its colours.
 struct Colours {
     palette: Vec<Colour>,
     numbers: HashMap<Colour, u8>,
@@ -43,7 +43,7 @@ struct Part {
 }
 
 impl Gif {
-    /// Will write `path`, `fps` frames a second, endlessly repeated.
+    /// Prepares to write `path` at `fps` frames per second, limited to [`FPS_MAX`], repeated endlessly.
     #[must_use]
     pub fn new(path: &Path, fps: u32, look: Look) -> Self {
         Self {
@@ -57,7 +57,7 @@ impl Gif {
         }
     }
 
-    /// Time of a frame in hundredths of a second; rounding does not add up.
+    /// Returns the delay of a frame in hundredths of a second; rounding errors do not accumulate.
     fn delay(&self, frame: u64) -> u16 {
         let end = |frame: u64| frame.saturating_mul(100) / u64::from(self.fps);
         (end(frame.saturating_add(1)) - end(frame)) as u16
@@ -98,7 +98,7 @@ impl Gif {
         let frame = gif::Frame {
             delay: self.delay(self.frames),
             dispose: DisposalMethod::Keep,
-            // A part of a picture has sides no larger than the picture's.
+            // The sides of a part are no larger than the picture's, which fit a u16.
             left: part.left as u16,
             top: part.top as u16,
             width: part.width as u16,
@@ -121,7 +121,7 @@ impl Gif {
 
     fn named(&self, error: EncodingError) -> anyhow::Error {
         match error {
-            // Names the file.
+            // This error names the file already.
             EncodingError::Io(error) => error.into(),
             error => anyhow::Error::new(error).context(self.path.display().to_string()),
         }
@@ -143,7 +143,7 @@ impl Screen for Gif {
 }
 
 impl Colours {
-    /// No more than the first 256 are used.
+    /// Uses the first 256 colours of the palette.
     fn new(mut palette: Vec<Colour>) -> Self {
         palette.truncate(256);
         let numbered = palette.iter().zip(0..=u8::MAX);
@@ -153,11 +153,11 @@ impl Colours {
         }
     }
 
-    /// The number of every pixel's colour, of the nearest where it has none.
+    /// Returns the palette index of every pixel: of its own colour, or else of the nearest.
     fn numbers(&self, picture: &Picture) -> Vec<u8> {
         let mut known = (Colour::default(), self.number(Colour::default()));
         let pixels = picture.pixels().map(|colour| {
-            // Most pixels are as those to their left.
+            // Most pixels have the colour of their left neighbour.
             if colour != known.0 {
                 known = (colour, self.number(colour));
             }
@@ -182,8 +182,8 @@ impl Colours {
     }
 }
 
-/// The least rectangle that holds every difference, all of it where there is no picture before; `None`
-/// where they are equal.
+/// Returns the smallest rectangle that holds every difference; the whole picture if there is none before, `None` if
+/// both are equal.
 fn changed(before: &[u8], now: &[u8], width: usize) -> Option<Part> {
     let width = width.max(1);
     if before.len() != now.len() {
@@ -220,7 +220,7 @@ mod tests {
     use super::*;
     use crate::view::picture::tests::{LOOK, frame};
 
-    /// Every frame as it is shown, and its delay.
+    /// Decodes every frame as it is displayed, with its delay.
     fn decoded(path: &Path) -> Vec<(Vec<Colour>, u16)> {
         let mut options = gif::DecodeOptions::new();
         options.set_color_output(gif::ColorOutput::RGBA);
@@ -262,7 +262,7 @@ mod tests {
             let expected: Vec<_> = picture(frame, LOOK).pixels().collect();
             assert!(*pixels == expected);
         }
-        // A thirtieth of a second is no whole number of hundredths.
+        // A thirtieth of a second is not a whole number of hundredths.
         let delays: Vec<_> = shown.iter().map(|(_, delay)| *delay).collect();
         assert_eq!(delays, [3, 3, 4, 3]);
     }

@@ -1,4 +1,4 @@
-//! A recording or a file of frames as one stream of events.
+//! Reads a recording or a file of frames as one stream of events.
 
 use std::io::Read;
 use std::path::Path;
@@ -11,20 +11,20 @@ use event_files::frames::FrameEvents;
 use event_files::input::piped::name_of;
 use event_files::{Ahead, BATCH_EVENTS, EventReader, Reading};
 
-/// Events of a file, whatever it holds.
+/// A stream of events from a file of either kind.
 pub enum Input {
-    /// Of a recording.
+    /// Events of a recording.
     Recording(Ahead),
-    /// Decoded from frames.
+    /// Events decoded from frames.
     Frames(Box<FrameEvents<Box<dyn Read + Send>>>),
 }
 
 impl Input {
-    /// Opens a recording of any known format, or frames, told by their first bytes or the ending
-    /// `.eecvs`; `reading` says what a recording does not.
+    /// Opens frames, or a recording of any known format; the first bytes or the extension `.eecvs` identify frames.
+    /// `reading` supplies what a recording does not state itself.
     ///
     /// # Errors
-    /// A file that cannot be opened, of no known format, or without a frame that decodes.
+    /// Fails if the file cannot be opened, its format is unknown, or no frame of it decodes.
     pub fn open(path: &Path, reading: &Reading) -> Result<Self> {
         Ok(match Content::of(path)? {
             Content::Frames(source) => {
@@ -34,13 +34,13 @@ impl Input {
         })
     }
 
-    /// The events of a reader.
+    /// Wraps a reader of a recording.
     #[must_use]
     pub fn recording(reader: Box<dyn EventReader>) -> Self {
         Self::Recording(Ahead::new(reader, BATCH_EVENTS))
     }
 
-    /// Size of the sensor.
+    /// Returns the size of the sensor.
     #[must_use]
     pub fn sensor(&self) -> Sensor {
         match self {
@@ -49,8 +49,8 @@ impl Input {
         }
     }
 
-    /// The earliest time of the first events, in us, before the first of them is read; `None` where
-    /// there are none.
+    /// Returns the earliest time in the first batch of events, in us, before any of them is read; `None` if there
+    /// are no events.
     #[must_use]
     pub fn first_us(&self) -> Option<u64> {
         let events = match self {
@@ -60,10 +60,10 @@ impl Input {
         events.iter().map(|event| event.t_us).min()
     }
 
-    /// Appends the next events; 0 is the end.
+    /// Appends the next events and returns their number; 0 at the end.
     ///
     /// # Errors
-    /// A damaged recording, or I/O; everything before has been returned.
+    /// Fails if the recording is damaged or on I/O errors, after everything before has been returned.
     pub fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
         match self {
             Self::Recording(reader) => Ok(reader.read(events)?),
@@ -79,7 +79,7 @@ impl Input {
         }
     }
 
-    /// What was damaged or lost of the frames that were read.
+    /// Returns what was damaged or lost among the frames read so far; `None` for a recording.
     #[must_use]
     pub fn report(&self) -> Option<&LinkReport> {
         match self {

@@ -1,6 +1,6 @@
-//! Recordings and frames as moving pictures: events -> slices of time -> frames -> terminal, GIF or PNG.
+//! Shows recordings and frames as moving pictures: events -> slices of time -> frames -> terminal, GIF or PNG.
 //!
-//! Nothing is held but what of the stream may still belong to the next frames, however long it is.
+//! Memory is bounded whatever the length of the stream: only events that may belong to the next frames are held.
 
 pub mod frames;
 pub mod gif;
@@ -19,39 +19,38 @@ use anyhow::{Error, Result};
 
 use frames::{Frame, Frames};
 
-/// What shows frames, one after the other.
+/// An output that shows one frame after the other.
 pub trait Screen {
-    /// Shows the next frame; it may return only when its time has come.
+    /// Shows the next frame; may wait until the frame is due.
     ///
     /// # Errors
-    /// Writing.
+    /// Fails if writing fails.
     fn show(&mut self, frame: &Frame) -> Result<()>;
 
-    /// Ends what was shown. A file that is not ended so is removed.
+    /// Completes the output. A file that is dropped without this call is removed.
     ///
     /// # Errors
-    /// Writing.
+    /// Fails if writing fails.
     fn finish(self: Box<Self>) -> Result<()>;
 }
 
-/// What was shown.
+/// Counts of what was shown.
 #[derive(Debug, Default)]
 pub struct Played {
-    /// Frames.
+    /// Number of frames.
     pub frames: u64,
-    /// Events of the first input in them.
+    /// Number of events of the first input in the frames.
     pub events: u64,
-    /// Events of the second input in them.
+    /// Number of events of the second input in the frames.
     pub decoded_events: u64,
-    /// Damage that ended it; everything before has been shown.
+    /// Damage that ended the playback; everything before it has been shown.
     pub failure: Option<Error>,
 }
 
-/// Shows frames up to the end, to the first damage, to `limit` frames or until `stop` is set;
-/// `progress` gets their number.
+/// Shows frames until the end, the first damage, `limit` frames or `stop`; calls `progress` with their number.
 ///
 /// # Errors
-/// Writing; damage of an input is told by [`Played::failure`].
+/// Fails if writing fails; damage of an input is reported in [`Played::failure`] instead.
 pub fn play(
     frames: &mut Frames,
     mut screen: Box<dyn Screen>,

@@ -1,29 +1,29 @@
-//! When the next frame is due.
+//! Decides when the next frame is due.
 
 use std::time::{Duration, Instant};
 
-/// Behind by more, the rest is shown later; by less, frames are left out.
+/// If playback lags by more, the remaining frames are delayed; if by less, frames are skipped.
 const BEHIND_MAX: Duration = Duration::from_secs(1);
 
-/// What becomes of a frame.
+/// What to do with a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Turn {
-    /// It is shown after this time.
+    /// Show it after this time.
     After(Duration),
-    /// It is left out: the one after it is due as well.
+    /// Skip it: the next frame is due already.
     Skip,
 }
 
-/// Frames at equal intervals, left out where showing them takes longer.
+/// Paces frames at equal intervals, and skips some if showing them takes longer.
 #[derive(Debug)]
 pub struct Pace {
     interval: Duration,
-    /// When the next frame is due; `None` before the first.
+    /// Time at which the next frame is due; `None` before the first.
     due: Option<Instant>,
 }
 
 impl Pace {
-    /// `fps` frames a second; 0 is taken as 1.
+    /// Paces `fps` frames per second; 0 is taken as 1.
     #[must_use]
     pub fn new(fps: u32) -> Self {
         Self {
@@ -32,7 +32,7 @@ impl Pace {
         }
     }
 
-    /// The next frame's turn.
+    /// Decides on the next frame at time `now`.
     pub fn turn(&mut self, now: Instant) -> Turn {
         let due = match self.due {
             Some(due) if now.saturating_duration_since(due) <= BEHIND_MAX => due,
@@ -59,10 +59,10 @@ mod tests {
         assert_eq!(pace.turn(at(0)), after(0));
         assert_eq!(pace.turn(at(30)), after(70));
         assert_eq!(pace.turn(at(250)), after(0));
-        // Due at 300 and at 400.
+        // The frames due at 300 and at 400.
         assert_eq!(pace.turn(at(450)), Turn::Skip);
         assert_eq!(pace.turn(at(450)), after(0));
-        // Due at 500: too late to catch up.
+        // The frame due at 500 is too late to catch up.
         assert_eq!(pace.turn(at(2_000)), after(0));
         assert_eq!(pace.turn(at(2_010)), after(90));
     }

@@ -1,4 +1,4 @@
-//! What a terminal can show of colours, and how they are asked for.
+//! Colours that a terminal can show, and the environment variables that select them.
 
 use std::fmt::Write as _;
 
@@ -7,20 +7,20 @@ use event_pictures::picture::Colour;
 /// Colours of a terminal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Palette {
-    /// 24 bits a colour
+    /// 24-bit colours
     #[value(name = "24bit")]
     Bits24,
     /// The nearest of xterm's 256 colours
     #[value(name = "256")]
     Xterm256,
-    /// None: + and # are ON, - and = are OFF, the latter of each from --clip on
+    /// No colours: + and # are ON, - and = are OFF; # and = from --clip on
     #[value(name = "none")]
     Characters,
 }
 
 impl Palette {
-    /// What the variables of a terminal ask for: none by `NO_COLOR` or a `TERM` that is `dumb` or missing, 24 bits by
-    /// `COLORTERM` or a `TERM` that names them, else 256 colours.
+    /// Chooses by the variables of a terminal: no colours for `NO_COLOR` or a `TERM` that is `dumb` or missing, 24
+    /// bits for a `COLORTERM` or a `TERM` that names them, else 256 colours.
     #[must_use]
     pub fn of_terminal(variable: impl Fn(&str) -> Option<String>) -> Self {
         let is_set = |name| variable(name).is_some_and(|value| !value.is_empty());
@@ -36,7 +36,8 @@ impl Palette {
         Self::Xterm256
     }
 
-    /// Appends what makes `colour` that of the characters that follow, in front or behind them.
+    /// Appends the escape sequence that sets the colour of the characters that follow, or of their background if
+    /// `behind`.
     pub(super) fn select(self, colour: Colour, behind: bool, text: &mut String) {
         let layer = if behind { 48 } else { 38 };
         let [r, g, b] = colour;
@@ -48,10 +49,10 @@ impl Palette {
     }
 }
 
-/// Levels of the 6 x 6 x 6 colours that begin at 16.
+/// Levels per channel of the 6 x 6 x 6 colour cube that begins at index 16.
 const LEVELS: [u8; 6] = [0, 95, 135, 175, 215, 255];
 
-/// Number of the nearest of xterm's colours from 16 on: the cube and the 24 greys, whose first is 8 and step 10.
+/// Returns the index of the nearest of xterm's colours from 16 on: the cube and the 24 greys 8, 18, ..., 238.
 fn nearest(colour: Colour) -> u8 {
     let distance = |other: Colour| -> u32 {
         let parts = colour.iter().zip(other);

@@ -1,4 +1,4 @@
-//! A frame -> a picture with captions and the colour scale.
+//! Draws a frame as a picture with captions and the colour scale.
 
 use eecvs_nostd::Sensor;
 use event_pictures::frame_picture::{FrameStyle, event_frame, strip};
@@ -6,32 +6,32 @@ use event_pictures::picture::{CELL, Picture};
 
 use super::frames::Frame;
 
-/// Width that the panels of a picture reach together by default, in pixels.
+/// Width in pixels that the panels of a picture reach together by default.
 const LEGIBLE_WIDTH: usize = 480;
 
-/// The least upscale that makes `panels` panels side by side 480 pixels wide or more.
+/// Returns the smallest upscale that makes `panels` panels side by side 480 pixels wide or more.
 #[must_use]
 pub fn default_upscale(sensor: Sensor, panels: usize) -> usize {
     let width = usize::from(sensor.width.max(sensor.height)).max(1);
     LEGIBLE_WIDTH.div_ceil(width * panels.max(1))
 }
 
-/// How pictures of frames look.
+/// Style and time origin of the pictures.
 #[derive(Debug, Clone, Copy)]
 pub struct Look {
     /// Colours and size.
     pub style: FrameStyle,
-    /// Time of 0 in captions, in us of the recording.
+    /// Time that captions count from, in us of the recording.
     pub origin_us: u64,
 }
 
-/// One panel, or the three of `original | decoded | decoded - original`, with the slice's start in ms.
+/// Draws one panel, or the three `original | decoded | decoded - original`, captioned with the slice's start in ms.
 #[must_use]
 pub fn picture(frame: &Frame, look: Look) -> Picture {
     let style = look.style;
     let original = event_frame(&frame.original, style);
     let time = milliseconds(frame.start_us, look.origin_us);
-    // A time that is cut off would be another time.
+    // A truncated number would be a wrong time.
     let fits = |text: &str| text.len() * CELL * 2 <= original.width();
     let Some(decoded) = &frame.decoded else {
         let caption = if fits(&time) { time.as_str() } else { "" };
@@ -50,7 +50,7 @@ pub fn picture(frame: &Frame, look: Look) -> Picture {
     strip(&panels, style)
 }
 
-/// A time since `origin_us` in ms.
+/// Formats the time since `origin_us` in ms, with three decimals.
 #[must_use]
 pub fn milliseconds(t_us: u64, origin_us: u64) -> String {
     let since_us = i128::from(t_us) - i128::from(origin_us);
@@ -72,7 +72,7 @@ pub(crate) mod tests {
         height: 30,
     };
 
-    /// A frame of one ON event at `original` and one OFF event at `decoded`.
+    /// Makes a frame of one ON event at `original` and one OFF event at `decoded`.
     pub(crate) fn frame(original: (u16, u16), decoded: Option<(u16, u16)>) -> Frame {
         let sums = |(x, y), polarity| {
             let event = event(0, x, y, polarity == Polarity::On);

@@ -1,4 +1,4 @@
-//! Frames -> PNG files: one, or a folder of numbered ones.
+//! Writes frames as PNG files: a single one, or numbered ones in a folder.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use super::Screen;
 use super::frames::Frame;
 use super::picture::{Look, picture};
 
-/// Numbered pictures of a folder, in any order.
+/// Lists the numbered pictures in a folder, in any order.
 pub fn numbered(folder: &Path) -> impl Iterator<Item = (u64, PathBuf)> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     entries.filter_map(|entry| {
@@ -21,7 +21,7 @@ pub fn numbered(folder: &Path) -> impl Iterator<Item = (u64, PathBuf)> {
     })
 }
 
-/// Where pictures go.
+/// Writer of PNG files.
 #[derive(Debug)]
 pub struct Pngs {
     place: Place,
@@ -36,7 +36,7 @@ enum Place {
 }
 
 impl Pngs {
-    /// Each frame replaces the one before: meant for one frame.
+    /// Writes to one file; each frame replaces the one before, so it is meant for a single frame.
     #[must_use]
     pub fn file(path: &Path, look: Look) -> Self {
         Self {
@@ -46,10 +46,10 @@ impl Pngs {
         }
     }
 
-    /// Pictures `frame_000000.png` and so on; the folder is made where there is none.
+    /// Writes pictures named `frame_000000.png` and so on; creates the folder if it does not exist.
     ///
     /// # Errors
-    /// A folder that cannot be made; the message names it.
+    /// Fails if the folder cannot be created; the message names it.
     pub fn folder(path: &Path, look: Look) -> Result<Self> {
         std::fs::create_dir_all(path)
             .with_context(|| format!("{}: cannot make the folder", path.display()))?;
@@ -75,7 +75,7 @@ impl Screen for Pngs {
         Ok(())
     }
 
-    /// Removes pictures of an earlier run that are behind the last one of this.
+    /// Removes pictures of an earlier run with numbers beyond this run's last.
     fn finish(self: Box<Self>) -> Result<()> {
         let Place::Folder(folder) = &self.place else {
             return Ok(());

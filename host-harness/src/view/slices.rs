@@ -1,8 +1,8 @@
-//! A stream of events -> its signed sums per slice of time, empty slices left out.
+//! Sums a stream of events per slice of time and pixel, and omits empty slices.
 //!
-//! A slice stays open until an event comes that is [`DISORDER_US`] past its end, so events may be out of
-//! order by that much. What waits is bounded in bytes, whatever the events' times are: beyond
-//! [`WAITING_BYTES`] the oldest slices close early.
+//! A slice stays open until an event arrives that is [`DISORDER_US`] past its end, so events may be out of order by
+//! that much. Memory is bounded whatever the times of the events are: beyond [`WAITING_BYTES`] the oldest slices
+//! close early.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -15,29 +15,29 @@ use event_pictures::frame_picture::FrameSums;
 
 use super::input::Input;
 
-/// Memory of the events that wait for their slice to close.
+/// Largest memory of the events that wait for their slice to close.
 pub const WAITING_BYTES: usize = 64 << 20;
 
-/// Where slices lie: slice i is [from + i T, from + (i + 1) T).
+/// Grid of slices: slice i is [from + i T, from + (i + 1) T).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Grid {
-    /// Start of slice 0, in us; events before it are left out.
+    /// Start of slice 0, in us; earlier events are left out.
     pub from_us: u64,
-    /// Events at or after this time are left out.
+    /// End in us; events at or after this time are left out.
     pub to_us: Option<u64>,
-    /// T in us, 1 or more.
+    /// Duration T of a slice in us, at least 1.
     pub slice_us: u64,
 }
 
 impl Grid {
-    /// First time of a slice, in us.
+    /// Returns the start of a slice, in us.
     #[must_use]
     pub fn start_us(&self, index: u64) -> u64 {
         let offset = index.saturating_mul(self.slice_us);
         self.from_us.saturating_add(offset)
     }
 
-    /// The slice of a time; `None` outside of what is shown.
+    /// Returns the slice that holds a time; `None` outside of the range shown.
     #[must_use]
     pub fn index_of(&self, t_us: u64) -> Option<u64> {
         if self.to_us.is_some_and(|to_us| t_us >= to_us) {
@@ -50,15 +50,15 @@ impl Grid {
 /// A slice that has events.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Slice {
-    /// Its number on the grid.
+    /// Index on the grid.
     pub index: u64,
-    /// Its events.
+    /// Number of events.
     pub events: u64,
-    /// Their signed sum per pixel.
+    /// Signed sum of the polarities per pixel.
     pub sums: FrameSums,
 }
 
-/// Events of a slice that is open: themselves while they are few, their sums from then on.
+/// Contents of an open slice: its events while they are few, after that their sums.
 #[derive(Debug)]
 enum Open {
     Events(Vec<Event>),
@@ -74,15 +74,15 @@ pub struct Slices {
     batch: Vec<Event>,
     open: BTreeMap<u64, Open>,
     closed: VecDeque<(u64, Open)>,
-    /// Slices below this have closed.
+    /// Slices with a lower index have closed.
     first_open: u64,
-    /// Memory of `open`.
+    /// Memory of `open` in bytes.
     waiting_bytes: usize,
-    /// What `waiting_bytes` may become.
+    /// Largest value of `waiting_bytes`.
     bytes_max: usize,
     newest_us: u64,
     ended: bool,
-    /// What ended the stream, until it is told.
+    /// Error that ended the stream, until it is returned.
     failure: Option<Error>,
     events_read: u64,
     late: u64,
@@ -90,7 +90,7 @@ pub struct Slices {
 }
 
 impl Slices {
-    /// Reads `input` on `grid` until `stop` is set. Frames are of `sensor`'s size.
+    /// Reads `input` on `grid` until `stop` is set, and sums over frames of the size of `sensor`.
     #[must_use]
     pub fn new(input: Input, grid: Grid, sensor: Sensor, stop: Arc<AtomicBool>) -> Self {
         Self {
@@ -113,40 +113,40 @@ impl Slices {
         }
     }
 
-    /// Where its events come from.
+    /// Returns the input.
     #[must_use]
     pub const fn input(&self) -> &Input {
         &self.input
     }
 
-    /// Size of its frames.
+    /// Returns the size of the frames.
     #[must_use]
     pub const fn sensor(&self) -> Sensor {
         self.sensor
     }
 
-    /// Events read so far.
+    /// Returns the number of events read so far.
     #[must_use]
     pub const fn events_read(&self) -> u64 {
         self.events_read
     }
 
-    /// Events read so far whose slice had closed.
+    /// Returns the number of events read so far whose slice had closed already.
     #[must_use]
     pub const fn late(&self) -> u64 {
         self.late
     }
 
-    /// Events read so far that lie outside of the sensor.
+    /// Returns the number of events read so far that lie outside of the sensor.
     #[must_use]
     pub const fn outside(&self) -> u64 {
         self.outside
     }
 
-    /// The next slice with events, in order of time; `None` at the end.
+    /// Returns the next slice with events, in order of time; `None` at the end.
     ///
     /// # Errors
-    /// Damage of the input, once everything before it has been returned.
+    /// Fails if the input is damaged, after everything before the damage has been returned.
     pub fn next_slice(&mut self) -> Result<Option<Slice>> {
         while self.closed.is_empty() && !self.ended {
             self.read_batch();
@@ -183,7 +183,7 @@ impl Slices {
             self.take(event);
         }
         self.batch = batch;
-        // Nothing that comes now can be of a slice that is shown.
+        // From here on, no event can belong to a slice that is shown.
         let past = self
             .grid
             .to_us
@@ -192,7 +192,7 @@ impl Slices {
         self.ended |= self.stop.load(Ordering::Relaxed);
         if self.ended {
             self.close_below(u64::MAX);
-            // No index is this large but that of a slice of 1 us at the end of time.
+            // Only a slice of 1 us at the time `u64::MAX` has the index `u64::MAX`, which `close_below` leaves.
             self.closed.extend(std::mem::take(&mut self.open));
         }
     }
@@ -203,7 +203,7 @@ impl Slices {
             self.newest_us = event.t_us;
             let settled_us = event.t_us.saturating_sub(DISORDER_US);
             if settled_us >= self.grid.start_us(self.first_open.saturating_add(1)) {
-                // Past the end of what is shown every slice has closed.
+                // Past the end of the range shown, every slice closes.
                 let index = self.grid.index_of(settled_us).unwrap_or(u64::MAX);
                 self.close_below(index);
             }
@@ -224,7 +224,7 @@ impl Slices {
         let before = open.bytes(sums_bytes);
         open.add(event, self.sensor, sums_bytes);
         self.waiting_bytes = self.waiting_bytes - before + open.bytes(sums_bytes);
-        // The newest stays, so that a slice of any size gets somewhere.
+        // The newest slice stays open, so that even a slice larger than the limit makes progress.
         while self.waiting_bytes > self.bytes_max && self.open.len() > 1 {
             let Some(oldest) = self.open.first_key_value().map(|(index, _)| *index) else {
                 break;
@@ -233,7 +233,7 @@ impl Slices {
         }
     }
 
-    /// Closes the slices whose index is below `index`.
+    /// Closes the slices with an index below `index`.
     fn close_below(&mut self, index: u64) {
         if index <= self.first_open {
             return;

@@ -1,4 +1,4 @@
-//! Frames -> a terminal: two pixels a character, in the colours that it has, scaled down by summing.
+//! Shows frames in a terminal: two pixels per character, in the colours it supports, scaled down by summing.
 
 use std::fmt::Write as _;
 use std::io::Write;
@@ -16,11 +16,11 @@ use super::pace::{Pace, Turn};
 use super::palette::Palette;
 use super::picture::milliseconds;
 
-/// Upper half in the foreground's colour, lower half in the background's.
+/// Upper half in the foreground colour, lower half in the background colour.
 const HALVES: char = '\u{2580}';
 /// Columns between panels.
 const BETWEEN: usize = 2;
-/// A wish to stop is seen within this time.
+/// Longest time until a request to stop is noticed.
 const NAP: Duration = Duration::from_millis(20);
 
 const HIDE_CURSOR: &str = "\x1b[?25l";
@@ -31,20 +31,20 @@ const CLEAR_LINE: &str = "\x1b[K";
 const CLEAR_BELOW: &str = "\x1b[J";
 const PLAIN: &str = "\x1b[0m";
 
-/// Room for a frame, in characters.
+/// Space for a frame, in characters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Room {
-    /// Columns.
+    /// Number of columns.
     pub columns: usize,
-    /// Rows; as many as are needed where it is `None`.
+    /// Number of rows; unlimited if `None`.
     pub rows: Option<usize>,
 }
 
-/// The lines of a frame: captions where there is a second input, pixels, and a line in words. Each is
-/// `room.columns` wide or less.
+/// Formats a frame as lines of at most `room.columns` characters: captions if there is a second input, pixels, and
+/// one line of text.
 ///
-/// A pixel is the sum of as many of the sensor's as makes the frame fit, of s x s; the darkest colour
-/// then stands for `clip` s.
+/// Each pixel shown is the sum of s x s pixels of the sensor, with the smallest s that makes the frame fit; the
+/// darkest colour then stands for a |sum| of `clip` x s.
 #[must_use]
 pub fn lines(frame: &Frame, room: Room, look: Look) -> Vec<String> {
     let difference = frame
@@ -78,7 +78,7 @@ pub fn lines(frame: &Frame, room: Room, look: Look) -> Vec<String> {
     if count > 1 {
         let pitch = usize::from(width) + BETWEEN;
         let captions = panels.iter().map(|(caption, _)| {
-            // One character at the least stays free before the next caption.
+            // At least one column stays blank before the next caption.
             let letters: String = caption.chars().take(pitch - 1).collect();
             format!("{letters:<pitch$}")
         });
@@ -97,7 +97,7 @@ pub fn lines(frame: &Frame, room: Room, look: Look) -> Vec<String> {
                     continue;
                 }
                 let upper = style.colour(sums.sum(x, y));
-                // Below an odd number of rows there is nothing.
+                // Below an odd number of rows there is no lower pixel.
                 let lower = (y + 1 < height).then(|| style.colour(sums.sum(x, y + 1)));
                 line.pixels(upper, lower);
             }
@@ -121,7 +121,7 @@ fn cut(text: &str, columns: usize) -> String {
     text.chars().take(columns).collect()
 }
 
-/// Characters with their colours, which are told where they change.
+/// Characters of a line; the colours are written only where they change.
 #[derive(Debug)]
 struct Line {
     palette: Palette,
@@ -140,7 +140,7 @@ impl Line {
         }
     }
 
-    /// Two pixels, one below the other, by their sum alone.
+    /// Appends one character for the sum of two pixels, one below the other.
     fn character(&mut self, upper: i64, lower: i64, clip: u32) {
         let sum = upper + lower;
         let is_full = sum.unsigned_abs() >= u64::from(clip);
@@ -153,7 +153,7 @@ impl Line {
         });
     }
 
-    /// Back to the terminal's own colours.
+    /// Switches back to the terminal's own colours.
     fn plain(&mut self) {
         if self.palette != Palette::Characters {
             self.text += PLAIN;
@@ -187,22 +187,22 @@ impl Line {
     }
 }
 
-/// How frames are shown in a terminal.
+/// How frames look in a terminal.
 #[derive(Debug, Clone, Copy)]
 pub struct Look {
-    /// |sum| of the darkest colour where a pixel is one of the sensor's.
+    /// sum| of the darkest colour if frames are not scaled down.
     pub clip: u32,
-    /// Time of 0, in us of the recording.
+    /// Time that is shown as 0, in us of the recording.
     pub origin_us: u64,
-    /// The terminal's colours.
+    /// Colours of the terminal.
     pub palette: Palette,
 }
 
-/// A terminal in which each frame takes the place of the one before, at its time.
+/// A terminal in which each frame replaces the one before when it is due.
 pub struct Terminal<W: Write> {
     out: W,
     look: Look,
-    /// The room there is now: a terminal may change its size.
+    /// Returns the current size, since a terminal may be resized.
     room: Box<dyn FnMut() -> Room>,
     last_room: Option<Room>,
     pace: Pace,
@@ -210,7 +210,7 @@ pub struct Terminal<W: Write> {
 }
 
 impl<W: Write> Terminal<W> {
-    /// Shows `fps` frames a second; `room` is asked before each.
+    /// Shows `fps` frames per second; calls `room` before each.
     pub fn new(
         out: W,
         fps: u32,
@@ -228,7 +228,7 @@ impl<W: Write> Terminal<W> {
         }
     }
 
-    /// Waits, unless it is asked to stop.
+    /// Waits for `time`, or until `stop` is set.
     fn wait(&self, time: Duration) {
         let end = Instant::now() + time;
         while !self.stop.load(Ordering::Relaxed) {
@@ -262,7 +262,7 @@ impl<W: Write> Screen for Terminal<W> {
         }
         text += HOME;
         let lines = lines(frame, room, self.look);
-        // No line feed after the last: a full screen would move up.
+        // No line feed after the last line: it would scroll a full screen.
         text += &lines.join(&format!("{CLEAR_LINE}\n"));
         text += CLEAR_LINE;
         text += CLEAR_BELOW;
@@ -270,7 +270,7 @@ impl<W: Write> Screen for Terminal<W> {
     }
 
     fn finish(self: Box<Self>) -> Result<()> {
-        // Dropping it gives the terminal back.
+        // Dropping restores the terminal.
         Ok(())
     }
 }
@@ -278,13 +278,13 @@ impl<W: Write> Screen for Terminal<W> {
 impl<W: Write> Drop for Terminal<W> {
     fn drop(&mut self) {
         if self.last_room.is_some() {
-            // A terminal that is gone needs nothing back.
+            // If the terminal is gone, nothing needs to be restored.
             let _ = self.put(&format!("{PLAIN}{SHOW_CURSOR}\n"));
         }
     }
 }
 
-/// Frames one below the other, each as soon as it is there, for what is no terminal.
+/// Frames written one below the other, each at once, for an output that is not a terminal.
 #[derive(Debug)]
 pub struct Text<W: Write> {
     out: W,
@@ -293,7 +293,7 @@ pub struct Text<W: Write> {
 }
 
 impl<W: Write> Text<W> {
-    /// Lines of `columns` characters or less.
+    /// Writes lines of at most `columns` characters.
     pub const fn new(out: W, look: Look, columns: usize) -> Self {
         Self { out, look, columns }
     }
@@ -350,7 +350,7 @@ mod tests {
         }
     }
 
-    /// Characters that a terminal shows of a line.
+    /// Returns the characters that a terminal shows of a line.
     fn shown(line: &str) -> String {
         let mut parts = line.split('\x1b');
         let first = parts.next().unwrap().to_owned();
@@ -417,7 +417,7 @@ mod tests {
                 let lines = lines(&frame, room, LOOK);
                 let words = if two { 2 } else { 1 };
                 assert!(lines.len() <= rows.max(words + 1), "{width} {rows}");
-                // Three panels of a column each, and what is between them.
+                // Three panels of one column each, with the gaps between them.
                 let least = if two { 7 } else { 1 };
                 for line in &lines {
                     let count = shown(line).chars().count();
@@ -433,7 +433,7 @@ mod tests {
             columns: 2,
             rows: None,
         };
-        // In the left half +2 in all, in the right one none.
+        // The left half sums to +2, the right half to 0.
         let pixels = [(0, 0, true), (1, 1, true), (2, 0, true), (3, 1, false)];
         let look = Look {
             clip: 1,

@@ -1,4 +1,4 @@
-//! `eecvs-usb capture`: a device's stream to a file.
+//! `eecvs-usb capture`: records a device's stream to a file.
 
 use std::path::{Path, PathBuf};
 use std::sync::PoisonError;
@@ -25,9 +25,8 @@ use crate::stop::Stop;
 /// Record a device's stream
 #[derive(Debug, Args)]
 pub struct Capture {
-    /// File to write; its extension says what: .stream (the device's own bytes, with arrival times),
-    /// .eecvs (frames), or a format of recordings: .raw, .aedat4, .csv, ...; - is standard output, which gets
-    /// frames
+    /// File to write. The extension sets its content: .stream (the device's own bytes, with arrival times), .eecvs
+    /// (frames), or events in a recording format: .raw, .aedat4, .csv, ...; - is standard output, which gets frames
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
 
@@ -35,7 +34,7 @@ pub struct Capture {
     #[arg(long, conflicts_with = "set_up")]
     encode: bool,
 
-    /// Write over a file that is there
+    /// Overwrite an existing file
     #[arg(long)]
     overwrite: bool,
 
@@ -52,13 +51,13 @@ pub struct Capture {
     limits: LimitOptions,
 }
 
-/// What a capture was.
+/// Summary of a capture.
 #[derive(Debug, Serialize)]
 struct Summary {
     file: PathBuf,
     #[serde(flatten)]
     session: Report,
-    /// Runs of the clock in the file; nothing of a .stream.
+    /// Runs of the clock in the file; `None` for a .stream.
     #[serde(skip_serializing_if = "Option::is_none")]
     runs: Option<u64>,
     /// Events that came too late and are in no frame.
@@ -69,11 +68,11 @@ struct Summary {
 }
 
 impl Capture {
-    /// Captures until Ctrl-C, a limit, or the end of the device.
+    /// Captures until Ctrl-C, a limit, or the end of the device's stream.
     ///
     /// # Errors
-    /// A device that cannot be used, a link that fails, a file that cannot be written: what came before
-    /// is in `incomplete-FILE` beside it.
+    /// The device cannot be used, the link fails, or the file cannot be written. What arrived before is in
+    /// `incomplete-FILE` beside the file.
     pub fn run(self) -> Result<()> {
         let kind = record::kind_of(&self.output)?;
         ensure!(
@@ -124,7 +123,7 @@ impl Capture {
         unstopped.map_or(Ok(()), Err)
     }
 
-    /// Files that it reads.
+    /// Returns the files that the command reads.
     fn inputs(&self) -> Vec<&Path> {
         self.codec
             .files()
@@ -132,7 +131,7 @@ impl Capture {
             .collect()
     }
 
-    /// Records into a file that has its name when the stream ended as it should.
+    /// Records into a temporary file, which gets its own name if the stream ended as it should.
     fn keep(&self, kind: Kind, session: &Session, kept: &mut Kept) -> Result<()> {
         let output = Output::begin_live(&self.output, self.overwrite)?;
         let outcome = self.record(kind, session, output.path(), kept);
@@ -178,7 +177,7 @@ impl Summary {
     }
 }
 
-/// Shows on a terminal how far the capture is.
+/// Shows the progress of the capture on a terminal.
 fn show(session: &Session, over: &Stop) {
     let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stderr());
     let progress = session.progress();

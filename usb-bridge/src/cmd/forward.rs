@@ -1,4 +1,4 @@
-//! `eecvs-usb forward`: a device's stream to many consumers at once.
+//! `eecvs-usb forward`: sends a device's stream to many consumers at once.
 
 use std::path::Path;
 use std::time::Duration;
@@ -30,24 +30,24 @@ use crate::stop::Stop;
 /// Time that consumers get at the end to take what is queued.
 const GRACE: Duration = Duration::from_secs(3);
 
-/// Send a device's events on, as frames or as they are, to any number of consumers: one that is slow,
-/// stops reading or vanishes holds up neither the others nor the device, and what it lost is told
+/// Send a device's events, as frames or as raw packets, to any number of consumers: one that is slow, stops reading
+/// or vanishes holds up neither the others nor the device, and its losses are reported
 #[derive(Debug, Args)]
 pub struct Forward {
-    /// Where to: tcp://HOST:PORT, udp://HOST:PORT, unix:PATH, file:PATH, - for standard output; may be
-    /// given several times. Who is not there is looked for until the end
+    /// Destination: tcp://HOST:PORT, udp://HOST:PORT, unix:PATH, file:PATH, or - for standard output; may be given
+    /// several times. A consumer that cannot be reached is tried again until the end
     #[arg(long, value_name = "URL", required = true)]
     to: Vec<Address>,
 
-    /// Write over files that are there
+    /// Overwrite existing files
     #[arg(long)]
     overwrite: bool,
 
-    /// What is sent
+    /// What to send
     #[arg(long = "as", value_enum, default_value = "frames")]
     what: What,
 
-    /// Bytes that wait for each consumer, in MiB; beyond, the oldest are let go of and counted
+    /// Queue of each consumer, in MiB; when it is full, the oldest messages are dropped and counted
     #[arg(long, value_name = "MIB", default_value_t = 16,
           value_parser = clap::value_parser!(u16).range(1..=4096))]
     consumer_queue_mib: u16,
@@ -65,16 +65,16 @@ pub struct Forward {
     limits: LimitOptions,
 }
 
-/// What is sent.
+/// Form in which events are sent.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum What {
-    /// Frames of docs/wire-format.md
+    /// Frames as in docs/wire-format.md
     Frames,
-    /// The device's own words in packets that say what they are
+    /// The device's own words, in packets that name their encoding
     Raw,
 }
 
-/// What a forward was.
+/// Summary of a forward.
 #[derive(Debug, Serialize)]
 struct Summary {
     #[serde(flatten)]
@@ -91,11 +91,10 @@ struct Summary {
 }
 
 impl Forward {
-    /// Forwards until Ctrl-C, a limit, or the end of the device or of all consumers.
+    /// Forwards until Ctrl-C, a limit, or the end of the device's stream or of all consumers.
     ///
     /// # Errors
-    /// A device that cannot be used, a link that fails, a file that is not complete, a consumer that was never
-    /// there.
+    /// The device cannot be used, the link fails, a file is incomplete, or a consumer was never reached.
     pub fn run(self) -> Result<()> {
         self.check()?;
         let stop = Stop::on_signals()?;
@@ -125,7 +124,7 @@ impl Forward {
             What::Frames => self.frames(&session, &mut fan_out, &mut kept),
         };
         let Kept { order, encoding } = kept;
-        // What ended the consumers is said for each of them.
+        // The failure of each consumer is reported separately.
         let outcome = outcome.or_else(|error| match NobodyLeft::is_cause_of(&error) {
             true => Ok(()),
             false => Err(error),
@@ -150,7 +149,7 @@ impl Forward {
             encoding,
             consumers,
         };
-        // Standard output may be a consumer's: the summary would stand in its stream.
+        // If standard output is a consumer, a summary there would be part of its stream.
         let place = Place::unless_taken(
             self.to.iter().any(is_on_stdout) || self.device.place().is_on_stdout(),
         );
@@ -161,7 +160,7 @@ impl Forward {
         unstopped.map_or(Ok(()), Err)
     }
 
-    /// Refuses consumers before anything is done.
+    /// Refuses unusable consumers before any work is done.
     fn check(&self) -> Result<()> {
         let kind = match self.what {
             What::Frames => Kind::Frames,
@@ -207,7 +206,7 @@ impl Forward {
     }
 }
 
-/// The device's words in packets.
+/// Sends the device's words in packets.
 fn raw(session: &Session, fan_out: &mut FanOut) -> Result<()> {
     let encoding = format!("{}/{}", session.model.name(), session.info.stream);
     let mut packetiser = Packetiser::new(encoding, session.follower());
@@ -230,10 +229,10 @@ fn raw(session: &Session, fan_out: &mut FanOut) -> Result<()> {
     session.outcome()
 }
 
-/// A line about a consumer that did not get everything, and whether that fails the command: a consumer that is
-/// slow or goes is told, but one that was never there, and a file that lacks something, is not what was asked for.
+/// Returns a line about a consumer that did not get everything, and whether that fails the command. A consumer that
+/// is slow or leaves is only reported; one that was never reached, or an incomplete file, fails the command.
 fn trouble(consumer: &ConsumerReport, to: &Address) -> Option<(String, bool)> {
-    // Of datagrams, nobody knows before one is sent.
+    // Over UDP it is unknown whether anyone listens until a datagram was sent.
     let is_unknown = matches!(to, Address::Udp(_)) && consumer.lost.messages == 0;
     let is_absent = !consumer.reached && !is_unknown;
     let has_trouble = consumer.lost.messages > 0 || consumer.failure.is_some() || is_absent;

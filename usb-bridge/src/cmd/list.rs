@@ -1,4 +1,4 @@
-//! `eecvs-usb list`.
+//! `eecvs-usb list`: lists the known devices that are attached.
 
 use anyhow::Result;
 use eecvs_cli::output::{print, print_json};
@@ -7,10 +7,10 @@ use serde::Serialize;
 use crate::link::LinkError;
 use crate::link::usb::{Attached, Bus, Use, speed_name};
 
-/// Known cameras and MCUs that are attached
+/// List the known cameras and MCUs that are attached
 ///
-/// Without any: one line that says so, and exit status 0. A device that another program has is not
-/// disturbed: its firmware is not asked for.
+/// If there are none, prints one line that says so and exits with status 0. A device that another program uses is
+/// not disturbed: its firmware is not queried.
 #[derive(Debug, clap::Args)]
 pub struct List {
     /// Print an array of JSON objects with the keys id, model, name, vendor, product, release, serial,
@@ -19,7 +19,7 @@ pub struct List {
     json: bool,
 }
 
-/// One device as it is printed.
+/// One row of the list.
 #[derive(Debug, PartialEq, Eq, Serialize)]
 struct Row {
     id: String,
@@ -32,17 +32,17 @@ struct Row {
     speed: &'static str,
     r#use: &'static str,
     firmware: Option<String>,
-    /// Width and height in pixels.
+    /// Width and height, in pixels.
     sensor: Option<[u16; 2]>,
-    /// Why something is missing, or will not work.
+    /// Why information is missing, or why the device will not work.
     problem: Option<String>,
 }
 
 impl List {
-    /// Runs the command.
+    /// Lists the devices on stdout.
     ///
     /// # Errors
-    /// The system's USB cannot be used; stdout that cannot be written.
+    /// The system's USB cannot be used, or stdout cannot be written.
     pub fn run(self) -> Result<()> {
         let rows: Vec<_> = Bus::new()?.devices()?.iter().filter_map(row).collect();
         if self.json {
@@ -80,7 +80,7 @@ fn row(attached: &Attached) -> Option<Row> {
             row.sensor = Some([info.sensor.width, info.sensor.height]);
         }
         Ok(Err(error)) => row.problem = Some(format!("{error:#}")),
-        // The column says it.
+        // The USE column shows this already.
         Err(LinkError::Busy { .. }) => {}
         Err(error) => row.problem = Some(error.to_string()),
     }
@@ -93,7 +93,7 @@ fn row(attached: &Attached) -> Option<Row> {
     Some(row)
 }
 
-/// Columns under their names, and problems below.
+/// Formats the devices as an aligned table, with problems below it.
 fn table(rows: &[Row]) -> String {
     let dash = |text: &Option<String>| text.clone().unwrap_or_else(|| "-".to_owned());
     let mut lines =

@@ -1,4 +1,4 @@
-//! `eecvs-usb mcu`: a recording through an encoder on USB or at a serial port.
+//! `eecvs-usb mcu`: runs a recording through an encoder on USB or on a serial port.
 
 use anyhow::{Context, Result, ensure};
 use clap::Args;
@@ -16,9 +16,9 @@ use crate::stop::Stop;
 
 /// Encode a recording on an encoder's microcontroller and compare its frames with the host's
 ///
-/// Sets the encoder up, sends it the events over USB or a serial port, and checks that every frame
-/// has the bytes that this program's own encoder makes of the same events. Ends with status 1 if a
-/// frame differs or is missing, or an event is unaccounted for. `eecvs mcu` does the same in QEMU.
+/// Sets the encoder up, sends it the events over USB or a serial port, and checks that every frame is identical to
+/// the one that this program's own encoder makes of the same events. Exits with status 1 if a frame differs or is
+/// missing, or an event is unaccounted for. `eecvs mcu` does the same in QEMU.
 #[derive(Debug, Args)]
 pub struct Mcu {
     #[command(flatten)]
@@ -28,14 +28,14 @@ pub struct Mcu {
     job: JobOptions,
 }
 
-/// What it reports; the fields are its JSON keys, one for every row of the table.
+/// Report of a run; the fields are the JSON keys, one for every row of the table.
 #[derive(Debug, Serialize)]
 struct Report {
     device: String,
     firmware: String,
     #[serde(flatten)]
     account: Account,
-    /// Of the encoder's own clock.
+    /// Measured with the encoder's own clock.
     ns_per_event: f64,
     receive_ns_per_event: f64,
     encode_ns_per_event: f64,
@@ -60,11 +60,11 @@ impl Report {
 }
 
 impl Mcu {
-    /// Runs the recording and prints what came of it.
+    /// Runs the recording and prints the report.
     ///
     /// # Errors
-    /// A device that cannot be used, a recording that cannot be read or sent, an encoder that refuses
-    /// or stalls, frames that differ, events that are lost.
+    /// The device cannot be used, the recording cannot be read or sent, the encoder refuses or stalls, frames
+    /// differ, or events are lost.
     pub fn run(self) -> Result<()> {
         if let Some(Name::Replay(_) | Name::Simulated(..)) = self.place.name() {
             ensure!(
@@ -81,7 +81,7 @@ impl Mcu {
         let prepared = self.job.prepare()?;
         let only = Name::Usb(NAME.to_owned());
         let name = self.place.name().unwrap_or(&only);
-        // Ctrl-C ends the process: there is nothing to be finished.
+        // Ctrl-C may end the process at once: nothing needs to be finished.
         let source = self.place.open(Some(name), Pace::Max, &Stop::default())?;
         let encoder = Encoder::begin(source)?;
         let device = encoder.name();
@@ -96,7 +96,7 @@ impl Mcu {
     }
 }
 
-/// The report for people.
+/// Formats the report as a table.
 fn table(report: &Report, outcome: &Outcome) -> String {
     let mut lines = vec![
         ("device", report.device.clone()),

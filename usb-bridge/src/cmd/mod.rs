@@ -1,4 +1,4 @@
-//! Subcommands of `eecvs-usb`, one file each, their flags beside them.
+//! Subcommands of `eecvs-usb`, one file each, together with their flags.
 
 pub mod capture;
 pub mod forward;
@@ -11,10 +11,10 @@ pub mod simulate;
 use std::io::{Write, stderr};
 use std::path::Path;
 
-/// A line on stderr, under the name of the program that runs: `eecvs-usb`, or `eecvs-hub`.
+/// Prints a line on stderr, prefixed with the name of the running program: `eecvs-usb` or `eecvs-hub`.
 fn warn(text: &str) {
     let path = std::env::args_os().next().unwrap_or_default();
     let name = Path::new(&path).file_stem().unwrap_or_default();
-    // Nobody reads a stderr that is gone.
+    // A closed stderr has no reader; the failure is ignored.
     let _ = writeln!(stderr(), "{}: {text}", name.display());
 }

@@ -1,4 +1,4 @@
-//! Flags that several commands share, and what they print alike.
+//! Flags that several commands share, and the output that they have in common.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -19,12 +19,12 @@ use crate::session::{Limits, Report, Source};
 use crate::source;
 use crate::stop::Stop;
 
-/// Where a device is.
+/// Flags that select a device.
 #[derive(Debug, Clone, Args)]
 pub struct PlaceOptions {
-    /// Device: usb:BUS-PORT, a serial number or a model, as `list` shows them; serial:PATH for an MCU's
-    /// serial port; replay:FILE.stream; sim:MODEL:FILE for a simulated camera that plays a recording
-    /// [default: the only one that is attached]
+    /// Device: usb:BUS-PORT, a serial number or a model, as `list` shows them; serial:PATH for an MCU on a serial
+    /// port; replay:FILE.stream; sim:MODEL:FILE for a simulated camera that plays a recording [default: the only
+    /// one that is attached]
     #[arg(long, value_name = "ID")]
     device: Option<source::Name>,
 
@@ -32,35 +32,35 @@ pub struct PlaceOptions {
     #[arg(long)]
     wait: bool,
 
-    /// Take a transfer on USB that nothing has ended back after this time, as far as it was filled, in
-    /// milliseconds; 0: never [default: the model's, 100; 0 at QEMU's xHCI, which loses bytes by it]
+    /// Hand over a USB transfer that is not complete after this time, as far as it is filled, in milliseconds; 0:
+    /// never [default: the model's, 100; 0 on QEMU's xHCI, which would lose bytes]
     #[arg(long, value_name = "MS")]
     hand_over_ms: Option<u16>,
 
-    /// Also write every transfer to a file that Wireshark opens
+    /// Also write every transfer to a file that Wireshark can open
     #[arg(long, value_name = "FILE.pcapng")]
     trace: Option<PathBuf>,
 }
 
 impl PlaceOptions {
-    /// Its name, where one is given.
+    /// Returns the name of the device, if one is given.
     #[must_use]
     pub const fn name(&self) -> Option<&source::Name> {
         self.device.as_ref()
     }
 
-    /// Files that it reads or, of a trace, writes.
+    /// Returns the file that is played and the trace file, if they are given.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
         self.file().into_iter().chain(self.trace.as_deref())
     }
 
-    /// Whether the trace goes to stdout.
+    /// Returns whether the trace goes to stdout.
     #[must_use]
     pub fn is_on_stdout(&self) -> bool {
         self.trace.as_deref().is_some_and(output::is_stdout)
     }
 
-    /// The file that is played.
+    /// Returns the file that is played, if any.
     fn file(&self) -> Option<&Path> {
         match &self.device {
             Some(source::Name::Replay(path) | source::Name::Simulated(_, path)) => Some(path),
@@ -68,10 +68,10 @@ impl PlaceOptions {
         }
     }
 
-    /// Refuses a trace before anything is done that is an input, an output or a file that is there.
+    /// Refuses, before any work is done, a trace file that is also an input or an output, or that exists already.
     ///
     /// # Errors
-    /// The message names it.
+    /// The trace file is unusable; the message names it.
     pub fn check_trace(&self, overwrite: bool, outputs: &[&Path], inputs: &[&Path]) -> Result<()> {
         let Some(trace) = &self.trace else {
             return Ok(());
@@ -89,10 +89,10 @@ impl PlaceOptions {
         Ok(())
     }
 
-    /// Opens the device `name`, and asks it what it is.
+    /// Opens the device `name` and identifies it.
     ///
     /// # Errors
-    /// There is none, or it cannot be used: the message says what to do.
+    /// No device matches, or it cannot be used; the message says what to do.
     pub fn open(&self, name: Option<&source::Name>, rate: Pace, stop: &Stop) -> Result<Source> {
         let options = source::Options {
             wait: self.wait,
@@ -104,28 +104,28 @@ impl PlaceOptions {
     }
 }
 
-/// Which device's stream.
+/// Flags that select a device and set up its stream.
 #[derive(Debug, Clone, Args)]
 pub struct DeviceOptions {
     #[command(flatten)]
     place: PlaceOptions,
 
-    /// Pace of sim: and replay:, when events are due: real (as recorded), max (as fast as they are
-    /// taken), N per second, or Fx (F times as fast as recorded)
+    /// Pace of sim: and replay: devices: real (as recorded), max (as fast as events are taken), N per second, or Fx
+    /// (F times as fast as recorded)
     #[arg(long, value_name = "real|max|N|Fx", default_value = "real")]
     rate: Pace,
 
-    /// Set the encoder (device eecvs), whose sensor has this size, up first, with the options below; its
-    /// frames are then kept as they are. Without it, an encoder is left as it runs
+    /// First set up the encoder (device eecvs), whose sensor has this size, with the options below, and keep its
+    /// frames unchanged. Without this flag, an encoder is left as it runs
     #[arg(long, value_name = "WxH", value_parser = size)]
     set_up: Option<Sensor>,
 }
 
 impl DeviceOptions {
-    /// Opens it, asks it what it is, and sets it up as `codec` says where that is asked for.
+    /// Opens the device, identifies it, and sets it up according to `codec` if that was requested.
     ///
     /// # Errors
-    /// There is none, or it cannot be used, or refuses the setup: the message says what to do.
+    /// No device matches, it cannot be used, or it refuses the setup; the message says what to do.
     pub fn open(&self, codec: &CodecOptions, stop: &Stop) -> Result<Source> {
         let wish = match self.set_up {
             Some(sensor) => {
@@ -141,20 +141,21 @@ impl DeviceOptions {
         }
     }
 
-    /// Where it is.
+    /// Returns the flags that select the device.
     #[must_use]
     pub const fn place(&self) -> &PlaceOptions {
         &self.place
     }
 
-    /// Whether the device itself encodes as it is told: its frames are kept as they are.
+    /// Returns whether the device is set up to encode by itself, so that its frames are kept unchanged.
     #[must_use]
     pub const fn sets_up(&self) -> bool {
         self.set_up.is_some()
     }
 }
 
-/// Whether two names are one file, or would be: of files that are not there, one name in one folder.
+/// Returns whether two paths name the same file. Paths of files that do not exist are the same if they have the
+/// same name in the same folder.
 #[must_use]
 pub fn is_one_place(a: &Path, b: &Path) -> bool {
     let place = |path: &Path| {
@@ -168,7 +169,7 @@ pub fn is_one_place(a: &Path, b: &Path) -> bool {
     a == b || output::is_same(a, b) || (places.0.is_some() && places.0 == places.1)
 }
 
-/// A sensor's size: `346x260`.
+/// Parses the size of a sensor, such as `346x260`.
 fn size(text: &str) -> Result<Sensor, String> {
     let sides = text.split_once('x');
     sides
@@ -181,19 +182,18 @@ fn size(text: &str) -> Result<Sensor, String> {
         })
 }
 
-/// How long a stream is taken, and what waits.
+/// Flags that limit a stream and its queue.
 #[derive(Debug, Clone, Copy, Args)]
 pub struct StreamOptions {
     /// End after this many seconds
     #[arg(long, value_name = "S", value_parser = seconds)]
     duration_s: Option<Duration>,
 
-    /// End after this many events, and those that came with the last of them
+    /// End after this many events and those that arrive with the last of them
     #[arg(long, value_name = "N")]
     events: Option<u64>,
 
-    /// Bytes that wait between the link and what is done with them, in MiB; beyond, they are let go of
-    /// and counted
+    /// Queue between the link and the processing, in MiB; when it is full, what arrives is dropped and counted
     #[arg(long, value_name = "MIB", default_value_t = 64,
           value_parser = clap::value_parser!(u16).range(1..=4096))]
     queue_mib: u16,
@@ -209,7 +209,7 @@ fn seconds(text: &str) -> Result<Duration, String> {
 }
 
 impl StreamOptions {
-    /// When the stream ends.
+    /// Returns the limits at which the stream ends.
     #[must_use]
     pub const fn limits(&self) -> Limits {
         Limits {
@@ -218,14 +218,14 @@ impl StreamOptions {
         }
     }
 
-    /// Bytes of the queue behind the link.
+    /// Returns the size of the queue after the link, in bytes.
     #[must_use]
     pub const fn queue_bytes(&self) -> usize {
         (self.queue_mib as usize) << 20
     }
 }
 
-/// A line on stderr where something was lost.
+/// Prints a line on stderr if something was lost.
 pub fn warn_of_losses(report: &Report) {
     if report.losses.is_empty() {
         return;
@@ -238,14 +238,14 @@ pub fn warn_of_losses(report: &Report) {
     warn(&format!("{}: lost: {}", report.device, losses.join("; ")));
 }
 
-/// Says on stderr how often a device's clock began anew.
+/// Prints a line on stderr if the device's clock restarted.
 pub fn warn_of_runs(device: &str, order: &Order) {
     if let Some(line) = runs(order) {
         warn(&format!("{device}: {line}"));
     }
 }
 
-/// What there is to say of a clock that began anew.
+/// Returns the line about a clock that restarted; `None` if it did not.
 fn runs(order: &Order) -> Option<String> {
     (order.runs > 1).then(|| {
         format!(
@@ -257,16 +257,16 @@ fn runs(order: &Order) -> Option<String> {
     })
 }
 
-/// An error where events came too late; a warning where that is allowed.
+/// Fails if events came too late; only warns if `options` allow late events.
 ///
 /// # Errors
-/// Events that are in no frame.
+/// Events are in no frame.
 pub fn refuse_late(device: &str, order: &Order, options: OrderOptions) -> Result<()> {
     let late = (order.events_late, order.events);
     options.refuse_late(device, late, "a longer --reorder-us", warn)
 }
 
-/// The order of what was written, for people.
+/// Formats the counts of runs and late events as rows of a table.
 #[must_use]
 pub fn order_rows(order: &Order) -> String {
     rows([
@@ -276,7 +276,7 @@ pub fn order_rows(order: &Order) -> String {
 }
 
 impl Report {
-    /// For people.
+    /// Formats the report as a table.
     #[must_use]
     pub fn table(&self) -> String {
         let clock = match (self.drift_ppm, self.clock_residual_us) {

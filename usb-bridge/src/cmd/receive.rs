@@ -1,4 +1,4 @@
-//! `eecvs-usb receive`: what `forward` sends, to a file.
+//! `eecvs-usb receive`: writes what `forward` sends to a file.
 
 use std::path::PathBuf;
 
@@ -22,16 +22,16 @@ pub struct Receive {
     #[arg(value_name = "URL")]
     from: Address,
 
-    /// File to write: .eecvs keeps frames as they are; a format of recordings gets their events; - is
-    /// standard output, which gets frames
+    /// File to write: .eecvs keeps frames unchanged; a recording format gets their events; - is standard output,
+    /// which gets frames
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
 
-    /// Write over a file that is there
+    /// Overwrite an existing file
     #[arg(long)]
     overwrite: bool,
 
-    /// End when the first sender has gone; one that sent nothing, or no message, is none
+    /// End when the first sender has disconnected; one that sent no whole message does not count
     #[arg(long)]
     once: bool,
 
@@ -43,8 +43,8 @@ impl Receive {
     /// Receives until Ctrl-C, a limit, or the end of the sender.
     ///
     /// # Errors
-    /// An address that cannot be waited at, a file that cannot be written; something that was sent and did not
-    /// come, though the file then is complete as received.
+    /// The address cannot be listened at, the file cannot be written, or something that was sent did not arrive. In
+    /// the last case the file is still complete as received.
     pub fn run(self) -> Result<()> {
         let kind = record::kind_of(&self.output)?;
         kind.check(&self.output, self.overwrite, &[])?;
@@ -57,7 +57,7 @@ impl Receive {
         let output = Output::begin_live(&self.output, self.overwrite)?;
         let (received, outcome) = receive::receive(&mut link, output.path(), kind, limits, &stop);
         let outcome = if outcome.is_ok() && kind == Kind::Events && received.events == 0 {
-            // A recording is created with its first event, whose sensor it has.
+            // A recording is created with the first event, which determines its sensor.
             let _ = output.leave();
             Ok(())
         } else {

@@ -1,4 +1,4 @@
-//! `eecvs-usb simulate`: a camera that sends a recording.
+//! `eecvs-usb simulate`: a simulated camera that sends a recording.
 
 use std::net::TcpListener;
 use std::path::PathBuf;
@@ -20,46 +20,45 @@ use crate::peripheral::socket::Report;
 use crate::peripheral::stream::{Pace, Recording, Sent};
 use crate::stop::Stop;
 
-/// Bytes that are taken from the stream at once, where nobody is connected to it.
+/// Bytes taken from the stream at once when no host is connected.
 const ROOM: usize = 1 << 16;
 
 /// Simulate a camera that sends a recording
 ///
-/// With --usbredir or --usbip, a virtual machine or a kernel gets the camera, and each that connects
-/// gets the recording from its beginning, until Ctrl-C. Without them: what the camera would send.
+/// With --usbredir or --usbip, the camera is offered to a virtual machine or a kernel, and each host that connects
+/// gets the recording from its beginning, until Ctrl-C. Without them, reports what the camera would send.
 #[derive(Debug, Args)]
 pub struct Simulate {
-    /// Which camera
+    /// Model of the camera
     #[arg(value_parser = model)]
     model: &'static str,
 
     /// Recording to send
     file: PathBuf,
 
-    /// When events are due: real (as recorded), max (as the host takes them), N per second, or Fx
-    /// (F times as fast as recorded)
+    /// Pace: real (as recorded), max (as fast as the host takes events), N events per second, or Fx (F times as
+    /// fast as recorded)
     #[arg(long, value_name = "real|max|N|Fx", default_value = "real")]
     rate: Pace,
 
-    /// Begin anew at the end
+    /// Start again at the end of the recording
     #[arg(long = "loop")]
     repeat: bool,
 
-    /// Device's time of the first event in microseconds [default: the recording's, or 0 where that is
-    /// 2^32 and more]
+    /// Device time of the first event, in microseconds [default: the recording's, or 0 if that is 2^32 or more]
     #[arg(long, value_name = "T")]
     start_us: Option<u64>,
 
-    /// Offer the camera to QEMU's device usb-redir, at this Unix socket
+    /// Offer the camera to QEMU's usb-redir device, at this Unix socket
     #[cfg(unix)]
     #[arg(long, value_name = "SOCK", conflicts_with = "usbip")]
     usbredir: Option<PathBuf>,
 
-    /// Offer the camera over USB/IP, at this address and port (port 3240 is what hosts try)
+    /// Offer the camera over USB/IP, at this address and port (hosts try port 3240)
     #[arg(long, value_name = "ADDR")]
     usbip: Option<String>,
 
-    /// End when the first host has left
+    /// End when the first host has disconnected
     #[arg(long)]
     once: bool,
 
@@ -71,7 +70,7 @@ pub struct Simulate {
     json: bool,
 }
 
-/// What was sent.
+/// Summary of what was sent.
 #[derive(Debug, Serialize)]
 struct Summary {
     model: &'static str,
@@ -90,10 +89,10 @@ struct Summary {
 }
 
 impl Simulate {
-    /// Runs the command.
+    /// Runs the simulation until its end or Ctrl-C.
     ///
     /// # Errors
-    /// A recording that cannot be read, or does not fit the model; an address that cannot be had.
+    /// The recording cannot be read or does not fit the model, or the address cannot be used.
     pub fn run(self) -> Result<()> {
         let model = find(self.model).context("no such model")?;
         let sensor = event_files::open(&self.file, self.reading.reading())?.sensor();
@@ -121,7 +120,7 @@ impl Simulate {
         source.print(&sent)
     }
 
-    /// Takes the stream, as a camera without a host would.
+    /// Takes the stream without a host, as fast as it becomes due.
     fn drain(&self, source: &Source<'_>, stop: &Stop) -> Result<Arc<Sent>> {
         let mut recording = source.recording()?;
         let sent = recording.sent();
@@ -141,12 +140,12 @@ impl Simulate {
     }
 }
 
-/// The recording and the model that are simulated.
+/// The model and the recording that are simulated.
 struct Source<'s> {
     command: &'s Simulate,
     model: &'static dyn Model,
     sensor: Sensor,
-    /// Of the latest device that was made.
+    /// Counts of the device made last.
     sent: Mutex<Arc<Sent>>,
 }
 
@@ -182,7 +181,7 @@ impl Source<'_> {
     }
 
     fn serve(&self, stop: &Stop, serve: impl FnOnce(&mut Service<'_>) -> Result<()>) -> Result<()> {
-        // What does not fit the model is said before any host comes.
+        // Reports a recording that does not fit the model before any host connects.
         drop(self.device()?);
         let mut failed = None;
         serve(&mut Service {
@@ -211,7 +210,7 @@ impl Source<'_> {
     }
 
     fn print(&self, sent: &Sent) -> Result<()> {
-        // Of a stream that came at once, no rate is known.
+        // The rate of a stream that came all at once is unknown.
         let seconds = sent.elapsed().as_secs_f64();
         let per_second = |count: u64| {
             if seconds > 0.0 {
@@ -258,7 +257,7 @@ impl Source<'_> {
     }
 }
 
-/// What was carried to a host that has left, in a line.
+/// Formats the traffic of a host that has disconnected as one line.
 fn line(report: &Report) -> String {
     let Report {
         traffic,
@@ -292,7 +291,7 @@ fn line(report: &Report) -> String {
     line
 }
 
-/// A model's name.
+/// Parses the name of a model.
 fn model(name: &str) -> Result<&'static str, String> {
     let names = || MODELS.iter().map(|model| model.name());
     names().find(|known| *known == name).ok_or_else(|| {

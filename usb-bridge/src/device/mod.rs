@@ -1,8 +1,8 @@
-//! Models of devices: identity, start and stop, the stream's parser and its inverse.
+//! Device models: identification, start and stop, the parser of the stream and its inverse.
 //!
-//! A folder per model. `mod.rs` has the [`Model`]: how it is recognised, configured, started and
-//! stopped; `parse.rs` turns its stream into events; `write.rs` turns events into its stream;
-//! `camera.rs` is the [`Peripheral`] that answers a host as the device would.
+//! Each model has a folder. `mod.rs` has the [`Model`]: how the device is recognised, configured, started and
+//! stopped. `parse.rs` turns its stream into events, `write.rs` turns events into its stream, and `camera.rs` is
+//! the [`Peripheral`] that answers a host as the device would.
 
 pub mod davis;
 pub mod dvs128;
@@ -21,7 +21,7 @@ use event_files::Skipped;
 use crate::link::control::Control;
 use crate::peripheral::Peripheral;
 
-/// Every model that is known; [`find`] looks here.
+/// All known models; [`find`] and [`recognise`] search here.
 pub static MODELS: &[&dyn Model] = &[
     &dvs128::Dvs128,
     &davis::DAVIS240,
@@ -36,69 +36,69 @@ pub static MODELS: &[&dyn Model] = &[
     &mcu::MCU,
 ];
 
-/// A USB vendor and product.
+/// Vendor and product ID of a USB device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Identity {
-    /// USB vendor.
+    /// USB vendor ID.
     pub vendor: u16,
-    /// USB product.
+    /// USB product ID.
     pub product: u16,
-    /// Major number of `bcdDevice` that tells variants of one product apart, where it does.
+    /// Major number of `bcdDevice`, if it distinguishes variants of one product.
     pub major: Option<u8>,
 }
 
 /// How a device's stream is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Transfers {
-    /// Bulk endpoint, with the direction's bit.
+    /// Bulk endpoint, with the direction bit.
     pub endpoint: u8,
-    /// Interface that has it.
+    /// Number of the interface with this endpoint.
     pub interface: u8,
-    /// Transfers in flight.
+    /// Number of transfers in flight.
     pub count: usize,
-    /// Bytes of each: a multiple of the endpoint's packets, or a full packet would not fit.
+    /// Bytes per transfer: a multiple of the endpoint's packet size, or a full packet might not fit.
     pub bytes: usize,
-    /// After this time a transfer is handed over as far as it was filled.
+    /// Time after which a transfer is handed over as far as it is filled.
     pub timeout: Duration,
 }
 
-/// What an opened device says of itself.
+/// Identity that an opened device reports.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Info {
     /// Name for people: `DAVIS346`.
     pub name: String,
-    /// Serial number, where it has one.
+    /// Serial number, if the device has one.
     pub serial: Option<String>,
-    /// Version of firmware and logic, as the device gives it.
+    /// Versions of firmware and logic, as the device reports them.
     pub firmware: String,
     /// Size of the sensor.
     pub sensor: Sensor,
-    /// Which stream it will send, where the model has several: `evt3`.
+    /// Which stream the device will send, if the model has several: `evt3`.
     pub stream: &'static str,
 }
 
 /// A kind of device.
 pub trait Model: Sync {
-    /// Name on the command line: `davis346`.
+    /// Returns the name used on the command line: `davis346`.
     fn name(&self) -> &'static str;
 
-    /// Identities that it has on the bus.
+    /// Returns the USB IDs of the model; empty if it can only be simulated.
     fn identities(&self) -> &'static [Identity];
 
-    /// How its stream is read.
+    /// Returns how the stream is read.
     fn transfers(&self) -> Transfers;
 
-    /// Whether its stream wants SuperSpeed (5 Gbit/s).
+    /// Returns whether the stream needs SuperSpeed (5 Gbit/s).
     fn needs_super_speed(&self) -> bool {
         false
     }
 
-    /// Names of the streams that it may send, [`Info::stream`], the usual one first; with the
-    /// model's name and a `/` at most 32 bytes, as packets carry them.
+    /// Returns the names of the streams that the model may send (see [`Info::stream`]), the usual one first. The
+    /// model's name, a `/` and a stream's name together have at most 32 bytes, the size of their field in packets.
     fn streams(&self) -> &'static [&'static str];
 
-    /// What a device of this model with such a sensor would say of itself, for streams that come
-    /// without it, in files and packets; `None` where it has no stream of that name.
+    /// Returns what a device of this model with such a sensor would report, for streams in files and packets, which
+    /// come without it. `None` if the model has no stream of that name.
     fn describe(&self, sensor: Sensor, stream: &str) -> Option<Info> {
         let named = |name: &&&str| **name == stream;
         let stream = self.streams().iter().find(named)?;
@@ -111,94 +111,96 @@ pub trait Model: Sync {
         })
     }
 
-    /// Asks a device what it is, and leaves it silent.
+    /// Identifies a device and leaves it silent.
     ///
     /// # Errors
-    /// The device does not answer, or not as this model does.
+    /// The device does not answer, or not like this model.
     fn identify(&self, control: &mut dyn Control) -> Result<Info>;
 
-    /// Lets the events come: transfers are in flight already.
+    /// Starts the stream; transfers are in flight already.
     ///
     /// # Errors
     /// The device refuses a step; the message names it.
     fn start(&self, info: &Info, control: &mut dyn Control) -> Result<()>;
 
-    /// Ends the stream; what was sent before still comes.
+    /// Stops the stream; what was sent before still arrives.
     ///
     /// # Errors
     /// As for [`Model::start`].
     fn stop(&self, info: &Info, control: &mut dyn Control) -> Result<()>;
 
-    /// Parser of its stream, at its beginning.
+    /// Returns a parser of the stream from its beginning.
     fn parser(&self, info: &Info) -> Box<dyn Parse>;
 
-    /// Writer of its stream; `None` where the device has no sensor of this size.
+    /// Returns a writer of the stream; `None` if the device has no sensor of this size.
     fn writer(&self, sensor: Sensor) -> Option<Box<dyn WriteStream>>;
 
-    /// The device itself, simulated: it answers control requests as the real one does, and sends
-    /// `stream` from its endpoint while it is started. `None` as for [`Model::writer`].
+    /// Returns a simulated device, which answers control requests like the real one and sends `stream` from its
+    /// endpoint while it is started. `None` as for [`Model::writer`].
     fn camera(&self, sensor: Sensor, stream: Box<dyn Stream>) -> Option<Box<dyn Peripheral>>;
 }
 
 /// The bytes that a simulated device sends, as they become due.
 pub trait Stream: Send {
-    /// Appends at most `room` bytes that are due now; none where nothing is.
+    /// Appends at most `room` bytes that are due now, possibly none.
     ///
     /// # Errors
-    /// The recording behind it cannot be read.
+    /// The recording cannot be read.
     fn take(&mut self, room: usize, bytes: &mut Vec<u8>) -> Result<Due>;
 }
 
-/// Whether a [`Stream`] goes on.
+/// Whether a [`Stream`] continues.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Due {
-    /// More will come; ask again.
+    /// More bytes will come; ask again.
     More,
     /// That was the last byte.
     Ended,
 }
 
-/// Events that a byte of a stream can hold at the most: a vector of 16 in a word of 16 bits.
+/// Most events that a byte of a stream can hold: a vector of 16 events in a 16-bit word.
 pub const EVENTS_PER_BYTE_MAX: usize = 8;
 
-/// Bytes of a device's stream in, events out.
+/// Parses the bytes of a device's stream into events.
 ///
-/// No input makes a parser panic, and nothing is allocated but for `events`, which gets at most
-/// [`EVENTS_PER_BYTE_MAX`] for every byte; of a stream of frames, at most a window for each.
+/// No input makes a parser panic. Only `events` is allocated: it grows by at most [`EVENTS_PER_BYTE_MAX`] per byte
+/// or, for a stream of frames, by at most a window of events per frame.
 pub trait Parse: Send {
-    /// Size of the sensor: every event is inside.
+    /// Returns the size of the sensor; every event is inside it.
     fn sensor(&self) -> Sensor;
 
-    /// Takes the next bytes of the stream, cut anywhere, and appends their events. Bytes of an
-    /// incomplete word are kept for the next call.
+    /// Parses the next bytes of the stream, cut anywhere, and appends their events. Bytes of an incomplete word are
+    /// kept for the next call.
     fn parse(&mut self, bytes: &[u8], events: &mut Vec<Event>);
 
-    /// The bytes that follow do not go on from those before: some were lost, or a transfer came
-    /// damaged. What is known of the row, the column and an incomplete word is forgotten, and events
-    /// come again from the next word of time on. `now_us` is the device's time by the host's clock,
-    /// where the two are related: times that wrap are carried on to the nearest one.
+    /// Informs the parser that the next bytes do not continue the previous ones: some were lost, or a transfer was
+    /// damaged. The parser forgets the row, the column and an incomplete word, and decodes events again from the
+    /// next time word on. `now_us` is the device's time according to the host's clock, if the two are related:
+    /// times that wrap continue at the nearest time to it.
     fn resume(&mut self, now_us: Option<u64>);
 
-    /// Time of the stream so far, in the device's microseconds, wraps carried; `None` before the first.
+    /// Returns the latest time in the stream, in the device's microseconds with wraps included; `None` before the
+    /// first.
     fn time_us(&self) -> Option<u64>;
 
-    /// Events so far.
+    /// Returns the number of events so far.
     fn events(&self) -> u64;
 
-    /// Words that are no events, by name: wraps, resets, triggers, padding, samples of other sensors.
+    /// Returns the counts of words that are not events, by name: wraps, resets, triggers, padding, samples of other
+    /// sensors.
     fn words(&self) -> Skipped;
 
-    /// What was lost or left out, by cause: events without a time, outside of the sensor, words that
+    /// Returns what was lost or left out, by cause: events without a time, events outside the sensor, words that
     /// the device cannot have sent, bytes of an incomplete word.
     fn losses(&self) -> Skipped;
 }
 
-/// Events in, bytes of a device's stream out: the inverse of [`Parse`].
+/// Writes events as bytes of a device's stream: the inverse of [`Parse`].
 pub trait WriteStream: Send {
-    /// Appends the words of `events`, whose times are in the device's order.
+    /// Appends the words of `events`, whose times must be in the device's order.
     ///
     /// # Errors
-    /// An event that the device's stream cannot hold; the message names its number and field.
+    /// The device's stream cannot hold an event; the message names the event's number and field.
     fn write(&mut self, events: &[Event], bytes: &mut Vec<u8>) -> Result<()>;
 
     /// Appends what the device sends when it stops.
@@ -208,13 +210,13 @@ pub trait WriteStream: Send {
     fn finish(&mut self, bytes: &mut Vec<u8>) -> Result<()>;
 }
 
-/// The model with this name.
+/// Returns the model with this name, if there is one.
 #[must_use]
 pub fn find(name: &str) -> Option<&'static dyn Model> {
     MODELS.iter().copied().find(|model| model.name() == name)
 }
 
-/// The model of a device on the bus; `release` is its `bcdDevice`.
+/// Returns the model of a device on the bus, if it is known; `release` is its `bcdDevice`.
 #[must_use]
 pub fn recognise(vendor: u16, product: u16, release: u16) -> Option<&'static dyn Model> {
     let is_it = |identity: &Identity| {
@@ -229,7 +231,7 @@ pub fn recognise(vendor: u16, product: u16, release: u16) -> Option<&'static dyn
             .iter()
             .any(|identity| is_it(identity) && identity.major.is_some() == exact)
     };
-    // A variant that names its release comes before the one that does not.
+    // An identity with a release number takes precedence over one without.
     let of = |exact| MODELS.iter().copied().find(|model| has(model, exact));
     of(true).or_else(|| of(false))
 }

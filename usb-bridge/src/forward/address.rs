@@ -1,20 +1,20 @@
-//! Where a stream goes to, or comes from: `tcp://HOST:PORT`, `udp://HOST:PORT`, `unix:PATH`,
-//! `file:PATH`, `-`.
+//! Addresses that a stream goes to or comes from: `tcp://HOST:PORT`, `udp://HOST:PORT`, `unix:PATH`, `file:PATH`,
+//! `-`.
 
 use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-/// A place for a stream.
+/// Source or destination of a stream.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub enum Address {
-    /// A TCP connection to a host and a port.
+    /// A TCP connection: host and port.
     Tcp(String),
-    /// Datagrams to a host and a port.
+    /// UDP datagrams: host and port.
     Udp(String),
-    /// A socket of the file system.
+    /// A Unix domain socket in the file system.
     Unix(PathBuf),
-    /// A file, which is written anew.
+    /// A file, which is created or replaced.
     File(PathBuf),
     /// Standard output.
     Stdout,

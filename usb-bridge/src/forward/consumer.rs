@@ -1,4 +1,4 @@
-//! A consumer: a queue of its own, and a thread that empties it.
+//! A consumer of messages, with its own queue and a thread that empties it.
 
 use std::io::{self, ErrorKind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -14,31 +14,31 @@ use super::address::Address;
 use super::sink::Sink;
 use crate::queue::{Queue, Taken, Weigh};
 
-/// Wait before a lost way is tried again, first and at the most.
+/// Wait before a lost connection is tried again: at first, and at most.
 const RETRY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(5));
-/// What a message takes in a queue besides its bytes.
+/// Overhead of a message in a queue, in bytes.
 const MESSAGE_BYTES: usize = 64;
 
-/// A frame or a packet, which all consumers share.
+/// A frame or a packet, shared by all consumers.
 #[derive(Debug, Clone)]
 pub struct Message {
     /// Its bytes.
     pub bytes: Arc<Vec<u8>>,
-    /// Its events.
+    /// Number of events in it.
     pub events: u64,
 }
 
 impl Weigh for Message {
-    /// As if the queue were the only one that has it: so no number of consumers makes more of it.
+    /// Counts the message in full, as if it were not shared: the limit then holds for any number of consumers.
     fn weight(&self) -> usize {
         self.bytes.len() + MESSAGE_BYTES
     }
 }
 
-/// Messages, and what was in them.
+/// A number of messages and their content.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct Amount {
-    /// Messages.
+    /// Number of messages.
     pub messages: u64,
     /// Their bytes.
     pub bytes: u64,
@@ -70,24 +70,24 @@ impl Counter {
     }
 }
 
-/// What became of a consumer's messages.
+/// What happened to a consumer's messages.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Report {
-    /// Address.
+    /// Address of the consumer.
     pub to: String,
-    /// What it was sent.
+    /// What was sent to it.
     pub sent: Amount,
-    /// What it was not: its queue was full, it was away, or it took nothing until the end.
+    /// What was not sent: its queue was full, it was away, or it accepted nothing until the end.
     pub lost: Amount,
-    /// Whether it was ever there.
+    /// Whether it was ever reached.
     pub reached: bool,
-    /// Times that it was away and came back.
+    /// Number of times that it was away and came back.
     pub reconnects: u64,
     /// Most bytes that were ever in its queue.
     pub queue_peak_bytes: usize,
     /// Why it gets nothing any more, or got nothing at the end.
     pub failure: Option<String>,
-    /// Whether it is a pipe whose reader has seen enough.
+    /// Whether it is a pipe that its reader has closed.
     #[serde(skip)]
     pub is_closed: bool,
 }
@@ -99,29 +99,29 @@ struct Shared {
     lost: Counter,
     reached: AtomicBool,
     reconnects: AtomicU64,
-    /// No more messages come: those in the queue are sent for a while yet.
+    /// No more messages follow; those queued are still sent for a while.
     ending: AtomicBool,
-    /// The while is over.
+    /// The time for sending what is queued is over.
     over: AtomicBool,
     done: AtomicBool,
     failure: Mutex<Option<String>>,
     closed: AtomicBool,
 }
 
-/// Who gets the messages.
+/// A consumer of messages.
 pub struct Consumer {
     shared: Arc<Shared>,
-    /// Of a file: what gives it its name when it is complete.
+    /// For a file: renames it to its own name when it is complete.
     output: Option<Output>,
 }
 
 impl Consumer {
-    /// Opens the way to an address and starts its thread; the queue holds at most `queue_bytes`. Where nobody
-    /// is there, that is the consumer's failure so far, and it is looked for again. A file has its own name
-    /// when it is complete; one that is there is replaced where `overwrite` says.
+    /// Opens the sink at an address and starts the thread that feeds it, with a queue of at most `queue_bytes`
+    /// bytes. If nobody listens there, this is recorded as the consumer's failure, and the connection is tried
+    /// again. A file gets its own name when it is complete; an existing one is replaced only with `overwrite`.
     ///
     /// # Errors
-    /// A place that may not be used, a file that cannot be created.
+    /// The address may not be used, or the file cannot be created.
     pub fn start(address: Address, queue_bytes: usize, overwrite: bool) -> Result<Self> {
         let (output, opened) = match &address {
             Address::File(path) => {
@@ -157,28 +157,28 @@ impl Consumer {
         Ok(Self { shared, output })
     }
 
-    /// Queues a message; what has to go for it is counted. Never waits.
+    /// Queues a message without ever waiting; messages dropped to make room are counted as lost.
     pub fn give(&self, message: Message) {
         for gone in self.shared.queue.force(message) {
             self.shared.lost.add(&gone);
         }
     }
 
-    /// No more messages come.
+    /// Announces that no more messages follow.
     pub fn end(&self) {
         self.shared.ending.store(true, Ordering::Relaxed);
         self.shared.queue.close();
     }
 
-    /// Whether it takes nothing any more, and will not.
+    /// Returns whether the consumer has stopped for good.
     #[must_use]
     pub fn is_done(&self) -> bool {
         self.shared.done.load(Ordering::Relaxed)
     }
 
-    /// Waits until everything is sent or `until` has come, and reports. A thread that hangs in a write
-    /// to a file or a pipe is left behind. A file gets its name where it has all that it was to have and
-    /// `is_whole`, the stream ended as it should; otherwise it stays marked as incomplete.
+    /// Waits until everything is sent or `until` has passed, and returns a report. A thread that hangs in a write
+    /// to a file or a pipe is left running. A file gets its own name if it has received everything and `is_whole`,
+    /// that is, the stream ended as it should; otherwise it stays marked as incomplete.
     #[must_use]
     pub fn finish(mut self, until: Instant, is_whole: bool) -> Report {
         self.end();
@@ -207,7 +207,7 @@ impl Consumer {
         report
     }
 
-    /// What became of the messages so far.
+    /// Returns what has happened to the messages so far.
     #[must_use]
     pub fn report(&self) -> Report {
         let failure = self.shared.failure.lock();
@@ -226,7 +226,7 @@ impl Consumer {
 
 impl Drop for Consumer {
     fn drop(&mut self) {
-        // Of one that was never finished: a file without a byte does not stay.
+        // For a consumer that was never finished: an empty file is removed.
         self.shared.over.store(true, Ordering::Relaxed);
         self.end();
         if let Some(output) = self.output.take() {
@@ -256,12 +256,12 @@ impl Shared {
         self.done.store(true, Ordering::Relaxed);
     }
 
-    /// Sends what is queued until the end, or until the way is lost for good.
+    /// Sends what is queued until the end, or until the sink fails for good.
     fn carry(&self, mut sink: Sink) {
         let goes_on = || !self.over.load(Ordering::Relaxed);
-        // Of datagrams: whether the latest found nobody.
+        // UDP only: whether the latest message found nobody.
         let mut is_away = false;
-        // Datagrams may find nobody; everyone else is there.
+        // A UDP message may find nobody; every other sink is connected.
         if !matches!(sink, Sink::Udp(..)) {
             self.reached.store(true, Ordering::Relaxed);
         }
@@ -284,14 +284,14 @@ impl Shared {
                 }
                 Err(error) if sink.survives(&error) => {
                     self.lost.add(&message);
-                    // Where the system has no room, the others of the message may still be there.
+                    // The system had no room for a datagram; other datagrams of the message may have arrived.
                     if error.kind() != ErrorKind::WouldBlock {
                         is_away = true;
                         self.fail(error.to_string());
                     }
                 }
                 Err(error) => {
-                    // A part of it may have come: its reader finds the next one by itself.
+                    // Part of the message may have arrived; the reader finds the next message by itself.
                     self.lost.add(&message);
                     if !goes_on() {
                         self.fail("took nothing any more until the end".to_owned());
@@ -313,7 +313,7 @@ impl Shared {
         sink.end();
     }
 
-    /// Tries to reach a consumer that is away.
+    /// Tries to open the sink of a consumer that is away, until it succeeds or the end has come.
     fn again(&self) -> Option<Sink> {
         let (mut wait, most) = RETRY;
         loop {
@@ -321,7 +321,7 @@ impl Shared {
             while Instant::now() < until && !self.ending.load(Ordering::Relaxed) {
                 thread::sleep(Duration::from_millis(20));
             }
-            // At the end it is looked for once more, and not waited for.
+            // At the end the connection is tried once more without a wait.
             let is_last = self.ending.load(Ordering::Relaxed);
             match Sink::open(&self.address) {
                 Ok(sink) => {
@@ -339,7 +339,7 @@ impl Shared {
     }
 }
 
-/// Whether somebody may be there later.
+/// Returns whether a consumer that cannot be reached may appear later.
 fn may_come(error: &io::Error) -> bool {
     !matches!(
         error.kind(),

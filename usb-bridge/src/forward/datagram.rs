@@ -1,18 +1,18 @@
-//! Datagrams: a stream of messages in numbered parts, so that what is lost is known to the datagram and to
-//! the message. Little-endian:
+//! Datagrams that carry a stream of messages in numbered parts, so that losses are known by datagram and by
+//! message. All numbers are little-endian:
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! |---|---|
 //! | 2 | sync EE C9 |
 //! | 1 | version, 1 |
-//! | 1 | flags: bit 0 a message begins with the part, bit 1 the stream ends |
-//! | 4 | stream: a number that is chosen anew whenever a sender starts; one more where it found that nobody listened |
-//! | 4 | number of the datagram in the stream, from 0, wrapping |
+//! | 1 | flags: bit 0 the part begins a message, bit 1 the stream ends |
+//! | 4 | stream number: chosen anew whenever a sender starts, incremented when it finds that nobody listens |
+//! | 4 | sequence number of the datagram in the stream, from 0, wrapping |
 //! | 4 | number of its message in the stream, from 0, wrapping; at the end the number of messages |
 //! | n | the next bytes of the message, 1 to [`PART_BYTES_MAX`]; none at the end |
 //!
-//! The datagram of the end has the number that the next one would have, and comes several times. A datagram
-//! that comes late, after one that overtook it, is left out: its place is lost already.
+//! The end datagram has the sequence number that the next datagram would have, and is sent several times. A
+//! datagram that arrives late, after one that overtook it, is dropped: it has already been counted as lost.
 
 use zerocopy::byteorder::little_endian::U32;
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout, Unaligned};
@@ -22,11 +22,11 @@ const SYNC: [u8; 2] = [0xEE, 0xC9];
 const VERSION: u8 = 1;
 const BEGINS: u8 = 1;
 const ENDS: u8 = 2;
-/// Bytes before a datagram's part.
+/// Bytes before the part in a datagram.
 const HEAD_BYTES: usize = size_of::<Head>();
-/// Most bytes of a part: what Ethernet takes without cutting it.
+/// Most bytes of a part, so that a datagram crosses Ethernet without fragmentation.
 pub const PART_BYTES_MAX: usize = 1400 - HEAD_BYTES;
-/// Bytes of the longest datagram.
+/// Length of the longest datagram, in bytes.
 pub const DATAGRAM_BYTES_MAX: usize = HEAD_BYTES + PART_BYTES_MAX;
 
 #[derive(Debug, Clone, Copy, FromBytes, IntoBytes, KnownLayout, Immutable, Unaligned)]
@@ -40,7 +40,7 @@ struct Head {
     message: U32,
 }
 
-/// Cuts a stream.
+/// Cuts a stream of messages into datagrams.
 #[derive(Debug, Clone, Copy)]
 pub struct Cutter {
     stream: u32,
@@ -49,7 +49,7 @@ pub struct Cutter {
 }
 
 impl Cutter {
-    /// Before the first byte of stream number `stream`.
+    /// Starts at the first byte of stream number `stream`.
     #[must_use]
     pub const fn new(stream: u32) -> Self {
         Self {
@@ -59,18 +59,18 @@ impl Cutter {
         }
     }
 
-    /// Begins the sender's next stream.
+    /// Begins the sender's next stream, with the next stream number.
     pub const fn begin_anew(&mut self) {
         *self = Self::new(self.stream.wrapping_add(1));
     }
 
-    /// Whether nothing was cut yet.
+    /// Returns whether nothing has been cut yet.
     #[must_use]
     pub const fn is_at_start(&self) -> bool {
         self.number == 0 && self.message == 0
     }
 
-    /// Gives the datagrams of a message to `send`, one after the other, until that fails.
+    /// Passes the datagrams of a message to `send`, one at a time, until that fails; `datagram` is scratch space.
     ///
     /// # Errors
     /// Those of `send`.
@@ -91,7 +91,7 @@ impl Cutter {
         Ok(())
     }
 
-    /// Makes the datagram that ends the stream.
+    /// Writes the datagram that ends the stream.
     pub fn end(&self, datagram: &mut Vec<u8>) {
         self.write(ENDS, &[], datagram);
     }
@@ -111,44 +111,43 @@ impl Cutter {
     }
 }
 
-/// What a datagram brought.
+/// Content of a received datagram.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part<'d> {
     /// Bytes of a message.
     Of {
         /// Number of the message in the stream.
         message: u32,
-        /// Whether it begins with them.
+        /// Whether the message begins with these bytes.
         begins: bool,
         /// The bytes.
         bytes: &'d [u8],
-        /// What came, or did not, before.
+        /// What is known of the datagrams before this one.
         before: Before,
     },
     /// The stream has ended.
     End {
-        /// Messages of the stream.
+        /// Number of messages in the stream.
         messages: u32,
-        /// What came, or did not, before.
+        /// What is known of the datagrams before this one.
         before: Before,
     },
-    /// A datagram that came twice or late, or of a stream that is not the one that comes.
+    /// A duplicate or late datagram, or one of another stream than the current one.
     Late,
-    /// Not a datagram of a stream.
+    /// Not a datagram of this protocol.
     Strange,
 }
 
-/// What is known of the datagrams before one.
+/// What is known of the datagrams before a given one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Before {
-    /// Datagrams of the same stream that did not come since the one before; of a new stream, since its
-    /// beginning.
+    /// Number of datagrams of the stream missing since the previous one or, in a new stream, since its beginning.
     pub missing: u32,
-    /// Whether the stream is another than that of the one before.
+    /// Whether the previous datagram belonged to another stream.
     pub is_new: bool,
 }
 
-/// Puts a stream together again.
+/// Reassembles a stream from datagrams.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Joiner {
     stream: Option<u32>,
@@ -156,8 +155,8 @@ pub struct Joiner {
 }
 
 impl Joiner {
-    /// Takes a datagram. The next stream of the same sender goes on from the one that comes; that of another one
-    /// only where `may_change`.
+    /// Takes a datagram. The next stream of the same sender, which has the next number, replaces the current
+    /// stream; a stream of another sender does so only if `may_change`.
     pub fn join<'d>(&mut self, datagram: &'d [u8], may_change: bool) -> Part<'d> {
         let Ok((head, bytes)) = Head::ref_from_prefix(datagram) else {
             return Part::Strange;
@@ -200,39 +199,39 @@ impl Joiner {
     }
 }
 
-/// What is missing of the messages of a stream, by their numbers.
+/// Counts the lost messages of streams by their numbers.
 ///
-/// Those between two that came whole are not counted here: their own numbers tell them, and also those that
-/// were never sent.
+/// Messages lost between two whole ones are not counted here: the messages' own sequence numbers reveal those, and
+/// also messages that were never sent.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Messages {
-    /// Of streams that are over.
+    /// Messages lost in streams that are over, and before the first whole one of the current stream.
     lost: u64,
-    /// One more than the latest of which something came, or the number of all where the end has come.
+    /// One more than the number of the latest message seen or, after the end, the number of messages.
     seen: u32,
-    /// One more than the latest that came whole.
+    /// One more than the number of the latest whole message.
     whole: u32,
 }
 
 impl Messages {
-    /// Another stream begins: of the one before, nothing comes any more.
+    /// Begins another stream; nothing more is expected of the previous one.
     pub const fn begin(&mut self) {
         self.lost = self.lost();
         self.seen = 0;
         self.whole = 0;
     }
 
-    /// Something of message number `message` came.
+    /// Records that a part of message number `message` arrived.
     pub const fn see(&mut self, message: u32) {
         self.seen = message.wrapping_add(1);
     }
 
-    /// The stream has ended with so many.
+    /// Records that the stream has ended after `messages` messages.
     pub const fn end(&mut self, messages: u32) {
         self.seen = messages;
     }
 
-    /// The message that was seen last is whole.
+    /// Records that the latest message seen is whole.
     pub const fn complete(&mut self) {
         if self.whole == 0 {
             self.lost = self.lost.saturating_add(self.seen.saturating_sub(1) as u64);
@@ -240,19 +239,19 @@ impl Messages {
         self.whole = self.seen;
     }
 
-    /// Nothing more is taken: the message that was seen last would have become whole, unless a part of it
-    /// `is_lost`.
+    /// Records that receiving stops on request: the latest message seen would have become whole, unless a part of
+    /// it `is_lost`, and is then not counted as lost.
     pub const fn forgive(&mut self, is_lost: bool) {
         if !is_lost && self.seen.wrapping_sub(self.whole) > 0 {
             self.seen = self.seen.wrapping_sub(1);
         }
     }
 
-    /// Messages that are missing before the first and after the last that came whole, of every stream.
+    /// Returns the number of messages lost before the first and after the last whole one, over all streams.
     #[must_use]
     pub const fn lost(&self) -> u64 {
         let after = self.seen.wrapping_sub(self.whole);
-        // A number that falls back is no stream's.
+        // A number that falls back cannot belong to the stream.
         let after = if after < 1 << 31 { after } else { 0 };
         self.lost.saturating_add(after as u64)
     }
@@ -262,7 +261,7 @@ impl Messages {
 mod tests {
     use super::*;
 
-    /// The datagrams of messages of so many parts each, and the one of the end.
+    /// The datagrams of messages with the given numbers of parts, then the end datagram.
     fn datagrams(cutter: &mut Cutter, parts: &[usize]) -> Vec<Vec<u8>> {
         let (mut all, mut room) = (Vec::new(), Vec::new());
         for (i, parts) in parts.iter().enumerate() {
@@ -329,13 +328,13 @@ mod tests {
                 before
             }
         );
-        // The next one of the same sender is taken at once.
+        // The next stream of the same sender is accepted at once.
         let mut next = Vec::new();
         let mut cutter = Cutter::new(8);
         cutter.begin_anew();
         cutter.end(&mut next);
         assert!(matches!(joiner.join(&next, false), Part::End { .. }));
-        // A datagram without a part, the end with one, one that is too long, another version.
+        // A datagram without a part, an end datagram with one, a part that is too long, another version.
         let datagram = &datagrams[5];
         assert_eq!(joiner.join(&datagram[..HEAD_BYTES], true), Part::Strange);
         assert_eq!(

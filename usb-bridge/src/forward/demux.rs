@@ -1,11 +1,11 @@
-//! Frames and packets out of a stream of bytes that may be damaged.
+//! Extracts frames and packets from a stream of bytes that may be damaged.
 
 use eecvs_nostd::frame::SYNC as FRAME_SYNC;
 use eecvs_nostd::{FRAME_BYTES_MAX, Frame, Scan, scan};
 
 use super::packet::{self, Look, PACKET_BYTES_MAX, Packet};
 
-/// Longest message.
+/// Length of the longest message, in bytes.
 const MESSAGE_BYTES_MAX: usize = if FRAME_BYTES_MAX > PACKET_BYTES_MAX {
     FRAME_BYTES_MAX
 } else {
@@ -15,13 +15,13 @@ const MESSAGE_BYTES_MAX: usize = if FRAME_BYTES_MAX > PACKET_BYTES_MAX {
 /// A message of a stream.
 #[derive(Debug, Clone, Copy)]
 pub enum Message<'b> {
-    /// A frame of the encoder.
+    /// A frame from an encoder.
     Frame(Frame<'b>),
     /// A packet of raw events.
     Packet(Packet<'b>),
 }
 
-/// Takes messages apart; memory is bounded by the longest message and what comes at a time.
+/// Splits a stream into messages. Memory is bounded by the longest message plus the bytes of one push.
 #[derive(Debug, Default)]
 pub struct Demux {
     buffer: Vec<u8>,
@@ -30,21 +30,21 @@ pub struct Demux {
 }
 
 impl Demux {
-    /// Takes received bytes.
+    /// Appends received bytes, and drops those that are used up.
     pub fn push(&mut self, bytes: &[u8]) {
         self.buffer.drain(..self.used);
         self.used = 0;
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// Bytes that belonged to no message.
+    /// Returns the number of bytes that belonged to no message.
     #[must_use]
     pub const fn damaged_bytes(&self) -> u64 {
         self.damaged_bytes
     }
 
-    /// The stream does not go on where it was: a message that has begun will not be completed, but
-    /// others may lie inside of what came of it.
+    /// Records that the stream was interrupted: the message that has begun will not be completed, but other
+    /// messages may lie within its bytes.
     pub fn interrupt(&mut self) {
         while self.used < self.buffer.len() {
             if self.next_at().is_none() {
@@ -55,7 +55,7 @@ impl Demux {
         }
     }
 
-    /// Bytes of a message that is not whole yet.
+    /// Returns the number of bytes of the message that is not complete yet.
     #[must_use]
     pub fn rest_bytes(&self) -> usize {
         self.buffer.len() - self.used
@@ -68,7 +68,7 @@ impl Demux {
         self.used += skip;
     }
 
-    /// The bytes of the next whole message; damage before it is skipped.
+    /// Returns the length of the next whole message; damage before it is skipped.
     fn next_at(&mut self) -> Option<usize> {
         loop {
             let rest = self.buffer.get(self.used..).unwrap_or_default();
@@ -88,7 +88,7 @@ impl Demux {
         }
     }
 
-    /// The next whole message.
+    /// Returns the next whole message; `None` if more bytes are needed. Damage before it is skipped.
     pub fn next_message(&mut self) -> Option<Message<'_>> {
         let bytes = self.next_at()?;
         let rest = self.buffer.get(self.used..).unwrap_or_default();
@@ -103,7 +103,7 @@ impl Demux {
         Some(message)
     }
 
-    /// The bytes of the message that came last.
+    /// Returns the last `bytes` bytes consumed: the latest message, if that is its length.
     #[must_use]
     pub fn last(&self, bytes: usize) -> &[u8] {
         self.buffer
@@ -112,7 +112,7 @@ impl Demux {
     }
 }
 
-/// Distance to the next place, not the first, where a message may begin.
+/// Returns the distance to the next place after the first byte where a message may begin.
 fn next_sync(bytes: &[u8]) -> usize {
     let begins = |at: &usize| {
         let [first, second] = FRAME_SYNC;
@@ -155,7 +155,7 @@ mod tests {
         sequences
     }
 
-    /// What is found when no more comes.
+    /// What is found once no more bytes follow.
     fn rest(demux: &mut Demux) -> Vec<u32> {
         let mut met = Vec::new();
         while demux.rest_bytes() > 0 {
@@ -166,7 +166,7 @@ mod tests {
     }
 
     proptest! {
-        /// However it is cut, whatever lies between, whole packets come and the rest is counted.
+        /// However the stream is cut and whatever lies between, whole packets are found and the rest is counted.
         #[test]
         fn whole_messages_come_and_every_other_byte_is_counted(
             parts in proptest::collection::vec(
@@ -180,7 +180,7 @@ mod tests {
                     stream.extend(packet(i as u32, bytes));
                     expected.push(i as u32);
                 } else {
-                    // Not a beginning of a message.
+                    // These bytes cannot begin a message.
                     let bytes: Vec<u8> = bytes.iter().map(|byte| byte & 0x7F).collect();
                     noise += bytes.len() as u64;
                     stream.extend(bytes);

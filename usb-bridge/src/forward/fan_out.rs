@@ -1,4 +1,4 @@
-//! The same messages for every consumer.
+//! Gives the same messages to every consumer.
 
 use std::collections::VecDeque;
 use std::io::{self, Write};
@@ -13,17 +13,17 @@ use thiserror::Error;
 use super::address::Address;
 use super::consumer::{Consumer, Message, Report};
 
-/// Messages whose memory is used again: at 50 million events per second, new memory for each would take the
-/// system longer than the message itself.
+/// Messages whose memory is reused. At 50 million events per second, allocating new memory for each message would
+/// take the system longer than the message itself.
 const KEPT: usize = 32;
 
-/// Why a stream ends before its source: no consumer takes anything any more.
+/// Error that ends a stream before its source does: every consumer has stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 #[error("no consumer is left")]
 pub struct NobodyLeft;
 
 impl NobodyLeft {
-    /// Whether that is the cause of an error.
+    /// Returns whether this is the cause of an error.
     #[must_use]
     pub fn is_cause_of(error: &anyhow::Error) -> bool {
         io_causes(error).any(|io| {
@@ -33,20 +33,20 @@ impl NobodyLeft {
     }
 }
 
-/// All consumers. As a writer it takes a whole frame with every `write_all`, which is how the encoder
-/// gives them.
+/// All consumers of a stream. As a writer it takes one whole frame per `write_all`, the way the encoder writes
+/// frames.
 pub struct FanOut {
     consumers: Vec<Consumer>,
-    /// The bytes of the latest messages, the oldest first.
+    /// Bytes of the latest messages, the oldest first.
     given: VecDeque<Arc<Vec<u8>>>,
 }
 
 impl FanOut {
-    /// Opens the way to every address; each has a queue of at most `queue_bytes`. Who is not there is looked
-    /// for again, and files that are there are replaced where `overwrite` says.
+    /// Opens a consumer at every address, each with a queue of at most `queue_bytes` bytes. A consumer that is away
+    /// is tried again; existing files are replaced only with `overwrite`.
     ///
     /// # Errors
-    /// The first that cannot be used.
+    /// That of the first address that cannot be used.
     pub fn start(addresses: &[Address], queue_bytes: usize, overwrite: bool) -> Result<Self> {
         let start = |address: &Address| Consumer::start(address.clone(), queue_bytes, overwrite);
         let consumers = addresses.iter().map(start).collect::<Result<_>>()?;
@@ -56,7 +56,7 @@ impl FanOut {
         })
     }
 
-    /// Gives everyone a message of so many events.
+    /// Gives every consumer a message with this number of events.
     pub fn give(&mut self, bytes: &[u8], events: u64) {
         let mut memory = self.memory();
         memory.extend_from_slice(bytes);
@@ -71,7 +71,7 @@ impl FanOut {
         }
     }
 
-    /// Room for a message: that of the oldest one, where everyone is done with it.
+    /// Returns a buffer for a message: that of the oldest message if every consumer is done with it.
     fn memory(&mut self) -> Vec<u8> {
         let is_full = self.given.len() >= KEPT;
         let is_done = |oldest: &mut Arc<Vec<u8>>| is_full || Arc::get_mut(oldest).is_some();
@@ -81,20 +81,20 @@ impl FanOut {
         memory
     }
 
-    /// What became of the messages so far.
+    /// Returns what has happened to the messages so far.
     #[must_use]
     pub fn reports(&self) -> Vec<Report> {
         self.consumers.iter().map(Consumer::report).collect()
     }
 
-    /// Whether nobody takes anything any more, nor will.
+    /// Returns whether every consumer has stopped for good.
     #[must_use]
     pub fn is_over(&self) -> bool {
         self.consumers.iter().all(Consumer::is_done)
     }
 
-    /// Ends the stream: waits at most for `grace` until everyone has taken what is queued. Files are complete
-    /// where `is_whole`: the stream ended as it should.
+    /// Ends the stream: waits up to `grace` until every consumer has taken what is queued. Files count as complete
+    /// only if `is_whole`, that is, the stream ended as it should.
     #[must_use]
     pub fn finish(self, grace: Duration, is_whole: bool) -> Vec<Report> {
         for consumer in &self.consumers {
@@ -159,7 +159,7 @@ mod tests {
         )
         .unwrap();
         let (_held, _) = stuck.accept().unwrap();
-        // The system's own buffers take megabytes of what nobody reads; after that, all is lost.
+        // The system's own buffers accept megabytes that nobody reads; after that, everything is lost.
         let (mut count, mut all) = (0, Vec::new());
         let (mut taken, mut since) = (0, Instant::now());
         let is_lagging = |fan_out: &FanOut| fan_out.reports()[1].lost.messages > 100;
@@ -173,7 +173,7 @@ mod tests {
             all.extend(message(count));
             count += 1;
             assert!(fan_out.given.len() <= KEPT);
-            // The others get the time that a camera gives them.
+            // The other consumers get the time that a camera would give them.
             let behind = |i: usize| fan_out.reports()[i].sent.messages + 32 < u64::from(count);
             while behind(0) || behind(2) {
                 std::thread::yield_now();
@@ -271,7 +271,8 @@ mod tests {
         assert_eq!(std::fs::read(file).unwrap(), bytes);
     }
 
-    /// What is sent to nobody is lost, and counted as that; who comes then gets a stream from its beginning.
+    /// Messages sent to nobody are lost and counted as such; a receiver that appears later gets a stream from its
+    /// beginning.
     #[test]
     fn datagrams_that_nobody_takes_are_lost_and_do_not_end_it() {
         let socket = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();

@@ -1,4 +1,4 @@
-//! From one stream to many consumers, none of which holds up the others or the camera.
+//! Forwards one stream to many consumers, none of which can hold up the others or the camera.
 //!
 //! ```text
 //! frames or raw packets -> fan_out -> a queue per consumer -> sink (tcp, udp, unix, file, stdout)

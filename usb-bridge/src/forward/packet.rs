@@ -1,23 +1,23 @@
-//! Packets of raw events: a device's own words, with what a reader needs to begin anywhere.
+//! Packets of raw events: a device's own words, with what a reader needs to start at any packet.
 //!
-//! What an `EventPacket` of the ROS drivers is, as bytes. Little-endian:
+//! A packet carries the content of an `EventPacket` of the ROS drivers as bytes. All numbers are little-endian:
 //!
-//! | bytes | what |
+//! | bytes | content |
 //! |---|---|
 //! | 2 | sync EE C7 |
 //! | 1 | version, 1 |
 //! | 1 | flags: bit 0 the time base is known, bit 1 bytes before these are missing |
 //! | 32 | encoding: the device model's name, `/`, its stream's name; padded with 0 |
 //! | 2, 2 | width, height of the sensor |
-//! | 4 | number of the packet, wrapping |
-//! | 8 | time base: the device's time before the first word, in microseconds, wraps carried |
+//! | 4 | sequence number of the packet, wrapping |
+//! | 8 | time base: the device's time before the first word, in microseconds, wraps included |
 //! | 4 | events in the words |
 //! | 4 | bytes of the words, at most [`WORDS_BYTES_MAX`] |
 //! | n | the words |
 //! | 4 | CRC-32 (ISO HDLC) of everything before |
 //!
-//! The words go on from those of the packet before. A reader that begins, or that missed a packet,
-//! tells its parser the time base and begins at the next word of time.
+//! The words continue those of the packet before. A reader that starts, or that missed a packet, passes the time
+//! base to its parser, which then resumes at the next word of time.
 
 use crc::{CRC_32_ISO_HDLC, Crc};
 use eecvs_nostd::Sensor;
@@ -29,9 +29,9 @@ pub const SYNC: [u8; 2] = [0xEE, 0xC7];
 const VERSION: u8 = 1;
 /// Most bytes of words in a packet.
 pub const WORDS_BYTES_MAX: usize = 1 << 20;
-/// Bytes of the longest packet.
+/// Length of the longest packet, in bytes.
 pub const PACKET_BYTES_MAX: usize = size_of::<Head>() + WORDS_BYTES_MAX + CRC_BYTES;
-/// Most bytes of an encoding's name.
+/// Size of the field for the encoding's name, in bytes.
 pub const ENCODING_BYTES: usize = 32;
 const CRC_BYTES: usize = 4;
 const TIME_IS_KNOWN: u8 = 1;
@@ -54,39 +54,39 @@ struct Head {
     words_bytes: U32,
 }
 
-/// A packet's contents.
+/// The content of a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Packet<'b> {
-    /// Names of the device model whose words these are, and of its stream: `evk4/evt3`.
+    /// Name of the device's model, `/`, and name of its stream: `evk4/evt3`.
     pub encoding: &'b str,
     /// Size of the sensor.
     pub sensor: Sensor,
-    /// Number of the packet, wrapping.
+    /// Sequence number of the packet, wrapping.
     pub sequence: u32,
-    /// The device's time before the first word.
+    /// The device's time before the first word, in microseconds, if known.
     pub time_base_us: Option<u64>,
     /// Whether bytes before these are missing.
     pub after_loss: bool,
-    /// Events in the words.
+    /// Number of events in the words.
     pub events: u32,
-    /// The words, as the device sent them; may begin and end inside of one.
+    /// The words as the device sent them; the first and the last may be incomplete.
     pub words: &'b [u8],
 }
 
-/// What stands at the start of received bytes.
+/// What [`Packet::look`] found at the start of received bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Look<'b> {
-    /// A packet, and its bytes.
+    /// A packet and its length in bytes.
     Packet(Packet<'b>, usize),
-    /// The start of one, so far.
+    /// The beginning of a packet, as far as it has been received.
     Incomplete,
-    /// No packet.
+    /// Not a packet.
     Damage,
 }
 
 impl<'b> Packet<'b> {
-    /// Appends the packet; `words` must not be longer than [`WORDS_BYTES_MAX`], nor the encoding's name
-    /// than [`ENCODING_BYTES`]: what is beyond is cut off.
+    /// Appends the packet to `bytes`. `words` longer than [`WORDS_BYTES_MAX`] and an encoding name longer than
+    /// [`ENCODING_BYTES`] are truncated.
     pub fn write(&self, bytes: &mut Vec<u8>) {
         let words = &self.words[..self.words.len().min(WORDS_BYTES_MAX)];
         let mut encoding = [0; ENCODING_BYTES];
@@ -113,7 +113,7 @@ impl<'b> Packet<'b> {
         bytes.extend_from_slice(&crc.to_le_bytes());
     }
 
-    /// Looks at the start of `bytes`.
+    /// Parses the packet at the start of `bytes`.
     #[must_use]
     pub fn look(bytes: &'b [u8]) -> Look<'b> {
         if bytes.iter().zip(SYNC).any(|(byte, sync)| *byte != sync) {
@@ -187,7 +187,7 @@ mod tests {
             }
             let bit = flip % (8 * bytes.len());
             bytes[bit / 8] ^= 1 << (bit % 8);
-            // A length that has grown waits for its bytes.
+            // A damaged length field may make the packet look incomplete.
             prop_assert!(!matches!(Packet::look(&bytes), Look::Packet(..)));
         }
     }

@@ -1,4 +1,4 @@
-//! Raw packets of a device's chunks.
+//! Makes raw packets from a device's chunks.
 
 use eecvs_nostd::Event;
 
@@ -6,14 +6,15 @@ use super::packet::{Packet, WORDS_BYTES_MAX};
 use crate::live::Follower;
 use crate::pump::Chunk;
 
-/// Bytes of a packet's words at the most: a chunk of a camera in a packet of its own, and datagrams few.
+/// Most bytes of words put in a packet: enough for a whole transfer of any camera but Prophesee's, and at most 48
+/// datagrams.
 const WORDS_BYTES: usize = if WORDS_BYTES_MAX < 1 << 16 {
     WORDS_BYTES_MAX
 } else {
     1 << 16
 };
 
-/// Makes packets; what follows the stream is for the time bases and the counts alone.
+/// Makes packets; it parses the stream only for the time bases and the event counts.
 pub struct Packetiser {
     encoding: String,
     follower: Follower,
@@ -23,7 +24,7 @@ pub struct Packetiser {
 }
 
 impl Packetiser {
-    /// Of a stream at its beginning.
+    /// Starts at the beginning of a stream.
     #[must_use]
     pub fn new(encoding: String, follower: Follower) -> Self {
         Self {
@@ -35,7 +36,7 @@ impl Packetiser {
         }
     }
 
-    /// Gives the packets of a chunk to `give`, each with its number of events; `events` is room.
+    /// Passes the packets of a chunk to `give`, each with its number of events; `events` is scratch space.
     pub fn chunk(
         &mut self,
         chunk: &Chunk,
@@ -66,7 +67,7 @@ impl Packetiser {
         self.follower.end(chunk.at);
     }
 
-    /// Tells those who watch: where nothing comes for a while, and at the end.
+    /// Updates the shared progress: call it when nothing arrives for a while, and at the end.
     pub fn tell(&mut self) {
         self.follower.tell();
     }

@@ -1,4 +1,4 @@
-//! Frames and packets of a link to a file.
+//! Writes frames and packets received over a link to a file.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -20,58 +20,58 @@ use crate::record::{self, Kind};
 use crate::session;
 use crate::stop::Stop;
 
-/// Longest wait for the link.
+/// Longest wait for one receive.
 const WAIT: Duration = Duration::from_millis(50);
 
-/// When it ends by itself.
+/// When receiving ends.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Limits {
-    /// When the first sender of messages has gone.
+    /// When the first sender of messages has disconnected.
     pub once: bool,
     /// After a time, or a number of events.
     pub limits: session::Limits,
 }
 
-/// What was received.
+/// Counts of what was received and lost.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Received {
     /// Frames and packets.
     pub messages: u64,
-    /// Their bytes.
+    /// Their bytes: of a frame all, of a packet its words.
     pub bytes: u64,
     /// Their events.
     pub events: u64,
-    /// Messages that never came, as the numbers of the others tell.
+    /// Messages that did not arrive, according to the sequence numbers of the others.
     pub lost_messages: u64,
-    /// Messages that came twice and were left out.
+    /// Duplicate messages, which were dropped.
     pub repeated_messages: u64,
     /// Bytes that belong to no whole message.
     pub damaged_bytes: u64,
-    /// Bytes of the message that was coming when the end was wished for.
+    /// Bytes of the message in transit when receiving was stopped on request.
     pub unfinished_bytes: u64,
-    /// Datagrams that never came, or too late.
+    /// Datagrams that did not arrive, or arrived too late.
     pub lost_datagrams: u64,
-    /// Datagrams that came twice, late or from elsewhere, and were left out.
+    /// Datagrams dropped because they were duplicates, late, of another stream, or not of this protocol.
     pub late_datagrams: u64,
-    /// Datagrams that the system had no room for, where it tells.
+    /// Datagrams for which the system had no room, if the system reports it.
     pub overflown_datagrams: Option<u64>,
-    /// Bytes of datagrams that the system keeps while nobody takes them.
+    /// Size of the system's receive buffer for datagrams, in bytes.
     pub receive_buffer_bytes: Option<usize>,
-    /// Senders, one after the other.
+    /// Number of senders, one after the other.
     pub senders: u64,
-    /// What a recording lacks though its messages came, by cause: as the frames themselves say, or words that
-    /// could not be used.
+    /// What the recording lacks although its messages arrived, by cause: reported by the frames themselves, or
+    /// words that could not be used.
     pub left_out: BTreeMap<&'static str, u64>,
 }
 
 impl Received {
-    /// Whether anything that was sent is missing.
+    /// Returns whether anything that was sent is missing.
     #[must_use]
     pub const fn has_losses(&self) -> bool {
         self.lost_messages > 0 || self.lost_datagrams > 0 || self.damaged_bytes > 0
     }
 
-    /// One line about what was lost or left out, or `None` where nothing was.
+    /// Returns one line about what was lost or left out; `None` if nothing was.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
         let met: Vec<String> = [
@@ -110,7 +110,7 @@ impl Received {
     }
 }
 
-/// Follows the numbers of messages.
+/// Follows the sequence numbers of messages.
 #[derive(Default)]
 struct Numbers {
     sequence: Sequence,
@@ -119,7 +119,8 @@ struct Numbers {
 }
 
 impl Numbers {
-    /// Takes a number: whether those before it are missing, or `None` where it came before.
+    /// Takes a sequence number. Returns whether the message does not directly follow the previous one; `None` for a
+    /// duplicate.
     fn follow(&mut self, number: u32) -> Option<bool> {
         match self.sequence.follow(number) {
             Order::InOrder => Some(false),
@@ -139,11 +140,11 @@ impl Numbers {
     }
 }
 
-/// Where messages go.
+/// Output for the messages.
 enum Output {
-    /// Frames as they are.
+    /// A file of frames, written unchanged.
     Frames(BufWriter<File>),
-    /// Events; the writer is made when the sensor is known.
+    /// A recording; its writer is created once the sensor is known.
     Events(Option<Box<dyn EventWriter>>),
 }
 
@@ -151,14 +152,14 @@ struct Receiver<'p> {
     path: &'p Path,
     output: Output,
     numbers: Numbers,
-    /// The parser of what comes, what it is of, and the sensor.
+    /// The parser of the current stream, with the encoding and the sensor it was made for.
     parser: Option<(String, Sensor, Box<dyn Parse>)>,
     events: Vec<Event>,
     received: Received,
 }
 
-/// Receives until the wish to stop, a limit, or the end; what was received before an error is in the
-/// file.
+/// Receives messages into a file until a stop request, a limit or the end. Returns the counts with the outcome:
+/// what was received before an error is in the file.
 pub fn receive(
     link: &mut Listening,
     path: &Path,
@@ -226,7 +227,7 @@ impl Receiver<'_> {
                 Arrived::Lost { .. } => {
                     demux.interrupt();
                     if link.senders() != senders {
-                        // A sender that was started anew counts from 0.
+                        // A new sender counts from 0.
                         self.numbers.sequence = Sequence::new();
                         self.let_go();
                     }
@@ -244,7 +245,7 @@ impl Receiver<'_> {
             }
         };
         if is_wished && link.has_sender() {
-            // The rest would have come.
+            // The rest of the message would have arrived.
             self.received.unfinished_bytes = demux.rest_bytes() as u64;
             link.forgive();
         } else {
@@ -257,7 +258,7 @@ impl Receiver<'_> {
         Ok(())
     }
 
-    /// Takes the messages that are whole; whether there was one.
+    /// Takes the whole messages; returns whether there was one.
     fn take(&mut self, demux: &mut Demux) -> Result<bool> {
         let mut has_any = false;
         while let Some(message) = demux.next_message() {
@@ -307,7 +308,7 @@ impl Receiver<'_> {
         if (after_gap || is_new || packet.after_loss)
             && let Some((_, _, parser)) = &mut self.parser
         {
-            // The first packet of all needs no resumption: its words begin with a time.
+            // A packet without a time base is at the beginning of its stream, whose words start with a time.
             if packet.time_base_us.is_some() {
                 parser.resume(packet.time_base_us);
             }
@@ -315,7 +316,7 @@ impl Receiver<'_> {
         self.parse(packet.words)
     }
 
-    /// Takes care that there is a parser for what comes; whether it is a new one.
+    /// Ensures that there is a parser for this encoding and sensor; returns whether it is a new one.
     fn follow(&mut self, encoding: &str, sensor: Sensor) -> Result<bool> {
         if let Some((of, size, _)) = &self.parser
             && (of.as_str(), *size) == (encoding, sensor)
@@ -350,7 +351,7 @@ impl Receiver<'_> {
         Ok(writer.write(&self.events)?)
     }
 
-    /// Is done with the parser, and keeps what it has found.
+    /// Drops the parser and keeps its loss counts.
     fn let_go(&mut self) {
         if let Some((_, _, parser)) = self.parser.take() {
             for (cause, n) in parser.losses().iter() {

@@ -1,4 +1,4 @@
-//! Where a consumer's messages go.
+//! Writes a consumer's messages to its address.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Write};
@@ -11,21 +11,21 @@ use event_files::output::create_bytes;
 use super::address::Address;
 use super::datagram::Cutter;
 
-/// How long a connection may take to come about.
+/// Longest wait for a connection.
 const CONNECT: Duration = Duration::from_secs(3);
-/// How long a write waits before it is asked whether it may go on.
+/// Time after which a blocked write checks whether it may go on.
 const WAIT: Duration = Duration::from_millis(100);
-/// Datagrams that say the end: one that is lost is not the only one.
+/// Number of datagrams that announce the end, in case some are lost.
 const ENDS: usize = 3;
 
-/// An open way to a consumer.
+/// An open connection, socket or file to which messages are written.
 #[derive(Debug)]
 pub enum Sink {
     /// A TCP connection.
     Tcp(TcpStream),
-    /// Datagrams.
+    /// A UDP socket, the cutter of its stream and the buffer of a datagram.
     Udp(UdpSocket, Cutter, Vec<u8>),
-    /// A connected socket of the file system.
+    /// A connected Unix domain socket.
     Unix(UnixStream),
     /// A file.
     File(File),
@@ -34,16 +34,16 @@ pub enum Sink {
 }
 
 impl Sink {
-    /// Opens the way to an address; to a file, what is there is written anew.
+    /// Opens the sink at an address; an existing file is replaced.
     ///
     /// # Errors
-    /// Nobody is there, or the file cannot be created.
+    /// Nobody listens at the address, or the file cannot be created.
     pub fn open(address: &Address) -> io::Result<Self> {
         Ok(match address {
             Address::Tcp(to) => {
                 let stream = connect(to)?;
                 stream.set_write_timeout(Some(WAIT))?;
-                // A frame is not to wait for the next one.
+                // Without Nagle's algorithm a frame does not wait for the next one.
                 stream.set_nodelay(true)?;
                 Self::Tcp(stream)
             }
@@ -62,10 +62,11 @@ impl Sink {
         })
     }
 
-    /// Sends a message, however slowly it is taken, as long as `goes_on` says.
+    /// Sends a message; a slow consumer is waited for while `goes_on` returns true.
     ///
     /// # Errors
-    /// The consumer is gone; `TimedOut` where the message was given up.
+    /// The consumer is gone; `TimedOut` if the message was given up; `WouldBlock` if the system had no room for a
+    /// datagram.
     pub fn send(&mut self, message: &[u8], goes_on: &dyn Fn() -> bool) -> io::Result<()> {
         match self {
             Self::Tcp(stream) => send_all(stream, message, goes_on),
@@ -80,20 +81,21 @@ impl Sink {
                 let mut dropped = Ok(());
                 let sent = cutter.cut(message, datagram, |datagram| match socket.send(datagram) {
                     Ok(_) => Ok(()),
-                    // The number that is missing tells the receiver.
+                    // The receiver notices the gap in the sequence numbers.
                     Err(error) if is_full(&error) => {
                         dropped = Err(ErrorKind::WouldBlock.into());
                         Ok(())
                     }
                     Err(error) => Err(error),
                 });
-                // What the host there answered, where it did at once.
+                // Fetches an error that the remote host has already reported, such as a closed port.
                 let sent = sent.and_then(|()| match socket.take_error()? {
                     Some(error) => Err(error),
                     None => Ok(()),
                 });
                 if sent.is_err() {
-                    // Nobody had the stream so far: whoever comes gets one from its beginning.
+                    // Nobody listened to this stream; a receiver that appears later gets a new stream from its
+                    // beginning.
                     cutter.begin_anew();
                 }
                 sent.and(dropped)
@@ -101,20 +103,21 @@ impl Sink {
         }
     }
 
-    /// Says that the stream has ended, where the end of the way itself does not.
+    /// Announces the end of the stream over UDP; a closed connection or file needs no announcement.
     pub fn end(&mut self) {
         if let Self::Udp(socket, cutter, datagram) = self
             && !cutter.is_at_start()
         {
             cutter.end(datagram);
             for _ in 0..ENDS {
-                // Whoever does not hear of it waits on.
+                // A receiver that misses the announcement keeps waiting.
                 let _ = socket.send(datagram);
             }
         }
     }
 
-    /// Whether the way is there after that error, though what was sent is lost: datagrams have no connection.
+    /// Returns whether the sink can be used further after this error, although the message is lost: UDP has no
+    /// connection that could break.
     #[must_use]
     pub fn survives(&self, error: &io::Error) -> bool {
         let is_away = matches!(
@@ -127,14 +130,14 @@ impl Sink {
         matches!(self, Self::Udp(..)) && (is_away || is_full(error))
     }
 
-    /// Whether a lost way is worth to be tried again.
+    /// Returns whether it makes sense to open the sink again after it failed.
     #[must_use]
     pub const fn comes_back(&self) -> bool {
         matches!(self, Self::Tcp(_) | Self::Udp(..) | Self::Unix(_))
     }
 }
 
-/// Whether the system had no room for a datagram.
+/// Returns whether the system had no room for a datagram.
 fn is_full(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut)
 }
@@ -189,7 +192,7 @@ fn udp(to: &str) -> io::Result<UdpSocket> {
     Err(last)
 }
 
-/// A number that another start of the program does not have.
+/// Returns a number that differs between starts of the program.
 fn stream_number() -> u32 {
     let now = SystemTime::now()
         .duration_since(UNIX_EPOCH)

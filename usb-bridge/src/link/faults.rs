@@ -1,4 +1,4 @@
-//! Faults on purpose, around any link.
+//! Fault injection around any link, reproducible from a seed.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -8,33 +8,33 @@ use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
 use super::{Link, LinkError, Loss, Received, until};
 
-/// Pieces that are held back at the most.
+/// Most pieces that are held back.
 const HELD_MAX: usize = 64;
 
-/// Faults that the log holds.
+/// Most faults that the log keeps.
 const LOG_MAX: usize = 1 << 16;
 
-/// What can happen to a piece of the stream.
+/// A fault that can happen to a piece of the stream; a piece is what one receive returns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Fault {
-    /// It does not come.
+    /// The piece is lost.
     Drop,
-    /// Up to eight of its bytes are other ones.
+    /// Up to eight of its bytes are changed.
     Corrupt,
-    /// It comes twice.
+    /// The piece arrives twice.
     Duplicate,
-    /// It comes after the one that follows it.
+    /// The piece arrives after the one that follows it.
     Reorder,
-    /// It comes later, and those behind it too.
+    /// The piece arrives later, and delays the pieces after it.
     Delay,
-    /// It ends early; the rest comes as a piece of its own.
+    /// The piece is split in two.
     Split,
-    /// It ends early; the rest does not come.
+    /// The end of the piece is lost.
     Cut,
 }
 
 impl Fault {
-    /// All of them.
+    /// All faults, in the order of [`Plan::rates`] and [`Counts::faults`].
     pub const ALL: [Self; 7] = [
         Self::Drop,
         Self::Corrupt,
@@ -46,24 +46,25 @@ impl Fault {
     ];
 }
 
-/// Which faults, and how often.
+/// Which faults to inject, and how often.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plan {
-    /// The same seed on the same pieces gives the same faults.
+    /// Seed of the random generator: the same seed and pieces give the same faults.
     pub seed: u64,
-    /// Probability of each of [`Fault::ALL`] for a piece, in its order; of several the first.
+    /// Probability of each of [`Fault::ALL`] per piece. They are drawn in this order, and the first that occurs is
+    /// injected.
     pub rates: [f64; 7],
-    /// Whether lost bytes are kept secret, as by a device that loses them itself; otherwise they are
-    /// told as [`Loss::Injected`].
+    /// Whether losses go unreported, as with a device that loses bytes itself; otherwise they are reported as
+    /// [`Loss::Injected`].
     pub silent: bool,
     /// The longest delay.
     pub delay_max: Duration,
-    /// Faults after which none follows.
+    /// Number of faults after which no more are injected.
     pub faults_max: u64,
 }
 
 impl Plan {
-    /// No faults.
+    /// Returns a plan without faults, to which [`Plan::with`] adds some.
     #[must_use]
     pub const fn none(seed: u64) -> Self {
         Self {
@@ -75,7 +76,7 @@ impl Plan {
         }
     }
 
-    /// Every fault at the same rate.
+    /// Returns a plan with every fault at the same rate.
     #[must_use]
     pub const fn all(seed: u64, rate: f64) -> Self {
         Self {
@@ -84,7 +85,7 @@ impl Plan {
         }
     }
 
-    /// One more fault.
+    /// Sets the rate of one fault.
     #[must_use]
     pub const fn with(mut self, fault: Fault, rate: f64) -> Self {
         self.rates[fault as usize] = rate;
@@ -92,33 +93,33 @@ impl Plan {
     }
 }
 
-/// A fault that happened.
+/// A fault that was injected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Happened {
-    /// What.
+    /// The kind of fault.
     pub fault: Fault,
-    /// Bytes that had been received when it did.
+    /// Number of bytes delivered before it.
     pub at: u64,
-    /// Bytes that it took away.
+    /// Number of bytes lost.
     pub lost: u64,
 }
 
-/// What was done so far.
+/// Counts of pieces, bytes and faults so far.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// How often each of [`Fault::ALL`], in its order.
+    /// Number of faults of each kind, in the order of [`Fault::ALL`].
     pub faults: [u64; 7],
-    /// Pieces that came.
+    /// Pieces received from the inner link.
     pub pieces: u64,
-    /// Bytes that came.
+    /// Bytes received from the inner link.
     pub bytes: u64,
-    /// Bytes that were taken away.
+    /// Bytes lost.
     pub bytes_lost: u64,
-    /// Bytes that were changed.
+    /// Number of changes to bytes; one byte may be changed more than once.
     pub bytes_changed: u64,
 }
 
-/// A link with faults in what it receives; what is sent passes.
+/// A link that injects faults into what it receives; what it sends is passed on unchanged.
 pub struct Faults<L> {
     inner: L,
     plan: Plan,
@@ -128,9 +129,9 @@ pub struct Faults<L> {
     counts: Counts,
     log: Vec<Happened>,
     given: u64,
-    /// A piece that waits for the next one to overtake it.
+    /// A piece held until the next one has overtaken it.
     overtaken: Option<(Vec<u8>, Instant)>,
-    /// What the inner link ended with, while pieces are still held.
+    /// How the inner link ended, while pieces are still held.
     ended: Option<Result<(), LinkError>>,
 }
 
@@ -147,7 +148,7 @@ enum Held {
 }
 
 impl<L: Link> Faults<L> {
-    /// Faults by `plan` around `inner`.
+    /// Wraps `inner` and injects faults according to `plan`.
     pub fn new(inner: L, plan: Plan) -> Self {
         Self {
             random: Xoshiro256PlusPlus::seed_from_u64(plan.seed),
@@ -163,18 +164,18 @@ impl<L: Link> Faults<L> {
         }
     }
 
-    /// What was done so far.
+    /// Returns the counts of pieces, bytes and faults so far.
     pub const fn counts(&self) -> &Counts {
         &self.counts
     }
 
-    /// The first 65,536 faults, in order.
+    /// Returns the first 65,536 faults, in order.
     pub fn log(&self) -> &[Happened] {
         &self.log
     }
 
     fn random_below(&mut self, bound: usize) -> usize {
-        // The bias of a remainder does not matter for faults.
+        // The bias of the remainder does not matter here.
         (self.random.next_u64() % bound.max(1) as u64) as usize
     }
 
@@ -183,7 +184,7 @@ impl<L: Link> Faults<L> {
             return None;
         }
         Fault::ALL.into_iter().find(|&fault| {
-            // 53 bits, as many as a double has.
+            // 53 bits, the precision of an `f64`.
             let draw = (self.random.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
             draw < self.plan.rates[fault as usize]
         })
@@ -218,7 +219,7 @@ impl<L: Link> Faults<L> {
         }
     }
 
-    /// A piece that came, with what happens to it.
+    /// Takes a piece from the inner link and injects its fault, if any.
     fn take(&mut self, mut bytes: Vec<u8>, at: Instant) {
         self.counts.pieces += 1;
         self.counts.bytes += bytes.len() as u64;
@@ -273,7 +274,7 @@ impl<L: Link> Faults<L> {
         }
     }
 
-    /// Takes in what the inner link has, for `wait` at the most.
+    /// Receives from the inner link, waiting for at most `wait`.
     fn fill(&mut self, wait: Duration) {
         let piece = match self.inner.receive(wait) {
             Ok(Received::Bytes { bytes, at }) => Some((bytes.to_vec(), at)),
@@ -296,7 +297,7 @@ impl<L: Link> Faults<L> {
         } else if self.ended.is_some()
             && let Some((bytes, at)) = self.overtaken.take()
         {
-            // Nothing will overtake it any more.
+            // No piece follows that could overtake it.
             self.hold(bytes, at, None);
         }
     }
@@ -338,7 +339,7 @@ impl<L: Link> Link for Faults<L> {
                         self.ended = Some(Ok(()));
                         return Ok(Received::Ended);
                     }
-                    // Told once: the inner link tells it again.
+                    // Returned once; the next receive gets the error from the inner link again.
                     Some(Err(error)) => return Err(error),
                     None => {}
                 }
@@ -375,7 +376,8 @@ mod tests {
     use super::*;
     use crate::link::loopback::pair;
 
-    /// What comes of `pieces` of 100 equal bytes each, counted up, and what was done to them.
+    /// Sends `pieces` pieces of 100 equal bytes, numbered from 0; returns the reported losses, the bytes received,
+    /// the counts and the log.
     fn run(plan: Plan, pieces: u8) -> (Vec<String>, Vec<u8>, Counts, Vec<Happened>) {
         let (mut near, far) = pair(1 << 20);
         for number in 0..pieces {

@@ -1,12 +1,14 @@
-//! A link that waits for a sender: `tcp://`, `unix:` and `udp://` from the receiving side.
+//! A link that waits for a sender: the receiving side of `tcp://`, `unix:` and `udp://`.
 //!
-//! Of connections, one at a time is the sender: the first whose bytes begin as a message does, or, where there is
-//! none, the first that sends anything. It stays the sender until it goes. As long as no message came from it,
-//! another one that begins as a message does takes its place, if it began otherwise or has been silent for a
-//! second. All others wait, at most [`WAITING_MAX`]; beyond, the oldest that has sent nothing is closed.
+//! Over TCP and Unix sockets, one connection at a time is the sender: the first whose bytes begin like a message
+//! or, if there is none, the first that sends anything. It stays the sender until it disconnects. Until a whole
+//! message has come from it, however, another connection that begins like a message replaces it if the sender did
+//! not begin like one or has been silent for a second. All other connections wait, at most [`WAITING_MAX`] of them.
+//! Beyond that number, the oldest that has sent nothing is closed, else the oldest that does not begin like a
+//! message, else the newest.
 //!
-//! Of datagrams, a stream is the sender's until its end has come, or nothing has for a second. Those of others are
-//! left out until then, and counted.
+//! Over UDP, the stream that is being received stays the current one until its end arrives, or until nothing of it
+//! arrives for a second. Datagrams of other streams are dropped until then, and counted.
 
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read};
@@ -25,19 +27,19 @@ use crate::forward::address::Address;
 use crate::forward::datagram::{DATAGRAM_BYTES_MAX, Joiner, Messages, Part};
 use crate::forward::packet::SYNC as PACKET_SYNC;
 
-/// Bytes read at a time.
+/// Bytes per read.
 const READ_BYTES: usize = 1 << 16;
-/// Wait between two looks for a sender.
+/// Period at which connections are checked while a sender may be chosen.
 const LOOK: Duration = Duration::from_millis(10);
-/// How long a sender from which no message came may be silent while another one has begun.
+/// Silence after which a sender that has not yet sent a whole message may be replaced.
 const SILENCE: Duration = Duration::from_secs(1);
-/// Connections that wait behind the sender.
+/// Most connections that wait while another one is the sender.
 pub const WAITING_MAX: usize = 16;
-/// Bytes that tell whether a message begins.
+/// Number of bytes that show whether a message begins.
 const BEGIN_BYTES: usize = FRAME_SYNC.len();
-/// After how long a silence a TCP sender's host is asked whether it is still there, and how often.
+/// Silence after which a TCP sender's host is probed, and the interval between probes.
 const KEEPALIVE: Duration = Duration::from_secs(10);
-/// Bytes that the system is asked to keep of datagrams while nobody takes them.
+/// Size requested for the system's receive buffer of datagrams, in bytes.
 pub const DATAGRAMS_BYTES: usize = 8 << 20;
 
 enum Listener {
@@ -66,7 +68,7 @@ impl Stream {
         }
     }
 
-    /// Waits for bytes from now on, for a while.
+    /// Makes reads block for bytes from now on, with a timeout.
     fn block(&self) -> io::Result<()> {
         let socket = self.as_fd();
         let socket = SockRef::from(&socket);
@@ -75,18 +77,19 @@ impl Stream {
     }
 }
 
-/// A connection, and what was read of it before it became the sender.
+/// A connection, and the bytes read from it before it became the sender.
 struct Connection {
     stream: Stream,
     begin: [u8; BEGIN_BYTES],
     read: usize,
-    /// Of the sender: whether it began as a message does.
+    /// Whether it began like a message; set when it becomes the sender.
     is_of_messages: bool,
     heard: Instant,
 }
 
 impl Connection {
-    /// Reads its first bytes, where they are there; whether it is still there itself.
+    /// Reads its first bytes as far as they have arrived. Returns whether the connection is still of use: open, or
+    /// with bytes to deliver.
     fn look(&mut self) -> bool {
         while self.read < BEGIN_BYTES {
             match self.stream.read(&mut self.begin[self.read..]) {
@@ -103,54 +106,54 @@ impl Connection {
     }
 }
 
-/// Datagrams, and what is known of those that did not come.
+/// The UDP receiver and its counts of what did not arrive.
 struct Datagrams {
     socket: UdpSocket,
     joiner: Joiner,
     messages: Messages,
-    /// Bytes that the system keeps.
+    /// Size of the receive buffer that the system granted, in bytes.
     granted_bytes: usize,
     lost: u64,
     late: u64,
-    /// Bytes of messages of which others are missing.
+    /// Bytes dropped because other parts of their message are missing.
     cut_bytes: u64,
-    /// Parts are left out until a message begins.
+    /// Whether parts are dropped until the next message begins.
     is_cut: bool,
     has_ended: bool,
     heard: Instant,
-    /// Bytes that came, until the loss before them has been told.
+    /// Number of bytes in the buffer that are returned after the loss before them was reported.
     held: Option<usize>,
 }
 
-/// What is known of datagrams.
+/// Counts of datagrams received and lost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DatagramAccount {
-    /// Datagrams that never came, or too late, as the numbers of the others tell; also those that the sender had
-    /// sent before the first that came.
+    /// Datagrams that did not arrive, or arrived too late, according to the sequence numbers of the others. This
+    /// includes those sent before the first one that arrived.
     pub lost: u64,
-    /// Messages before the first and after the last that came whole.
+    /// Messages lost before the first and after the last one that arrived whole.
     pub lost_messages: u64,
-    /// Datagrams that came twice, late, or from elsewhere, and were left out.
+    /// Datagrams dropped because they were duplicates, late, of another stream, or not of this protocol.
     pub late: u64,
-    /// Bytes that were left out: of messages of which others are missing.
+    /// Bytes dropped because other parts of their message are missing.
     pub cut_bytes: u64,
-    /// Bytes of datagrams that the system keeps while nobody takes them.
+    /// Size of the system's receive buffer, in bytes.
     pub granted_bytes: usize,
-    /// Datagrams that the system had no room for, where it tells.
+    /// Datagrams for which the receive buffer had no room, if the system reports it.
     pub overflown: Option<u64>,
 }
 
-/// A stream, whoever sends it; one sender at a time.
+/// A stream from whoever sends it; one sender at a time.
 pub struct Listening {
     name: String,
     listener: Listener,
     sender: Option<Connection>,
-    /// Whether a message came from the sender.
+    /// Whether a whole message came from the current sender.
     is_proven: bool,
     waiting: VecDeque<Connection>,
     looked: Instant,
     senders: u64,
-    /// Senders from which a message came.
+    /// Number of senders from which a whole message came.
     proven: u64,
     buffer: Vec<u8>,
 }
@@ -160,7 +163,7 @@ impl Datagrams {
         let socket = UdpSocket::bind(at)?;
         let asked = SockRef::from(&socket).set_recv_buffer_size(DATAGRAMS_BYTES);
         let granted = SockRef::from(&socket).recv_buffer_size();
-        // Linux gives what its limit allows, and doubles it for what it keeps beside the bytes.
+        // Linux caps the size at its limit, and reports twice the usable size to cover its own bookkeeping.
         let doubled = if cfg!(target_os = "linux") { 2 } else { 1 };
         Ok(Self {
             socket,
@@ -177,7 +180,7 @@ impl Datagrams {
         })
     }
 
-    /// Datagrams that the system had no room for.
+    /// Returns the number of datagrams for which the receive buffer had no room.
     fn overflown(&self) -> Option<u64> {
         let own = format!("/proc/self/fd/{}", self.socket.as_raw_fd());
         let inode = std::fs::metadata(own).ok()?.ino().to_string();
@@ -191,7 +194,8 @@ impl Datagrams {
         })
     }
 
-    /// The next bytes in `buffer`, and whether something before them did not come; `None` in time.
+    /// Receives the next bytes into `buffer`. Returns their number, and whether something before them is missing;
+    /// `None` if nothing arrived before `until`, or the stream ended.
     fn next(
         &mut self,
         buffer: &mut [u8],
@@ -200,7 +204,7 @@ impl Datagrams {
     ) -> io::Result<Option<(usize, bool)>> {
         let mut is_first = true;
         loop {
-            // Datagrams of which nothing comes through are no reason to stay.
+            // Datagrams that are dropped must not keep the loop going past its time.
             if !std::mem::take(&mut is_first) && Instant::now() >= until {
                 return Ok(None);
             }
@@ -254,7 +258,7 @@ impl Datagrams {
         }
     }
 
-    /// Another stream begins; whether one was before it.
+    /// Begins a new stream if `is_new`; returns whether another one preceded it.
     fn begin(&mut self, is_new: bool, senders: &mut u64) -> bool {
         if is_new {
             *senders += 1;
@@ -265,10 +269,10 @@ impl Datagrams {
 }
 
 impl Listening {
-    /// Waits at an address.
+    /// Listens at an address.
     ///
     /// # Errors
-    /// The address is taken, is not one of this host, or cannot be waited at.
+    /// The address is in use, does not belong to this host, or cannot be listened at (a file or stdout).
     pub fn open(address: &Address) -> Result<Self, LinkError> {
         let name = address.to_string();
         let unreachable = |cause: String| LinkError::Unreachable {
@@ -314,7 +318,7 @@ impl Listening {
         })
     }
 
-    /// Where it waits: the port that the system chose, where 0 was asked for.
+    /// Returns the local port, also if the system chose it because port 0 was requested; `None` for a Unix socket.
     #[must_use]
     pub fn local_port(&self) -> Option<u16> {
         match &self.listener {
@@ -325,7 +329,7 @@ impl Listening {
         .map(|address| address.port())
     }
 
-    /// What is known of datagrams, where they are what comes.
+    /// Returns the counts of datagrams; `None` unless this listens on UDP.
     #[must_use]
     pub fn datagrams(&self) -> Option<DatagramAccount> {
         let Listener::Udp(datagrams) = &self.listener else {
@@ -341,7 +345,7 @@ impl Listening {
         })
     }
 
-    /// Says that a whole message was in what came last: the sender is one.
+    /// Informs the link that the bytes returned last completed a message: the sender is a genuine one.
     pub fn prove(&mut self) {
         if let Listener::Udp(datagrams) = &mut self.listener {
             datagrams.messages.complete();
@@ -352,7 +356,7 @@ impl Listening {
         }
     }
 
-    /// Says that the end is wished for: the message that is coming is not lost.
+    /// Informs the link that receiving ends here on request: a message in transit is then not counted as lost.
     pub fn forgive(&mut self) {
         if let Listener::Udp(datagrams) = &mut self.listener {
             datagrams.messages.forgive(datagrams.is_cut);
@@ -366,10 +370,10 @@ impl Listening {
         }
     }
 
-    /// Takes the connections that have come, and their first bytes.
+    /// Accepts the pending connections and reads their first bytes.
     fn look(&mut self) -> io::Result<()> {
         self.looked = Instant::now();
-        // At most so many at a time: whoever connects without end is not to hold up what comes.
+        // Bounded, so that a flood of connections cannot hold up the stream.
         for _ in 0..WAITING_MAX {
             let accepted = match &self.listener {
                 Listener::Tcp(listener) => listener.accept().map(|(stream, _)| Stream::Tcp(stream)),
@@ -381,7 +385,7 @@ impl Listening {
             let stream = match accepted {
                 Ok(stream) => stream,
                 Err(error) if is_pause(&error) => break,
-                // It had gone before it was taken.
+                // The connection was closed before it was accepted.
                 Err(error) if error.kind() == ErrorKind::ConnectionAborted => continue,
                 Err(error) => return Err(error),
             };
@@ -389,7 +393,7 @@ impl Listening {
             let socket = SockRef::from(&socket);
             socket.set_nonblocking(true)?;
             if matches!(stream, Stream::Tcp(_)) {
-                // A host that was switched off never says that it has gone.
+                // A host that was switched off never closes its connection.
                 let probes = TcpKeepalive::new()
                     .with_time(KEEPALIVE)
                     .with_interval(KEEPALIVE);
@@ -414,7 +418,7 @@ impl Listening {
         Ok(())
     }
 
-    /// Makes a connection the sender, where one is to be; whether there is another one now.
+    /// Makes a waiting connection the sender if one should be; returns whether the sender changed.
     fn choose(&mut self) -> io::Result<bool> {
         let may_be_replaced = match &self.sender {
             None => true,
@@ -457,7 +461,7 @@ const LOST: Received<'_> = Received::Lost {
     cause: Loss::Damaged,
 };
 
-/// Whether nothing came, but might soon.
+/// Returns whether the error only means that nothing has arrived yet.
 fn is_pause(error: &io::Error) -> bool {
     matches!(
         error.kind(),
@@ -470,7 +474,8 @@ impl Link for Listening {
         &self.name
     }
 
-    /// A sender that goes is not the end: the next one is waited for, and a loss told between them.
+    /// Receives from the current sender. When the sender disconnects the stream does not end: the next sender is
+    /// awaited, and a loss is reported between the two.
     fn receive(&mut self, timeout: Duration) -> Result<Received<'_>, LinkError> {
         let until = Instant::now() + timeout;
         if let Listener::Udp(datagrams) = &mut self.listener {
@@ -518,7 +523,7 @@ impl Link for Listening {
                         return Ok(Received::Nothing);
                     }
                 }
-                // As if it had gone.
+                // A failed connection is treated like a closed one.
                 Err(_) => self.sender = None,
             }
         }
@@ -533,7 +538,7 @@ impl Link for Listening {
 }
 
 impl Listening {
-    /// Whether somebody is sending now; of datagrams, whether any came and their end did not.
+    /// Returns whether there is a sender now; over UDP, whether datagrams arrived and their stream has not ended.
     #[must_use]
     pub fn has_sender(&self) -> bool {
         match &self.listener {
@@ -542,13 +547,13 @@ impl Listening {
         }
     }
 
-    /// Senders so far.
+    /// Returns the number of senders so far.
     #[must_use]
     pub const fn senders(&self) -> u64 {
         self.senders
     }
 
-    /// Whether a message came from any sender.
+    /// Returns whether a whole message came from any sender.
     #[must_use]
     pub const fn had_sender(&self) -> bool {
         self.proven > 0
@@ -558,7 +563,7 @@ impl Listening {
 impl Drop for Listening {
     fn drop(&mut self) {
         if let Listener::Unix(_, path) = &self.listener {
-            // The name would stay and be taken the next time.
+            // A stale socket file would block the next bind to this path.
             let _ = std::fs::remove_file(path);
         }
     }
@@ -638,7 +643,7 @@ mod tests {
         }
     }
 
-    /// What comes until nothing does for a while.
+    /// Receives until nothing arrives for a while.
     fn some(link: &mut Listening) -> Vec<u8> {
         let mut met = Vec::new();
         let until = Instant::now() + Duration::from_secs(20);
@@ -666,14 +671,14 @@ mod tests {
             let silent: Vec<_> = (0..3).map(|_| connect(&to)).collect();
             nothing(&mut link, 50);
             assert!(!link.has_sender(), "{kind}");
-            // Nobody else sends: what comes is taken for what it is.
+            // No other connection sends, so whatever arrives is passed on.
             let mut strange = connect(&to);
             strange.write_all(b"GET / HTTP/1.0").unwrap();
             assert_eq!(some(&mut link), b"GET / HTTP/1.0", "{kind}");
             let mut sender = connect(&to);
             sender.write_all(MESSAGE).unwrap();
             assert_eq!(some(&mut link), MESSAGE, "{kind}");
-            // A message came: nobody takes its place while it is there, however long it is silent.
+            // Once a whole message has come, a sender keeps its place however long it is silent.
             link.prove();
             std::thread::sleep(SILENCE + Duration::from_millis(100));
             let mut other = connect(&to);
@@ -712,7 +717,7 @@ mod tests {
         assert_eq!(some(&mut link), MESSAGE);
         assert!(link.waiting.len() <= WAITING_MAX);
         link.prove();
-        // Those that come and go without a byte are none.
+        // Connections that close without sending a byte do not count as senders.
         drop(sender);
         drop(_silent);
         nothing(&mut link, 50);

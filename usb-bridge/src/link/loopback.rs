@@ -1,4 +1,4 @@
-//! Links inside the process: a pair of ends, and a simulated device without a bus.
+//! Links inside the process: a pair of connected ends, and a simulated device without a bus.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -10,19 +10,19 @@ use super::{Link, LinkError, Loss, Outlet, Received, until};
 use crate::device::Transfers;
 use crate::peripheral::{Bulk, Peripheral, Reply};
 
-/// A reader that takes no bytes in this time has stopped.
+/// A receiver that accepts no bytes for this long has stopped.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Bytes of a transfer to a simulated device.
+/// Bytes per transfer to a simulated device.
 const TRANSFER: usize = 4096;
 
-/// How often a device that has nothing is asked again.
+/// Period at which a device with nothing to send is asked again.
 const POLL: Duration = Duration::from_micros(200);
 
-/// Pieces that one direction keeps for reuse.
+/// Buffers that one direction keeps for reuse.
 const SPARE_MAX: usize = 8;
 
-/// A lock that a panic elsewhere does not take along.
+/// Locks a mutex even if another thread panicked while holding it.
 fn lock<T: ?Sized>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -38,7 +38,7 @@ struct Pipe {
 #[derive(Debug, Default)]
 struct PipeState {
     pieces: VecDeque<(Vec<u8>, Instant)>,
-    /// Pieces that were read, for their memory.
+    /// Buffers of pieces that were read, for reuse.
     spare: Vec<Vec<u8>>,
     bytes: usize,
     closed: bool,
@@ -50,13 +50,13 @@ pub struct LoopbackLink {
     name: String,
     out: Arc<Pipe>,
     into: Arc<Pipe>,
-    /// The piece that is lent.
+    /// The piece that the last receive returned.
     lent: Vec<u8>,
     patience: Duration,
 }
 
-/// Two ends: what is sent at one is received at the other. Each direction holds at most `room` bytes, at
-/// least one; a sender waits for room. Bytes are copied once, and lent to the receiver as they are.
+/// Creates two connected ends: what is sent at one is received at the other. Each direction holds at most `room`
+/// bytes (at least 1), and a sender waits for room. Bytes are copied once; the receiver borrows that copy.
 #[must_use]
 pub fn pair(room: usize) -> (LoopbackLink, LoopbackLink) {
     let pipe = || {
@@ -81,7 +81,7 @@ pub fn pair(room: usize) -> (LoopbackLink, LoopbackLink) {
 }
 
 impl LoopbackLink {
-    /// How long a sender waits for room before it takes the reader as stopped; 5 s where not set.
+    /// Sets how long a sender waits for room before it takes the reader as stopped; the default is 5 s.
     pub const fn set_patience(&mut self, patience: Duration) {
         self.patience = patience;
     }
@@ -168,7 +168,7 @@ impl Drop for LoopbackLink {
     }
 }
 
-/// A simulated device that is attached inside the process.
+/// A simulated device attached inside the process.
 #[derive(Clone)]
 pub struct Attachment {
     shared: Arc<Mutex<Attached>>,
@@ -178,12 +178,12 @@ pub struct Attachment {
 }
 
 struct Attached {
-    /// `None` once it is unplugged.
+    /// `None` after the device was unplugged.
     peripheral: Option<Box<dyn Peripheral>>,
 }
 
 impl Attachment {
-    /// Attaches a device, and configures it as a bus would.
+    /// Attaches a device and configures it as a host would.
     #[must_use]
     pub fn new(name: &str, mut peripheral: Box<dyn Peripheral>) -> Self {
         peripheral.reset();
@@ -200,7 +200,7 @@ impl Attachment {
         }
     }
 
-    /// Its control side.
+    /// Returns the control side of the device.
     #[must_use]
     pub fn control(&self) -> PeripheralControl {
         PeripheralControl {
@@ -208,7 +208,7 @@ impl Attachment {
         }
     }
 
-    /// Its stream.
+    /// Returns the stream of the device, read with transfers of the given size.
     #[must_use]
     pub fn stream(&self, transfers: &Transfers) -> PeripheralLink {
         PeripheralLink {
@@ -220,7 +220,7 @@ impl Attachment {
         }
     }
 
-    /// Takes it away, as a cable that is pulled.
+    /// Removes the device, like pulling its cable.
     pub fn unplug(&self) {
         lock(&self.shared).peripheral = None;
     }
@@ -245,13 +245,13 @@ impl Attachment {
     }
 }
 
-/// The stream of an [`Attachment`]: transfers one after the other.
+/// The stream of an [`Attachment`], one transfer at a time.
 pub struct PeripheralLink {
     attachment: Attachment,
     endpoint: u8,
     room: usize,
     buffer: Vec<u8>,
-    /// Halts since bytes came.
+    /// Consecutive halts without bytes in between.
     halts: usize,
 }
 
@@ -326,7 +326,7 @@ impl Link for PeripheralLink {
     }
 }
 
-/// The way to an [`Attachment`]: the endpoint with the number of its stream's.
+/// The sending side of an [`Attachment`]: the OUT endpoint with the stream's endpoint number.
 struct PeripheralOutlet {
     attachment: Attachment,
     endpoint: u8,
@@ -364,7 +364,7 @@ impl Outlet for PeripheralOutlet {
     }
 }
 
-/// The control side of an [`Attachment`]; it does not wait where a device asks for it.
+/// The control side of an [`Attachment`]. It skips the waits that a real device requires.
 #[derive(Clone)]
 pub struct PeripheralControl {
     attachment: Attachment,

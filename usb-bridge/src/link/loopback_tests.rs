@@ -1,4 +1,4 @@
-//! Tests of the links inside the process.
+//! Tests of the in-process links.
 
 use super::*;
 use crate::peripheral::{Descriptors, Speed};
@@ -42,7 +42,7 @@ fn more_than_the_room_goes_in_parts_and_a_stopped_reader_is_an_error() {
     assert_eq!(lock(&far.into.state).bytes, 10);
 }
 
-/// Answers a request with its value, and gives transfers as they are prepared.
+/// Answers a request with its value, and returns transfers that were prepared.
 struct Prepared {
     descriptors: Descriptors,
     bulks: VecDeque<(Bulk, Vec<u8>)>,
@@ -183,8 +183,8 @@ fn a_drain_ends_when_it_is_quiet_or_takes_too_long() {
     assert_eq!(got, 60);
 }
 
-/// `cargo test --release -p usb-bridge loopback -- --ignored --nocapture`: 50 million events a second
-/// are 200 MB/s.
+/// Run with `cargo test --release -p usb-bridge loopback -- --ignored --nocapture`. For comparison, 50 million
+/// events per second are 200 MB/s.
 #[test]
 #[ignore = "a measurement"]
 fn speed_of_the_pair() {

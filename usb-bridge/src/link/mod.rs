@@ -1,7 +1,7 @@
-//! Links: what moves bytes between a device and this host.
+//! Links move bytes between a device and this host.
 //!
-//! [`Link`] is one direction of a stream in, another out. Implementations move the bytes; wrappers
-//! stand around any of them and are links themselves.
+//! A [`Link`] is a stream of bytes from a device, and a way to send bytes to it. Some implementations move the
+//! bytes themselves; others wrap any link, to trace it or to inject faults, and are links too.
 
 pub mod control;
 pub mod faults;
@@ -18,24 +18,24 @@ use std::time::{Duration, Instant};
 
 use thiserror::Error;
 
-/// What a [`Link`] had to give.
+/// Outcome of [`Link::receive`].
 #[derive(Debug, PartialEq, Eq)]
 pub enum Received<'l> {
     /// The next bytes of the stream, at least one.
     Bytes {
-        /// The bytes, until the next call.
+        /// The bytes, valid until the next call.
         bytes: &'l [u8],
-        /// When the last of them had arrived.
+        /// When the last of them arrived.
         at: Instant,
     },
-    /// Bytes before those that come next did not arrive, and the link knows it.
+    /// The link knows that bytes before the next ones did not arrive.
     Lost {
-        /// How many, where it is known.
+        /// Number of lost bytes, if known.
         bytes: Option<u64>,
-        /// Why.
+        /// Cause of the loss.
         cause: Loss,
     },
-    /// Nothing came in time.
+    /// Nothing arrived in time.
     Nothing,
     /// The other side has ended the stream in order.
     Ended,
@@ -44,82 +44,82 @@ pub enum Received<'l> {
 /// Why bytes did not arrive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Loss {
-    /// The device sent more than was asked for.
+    /// The device sent more than the transfer had room for.
     Overflow,
     /// A transfer failed with an error on the wire.
     Damaged,
-    /// The endpoint halted and was cleared.
+    /// The endpoint halted and the halt was cleared.
     Stalled,
-    /// A fault that was asked for.
+    /// A fault injected on request.
     Injected,
 }
 
-/// A link that failed: one line that says what to do.
+/// Failure of a link, as one line that says what to do.
 #[derive(Debug, Error)]
 pub enum LinkError {
     /// The device was unplugged.
     #[error("{link}: unplugged; connect it again and start anew")]
     Unplugged {
-        /// Which one.
+        /// Name of the link.
         link: String,
     },
-    /// Nobody may open it but root, so far.
+    /// The user has no permission to open the device.
     #[error("{link}: no permission to open it; {remedy}")]
     Permission {
-        /// Which one.
+        /// Name of the link.
         link: String,
-        /// The udev rule, and where to put it.
+        /// How to get the permission, such as a udev rule and where to put it.
         remedy: String,
     },
-    /// Another program has it.
+    /// Another program or driver uses the device.
     #[error("{link}: in use by another program or driver; stop that one first")]
     Busy {
-        /// Which one.
+        /// Name of the link.
         link: String,
     },
-    /// An endpoint stays halted.
+    /// An endpoint stays halted although the halt was cleared.
     #[error("{link}: endpoint {endpoint:#04x} is stalled and stays so; reconnect the device")]
     Stalled {
-        /// Which one.
+        /// Name of the link.
         link: String,
-        /// Endpoint with the direction's bit.
+        /// Endpoint address with the direction bit.
         endpoint: u8,
     },
-    /// The bus is slower than the stream.
+    /// The bus is too slow for the stream.
     #[error("{link}: is connected at {speed}; it needs USB 3: use another port or cable")]
     TooSlow {
-        /// Which one.
+        /// Name of the link.
         link: String,
-        /// What the bus gave.
+        /// Speed at which the device is connected.
         speed: &'static str,
     },
-    /// The address cannot be reached.
+    /// The address or device cannot be reached.
     #[error("{link}: cannot be reached: {cause}")]
     Unreachable {
-        /// Which one.
+        /// Name of the link.
         link: String,
-        /// What the system says.
+        /// Cause, as the system or the library reports it.
         cause: String,
     },
-    /// Anything else.
+    /// Any other failure.
     #[error("{link}: {cause}")]
     Failed {
-        /// Which one.
+        /// Name of the link.
         link: String,
-        /// What the system says.
+        /// Cause, as the system or the library reports it.
         cause: String,
     },
 }
 
-/// A stream of bytes from a device, and to it.
+/// A stream of bytes from a device, and a way to send bytes to it.
 pub trait Link: Send {
-    /// Name for messages: `usb 1-4 DAVIS346`, `/dev/ttyACM0`, `tcp://host:port`.
+    /// Returns the name used in messages: `usb 1-4 DAVIS346`, `/dev/ttyACM0`, `tcp://host:port`.
     fn name(&self) -> &str;
 
-    /// Waits for what comes next, at most for `timeout`.
+    /// Waits for the next part of the stream, for at most `timeout`.
     ///
     /// # Errors
-    /// The link failed; nothing comes from it any more.
+    /// The link failed; nothing more can be received from it.
     fn receive(&mut self, timeout: Duration) -> Result<Received<'_>, LinkError>;
 
     /// Sends all of `bytes`.
@@ -128,10 +128,10 @@ pub trait Link: Send {
     /// The link failed.
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError>;
 
-    /// The way to the device by itself, for a thread that sends while another one receives.
+    /// Returns a separate sender, for a thread that sends while another one receives.
     ///
     /// # Errors
-    /// There is none: a file, or a device that only sends.
+    /// The link cannot send this way: a file, or a device that only sends to the host.
     fn outlet(&self) -> Result<Box<dyn Outlet>, LinkError> {
         Err(LinkError::Failed {
             link: self.name().to_owned(),
@@ -140,18 +140,18 @@ pub trait Link: Send {
     }
 }
 
-/// The way to a device.
+/// The sending side of a link.
 pub trait Outlet: Send {
-    /// Sends all of `bytes`, however slowly the device takes them.
+    /// Sends all of `bytes`, however slowly the device accepts them.
     ///
     /// # Errors
-    /// The link failed, or the device has taken nothing for seconds.
+    /// The link failed, or the device has accepted nothing for seconds.
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError>;
 }
 
-/// Receives until nothing comes for `quiet`, which is longer than the device's own timeout of transfers,
-/// or the stream ends: what a device sent before it stopped. `false` where bytes still come after
-/// `limit`.
+/// Receives what a device sent before it stopped: until nothing arrives for `quiet`, or the stream ends. `quiet`
+/// must be longer than the device's own timeout of transfers. Every outcome is passed to `taken`. Returns `false`
+/// if bytes still arrive after `limit`.
 ///
 /// # Errors
 /// The link failed.
@@ -173,7 +173,7 @@ pub fn drain(
     }
 }
 
-/// The moment at which `timeout` from now ends; one that no clock can hold is a day.
+/// Returns the instant `timeout` from now, or one day from now if the clock cannot represent that instant.
 pub(crate) fn until(timeout: Duration) -> Instant {
     let now = Instant::now();
     now.checked_add(timeout)

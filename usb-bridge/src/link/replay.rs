@@ -1,4 +1,4 @@
-//! Stream files as links: a capture once more, byte for byte.
+//! Replays a stream file as a link, byte for byte.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -9,32 +9,32 @@ use std::time::{Duration, Instant};
 use super::raw_file::{Header, RawFileError, RawReader, Record};
 use super::{Link, LinkError, Received, until};
 
-/// How fast a file is replayed.
+/// Pace of a replay.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Pace {
-    /// So many times as fast as it was captured; 1 is as it was. Positive.
+    /// This many times the captured speed; must be positive.
     Times(f64),
-    /// As fast as it is taken.
+    /// As fast as the receiver takes it.
     Max,
 }
 
-/// A stream file that is replayed.
+/// A link that replays a stream file. It cannot send.
 pub struct ReplayLink {
     reader: RawReader<BufReader<File>>,
     name: String,
     pace: Pace,
-    /// When the first record was given, and its time in the file.
+    /// When the first record was delivered, and its time in the file.
     started: Option<(Instant, Duration)>,
-    /// Read, and not due yet.
+    /// A record that has been read but is not due yet.
     next: Option<Record>,
     bytes: Vec<u8>,
 }
 
 impl ReplayLink {
-    /// Opens a file.
+    /// Opens a stream file.
     ///
     /// # Errors
-    /// It cannot be read, or is no stream file.
+    /// The file cannot be read, or is not a stream file.
     pub fn open(path: &Path, pace: Pace) -> Result<Self, RawFileError> {
         Ok(Self {
             reader: RawReader::open(path)?,
@@ -46,26 +46,26 @@ impl ReplayLink {
         })
     }
 
-    /// What the file says of its stream.
+    /// Returns the file's header, which describes its stream.
     #[must_use]
     pub const fn header(&self) -> &Header {
         self.reader.header()
     }
 
-    /// Where the file is cut off, once its end was reached.
+    /// Returns the offset at which the file is cut off; known only once its end was reached.
     #[must_use]
     pub const fn cut(&self) -> Option<u64> {
         self.reader.cut()
     }
 
-    /// When a record is due.
+    /// Returns when a record with this time is due.
     fn due(&mut self, time: Duration) -> Instant {
         let now = Instant::now();
         let Pace::Times(times) = self.pace else {
             return now;
         };
         let (started, first) = *self.started.get_or_insert((now, time));
-        // A pace of nothing, or of no number, would be never.
+        // Keeps a pace of zero or NaN from dividing by zero.
         let since = time.saturating_sub(first).as_secs_f64() / times.max(1e-6);
         let since = Duration::try_from_secs_f64(since).unwrap_or(Duration::MAX);
         started.checked_add(since).unwrap_or_else(|| until(since))
@@ -77,7 +77,7 @@ impl Link for ReplayLink {
         &self.name
     }
 
-    /// The arrival is when the bytes were due.
+    /// Returns the next record once it is due; `at` is the time at which its bytes were due.
     fn receive(&mut self, timeout: Duration) -> Result<Received<'_>, LinkError> {
         let deadline = until(timeout);
         let record = match self.next.take() {
@@ -95,7 +95,7 @@ impl Link for ReplayLink {
         };
         let time = match record {
             Record::Bytes { time } => time,
-            // Due at once: what comes next has its time.
+            // A loss is returned at once; the record that follows carries the time.
             Record::Lost { bytes, cause, .. } => return Ok(Received::Lost { bytes, cause }),
         };
         let due = self.due(time);

@@ -1,4 +1,4 @@
-//! A serial port: the encoder's MCU as a CDC-ACM device, or a UART behind an adapter.
+//! A serial port: the MCU as a CDC-ACM device, or a UART on an adapter.
 
 use std::io::{self, Read};
 use std::time::{Duration, Instant};
@@ -7,16 +7,16 @@ use serialport::{ErrorKind, FlowControl, SerialPort};
 
 use super::{Link, LinkError, Outlet, Received};
 
-/// Baud rate where nothing else is asked for; a CDC-ACM device takes any and goes as fast as USB does.
+/// Default baud rate. A CDC-ACM device accepts any rate and runs at the speed of USB.
 pub const BAUD: u32 = 115_200;
 
-/// Bytes that are taken at once: several times what a port holds for its reader.
+/// Bytes per read: several times what a port buffers for its reader.
 const BUFFER: usize = 64 * 1024;
 
-/// A port that does not take bytes in this time does not take them at all.
+/// A port that accepts no bytes for this long has failed.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// A serial port, eight bits without parity; with flow control once it has an [`Outlet`].
+/// A serial port with 8 data bits and no parity. Creating an [`Outlet`] turns on hardware flow control.
 pub struct SerialLink {
     port: Box<dyn SerialPort>,
     name: String,
@@ -24,10 +24,10 @@ pub struct SerialLink {
 }
 
 impl SerialLink {
-    /// Opens the port with this name: `/dev/ttyACM0`, `COM3`.
+    /// Opens a port by its name, such as `/dev/ttyACM0` or `COM3`.
     ///
     /// # Errors
-    /// It is not there, in use, or may not be opened.
+    /// The port does not exist, is in use, or may not be opened.
     pub fn open(path: &str, baud: u32) -> Result<Self, LinkError> {
         let port = serialport::new(path, baud)
             .timeout(PATIENCE)
@@ -54,7 +54,7 @@ fn opening(path: &str, error: &serialport::Error) -> LinkError {
                 "join the group of serial ports, `sudo usermod -aG dialout $USER`, and log in anew"
                     .to_owned(),
         },
-        // The library's word for a port that another program has locked, too.
+        // The library also reports a port locked by another program this way.
         ErrorKind::NoDevice if error.description.contains("busy") => LinkError::Busy { link },
         _ => LinkError::Unreachable {
             link,
@@ -65,7 +65,7 @@ fn opening(path: &str, error: &serialport::Error) -> LinkError {
 
 fn failed(name: &str, error: &io::Error) -> LinkError {
     let link = name.to_owned();
-    /// Linux's and macOS's error of a port whose device has gone.
+    /// Error of Linux and macOS for a port whose device has gone.
     const EIO: i32 = 5;
     match error.kind() {
         io::ErrorKind::BrokenPipe | io::ErrorKind::NotConnected | io::ErrorKind::NotFound => {
@@ -92,7 +92,7 @@ impl Link for SerialLink {
         let set = self.port.set_timeout(timeout);
         set.map_err(|error| self.failed(&error.into()))?;
         match self.port.read(&mut self.buffer) {
-            // Readable and empty: its device has gone.
+            // A read of zero bytes means that the device has gone.
             Ok(0) => Err(LinkError::Unplugged {
                 link: self.name.clone(),
             }),
@@ -113,7 +113,8 @@ impl Link for SerialLink {
         send(self.port.as_mut(), &self.name, bytes)
     }
 
-    /// A UART is held by RTS and CTS while it is busy; a CDC-ACM device has neither and needs none.
+    /// Turns on RTS/CTS, so that a busy UART can hold the sender back. A CDC-ACM device has no such lines and needs
+    /// none.
     fn outlet(&self) -> Result<Box<dyn Outlet>, LinkError> {
         let port = self.port.try_clone().and_then(|mut port| {
             port.set_flow_control(FlowControl::Hardware)?;
@@ -126,7 +127,7 @@ impl Link for SerialLink {
     }
 }
 
-/// The way to the device at a serial port.
+/// The sending side of a serial port.
 struct SerialOutlet {
     port: Box<dyn SerialPort>,
     name: String,

@@ -1,4 +1,4 @@
-//! A stream over TCP.
+//! A stream over one TCP connection.
 
 use std::io::{self, Read, Write};
 use std::net::{TcpListener, TcpStream, ToSocketAddrs};
@@ -6,29 +6,29 @@ use std::time::{Duration, Instant};
 
 use super::{Link, LinkError, Received};
 
-/// Bytes that are taken at once.
+/// Bytes per read.
 const BUFFER: usize = 256 * 1024;
 
-/// A host that does not answer in this time cannot be reached.
+/// A host that does not answer within this time cannot be reached.
 const CONNECTING: Duration = Duration::from_secs(5);
 
-/// A reader that takes no bytes in this time has stopped.
+/// A receiver that accepts no bytes for this long has stopped.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// One connection.
+/// A link over one TCP connection.
 pub struct TcpLink {
     stream: TcpStream,
     name: String,
     buffer: Vec<u8>,
-    /// The reading timeout that the socket has.
+    /// Read timeout currently set on the socket.
     timeout: Duration,
 }
 
 impl TcpLink {
-    /// Connects to `host:port`.
+    /// Connects to `host:port`, trying each address of the name in turn.
     ///
     /// # Errors
-    /// The name is unknown, or nobody answers there.
+    /// The name is unknown, or nobody answers.
     pub fn connect(address: &str) -> Result<Self, LinkError> {
         let name = format!("tcp://{address}");
         let unreachable = |error: &io::Error| LinkError::Unreachable {
@@ -45,10 +45,10 @@ impl TcpLink {
         Err(unreachable(&last))
     }
 
-    /// Takes the next connection of a listener.
+    /// Accepts the next connection of a listener.
     ///
     /// # Errors
-    /// The listener fails; a non-blocking one has nobody.
+    /// The listener fails, or it is non-blocking and no connection is pending.
     pub fn accept(listener: &TcpListener) -> io::Result<Self> {
         let (stream, from) = listener.accept()?;
         stream.set_nonblocking(false)?;
@@ -91,7 +91,7 @@ impl Link for TcpLink {
     }
 
     fn receive(&mut self, timeout: Duration) -> Result<Received<'_>, LinkError> {
-        // Zero would be for ever.
+        // The system takes zero as no timeout at all.
         let timeout = timeout.clamp(Duration::from_millis(1), Duration::from_secs(24 * 60 * 60));
         if timeout != self.timeout {
             let set = self.stream.set_read_timeout(Some(timeout));

@@ -1,7 +1,7 @@
-//! Traces of a link as a pcapng file that Wireshark opens: what passed, as transfers on USB.
+//! Traces a link as USB transfers, into a pcapng file that Wireshark can open.
 //!
-//! The link type is `USB_LINUX_MMAPPED` (220): a header of 64 bytes as the kernel's usbmon has it, in
-//! this machine's byte order as the file is, then the bytes.
+//! The link type is `USB_LINUX_MMAPPED` (220): a 64-byte header as written by the kernel's usbmon, in this
+//! machine's byte order like the rest of the file, followed by the data.
 
 use std::borrow::Cow;
 use std::io::Write;
@@ -22,24 +22,24 @@ const HEADER: usize = 64;
 const CONTROL: u8 = 2;
 const BULK: u8 = 3;
 
-/// Linux's errors, as a transfer's status has them.
+/// Linux error codes that a transfer's status field holds.
 const EPIPE: i32 = -32;
 const EPROTO: i32 = -71;
 const EOVERFLOW: i32 = -75;
 const ESHUTDOWN: i32 = -108;
 
-/// Where the transfers are told to be.
+/// Bus address under which the transfers are recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Place {
-    /// Number of the bus.
+    /// Bus number.
     pub bus: u16,
-    /// Address of the device.
+    /// Device address.
     pub address: u8,
-    /// The stream's endpoint, with the direction's bit.
+    /// Endpoint of the stream, with the direction bit.
     pub endpoint: u8,
 }
 
-/// A trace that links write to.
+/// A trace file that links and control sides write to; clones share it.
 #[derive(Clone)]
 pub struct Tracer {
     shared: Arc<Mutex<Shared>>,
@@ -50,13 +50,13 @@ struct Shared {
     writer: PcapNgWriter<Box<dyn Write + Send>>,
     started: (Instant, Duration),
     next: u64,
-    /// The first failure: nothing is written after it, and the links go on.
+    /// The first write error: nothing is written after it, while the links keep running.
     failed: Option<PcapError>,
 }
 
-/// One line of usbmon.
+/// One event of usbmon.
 struct Packet<'p> {
-    /// `S`ubmission or `C`ompletion.
+    /// `S` for submission, `C` for completion.
     event: u8,
     id: u64,
     kind: u8,
@@ -65,15 +65,15 @@ struct Packet<'p> {
     status: i32,
     length: usize,
     setup: Option<[u8; 8]>,
-    /// `None` where the bytes go the other way.
+    /// `None` if the data belong to the other event of the transfer.
     data: Option<&'p [u8]>,
 }
 
 impl Tracer {
-    /// Begins a trace in `out`, which should be buffered.
+    /// Begins a trace in `out`, which should be buffered; `name` is the interface name in the file.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// `out` cannot be written.
     pub fn new(out: Box<dyn Write + Send>, place: Place, name: &str) -> Result<Self, PcapError> {
         let mut writer = PcapNgWriter::new(out)?;
         writer.write_pcapng_block(InterfaceDescriptionBlock {
@@ -81,7 +81,7 @@ impl Tracer {
             snaplen: 0,
             options: vec![
                 InterfaceDescriptionOption::IfName(Cow::Borrowed(name)),
-                // Times in nanoseconds.
+                // Timestamps in nanoseconds (10^-9 s).
                 InterfaceDescriptionOption::IfTsResol(9),
             ],
         })?;
@@ -99,7 +99,7 @@ impl Tracer {
         })
     }
 
-    /// A link whose transfers are written.
+    /// Wraps a link so that its transfers are traced.
     pub fn link<L: Link>(&self, inner: L) -> Trace<L> {
         Trace {
             inner,
@@ -107,7 +107,7 @@ impl Tracer {
         }
     }
 
-    /// A control side whose requests are written.
+    /// Wraps a control side so that its requests are traced.
     pub fn control<C: Control>(&self, inner: C) -> TraceControl<C> {
         TraceControl {
             inner,
@@ -119,10 +119,10 @@ impl Tracer {
         self.shared.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Ends the trace: what is buffered is written.
+    /// Ends the trace and flushes `out`.
     ///
     /// # Errors
-    /// The first failure to write, now or before.
+    /// The first write error, now or earlier.
     pub fn finish(&self) -> Result<(), PcapError> {
         let mut shared = self.lock();
         match shared.failed.take() {
@@ -131,7 +131,7 @@ impl Tracer {
         }
     }
 
-    /// Bytes for the device, while `send` sends them.
+    /// Sends bytes to the device with `send`, and traces the transfer.
     fn sending(
         &self,
         bytes: &[u8],
@@ -146,7 +146,7 @@ impl Tracer {
         sent
     }
 
-    /// A transfer from its submission at `asked` to its end at `ended`.
+    /// Writes a transfer, submitted at `asked` and completed at `ended`.
     fn transfer(
         &self,
         (kind, endpoint): (u8, u8),
@@ -168,7 +168,7 @@ impl Tracer {
                 kind,
                 endpoint,
                 at,
-                // In progress.
+                // -EINPROGRESS.
                 status: -115,
                 length,
                 setup,
@@ -219,7 +219,7 @@ impl Shared {
         bytes.extend((packet.length as u32).to_ne_bytes());
         bytes.extend((data.len() as u32).to_ne_bytes());
         bytes.extend(packet.setup.unwrap_or_default());
-        // Interval, first frame, flags and number of descriptors are those of other transfers.
+        // Interval, start frame, flags and number of descriptors apply to interrupt and isochronous transfers only.
         bytes.extend([0; 16]);
         debug_assert_eq!(bytes.len(), HEADER);
         bytes.extend(data);
@@ -284,7 +284,7 @@ impl<L: Link> Link for Trace<L> {
     }
 }
 
-/// The way to a device, traced.
+/// The sending side of a link, traced.
 struct TraceOutlet {
     inner: Box<dyn Outlet>,
     tracer: Tracer,
@@ -374,7 +374,7 @@ impl<C: Control> Control for TraceControl<C> {
     fn clear_halt(&mut self, endpoint: u8) -> Result<(), LinkError> {
         let asked = Instant::now();
         let result = self.inner.clear_halt(endpoint);
-        // The standard's request: clear the feature 0 of an endpoint.
+        // The standard request CLEAR_FEATURE(ENDPOINT_HALT).
         let request = Request {
             kind: 0x02,
             request: 1,

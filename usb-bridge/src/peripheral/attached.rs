@@ -1,8 +1,8 @@
-//! A device that is plugged in: requests are answered, transfers wait until their data is due.
+//! A plugged-in device: requests are answered, and transfers wait until their data is due.
 //!
-//! What every carrier needs and none has of its own: chapter 9, halts, and the transfers that the
-//! host has in flight on each endpoint. They are answered in their order; one that gets no data
-//! waits (NAK), and holds no memory but its number and its room.
+//! It implements what every carrier needs: chapter 9, halts, and the transfers that the host has in flight on each
+//! endpoint. Transfers are answered in order. A transfer without data waits (NAK), and occupies only the memory for
+//! its number and its room.
 
 use std::collections::VecDeque;
 
@@ -11,13 +11,13 @@ use super::standard::Standard;
 use super::{Bulk, Peripheral, Reply};
 use crate::link::control::Request;
 
-/// Bytes that one transfer is given, at the most: a longer one ends short.
+/// Most bytes given to one transfer; a longer one ends short.
 pub const ROOM_MAX: usize = 1 << 20;
 
-/// Transfers in flight on all endpoints, at the most.
+/// Most transfers in flight on all endpoints.
 pub const WAITING_MAX: usize = 1024;
 
-/// Endpoints of one direction, number 0 among them.
+/// Number of endpoints per direction, including number 0.
 const ENDPOINTS: usize = 16;
 
 /// How a transfer ended.
@@ -27,31 +27,31 @@ pub enum Status {
     Done,
     /// The endpoint is halted.
     Stalled,
-    /// The device had more than was asked for; the rest is lost.
+    /// The device had more data than the transfer had room for; the rest is lost.
     Overflow,
 }
 
-/// A transfer from the device that has ended; its bytes are beside it.
+/// A transfer from the device that has ended; its bytes are returned separately.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Completion {
-    /// The carrier's number of it.
+    /// Number that the carrier gave the transfer.
     pub ticket: u64,
-    /// Endpoint with the direction's bit.
+    /// Endpoint, with the direction bit.
     pub endpoint: u8,
-    /// How it ended.
+    /// How the transfer ended.
     pub status: Status,
-    /// Bytes that it had asked for.
+    /// Number of bytes that the transfer asked for.
     pub asked: usize,
 }
 
-/// What was carried.
+/// Counts of what was carried.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Traffic {
     /// Control requests.
     pub requests: u64,
     /// Control requests that were refused.
     pub requests_refused: u64,
-    /// Transfers to the host that ended with data, and their bytes.
+    /// Transfers to the host that ended with data.
     pub transfers_in: u64,
     /// Bytes to the host.
     pub bytes_in: u64,
@@ -61,11 +61,11 @@ pub struct Traffic {
     pub bytes_out: u64,
     /// Transfers that ended with a halt.
     pub stalled: u64,
-    /// Transfers that the host took back before they had data.
+    /// Transfers that the host cancelled before they had data.
     pub cancelled: u64,
     /// Transfers that were refused: too many in flight, or no such endpoint.
     pub refused: u64,
-    /// Bytes that a device gave beyond what was asked for: they are lost.
+    /// Bytes lost because a device gave more than the transfer had room for.
     pub bytes_overflown: u64,
 }
 
@@ -88,7 +88,7 @@ pub struct Attached {
 }
 
 impl Attached {
-    /// The device as it is after a reset.
+    /// Attaches a device; its state is that after a reset.
     #[must_use]
     pub fn new(mut peripheral: Box<dyn Peripheral>) -> Self {
         let mut standard = Standard::new(peripheral.descriptors());
@@ -103,31 +103,31 @@ impl Attached {
         }
     }
 
-    /// The device.
+    /// Returns the device that is attached.
     #[must_use]
     pub fn peripheral(&self) -> &dyn Peripheral {
         &*self.peripheral
     }
 
-    /// Its address, configuration, settings and halts.
+    /// Returns the address, configuration, settings and halts of the device.
     #[must_use]
     pub fn standard(&self) -> &Standard {
         &self.standard
     }
 
-    /// Its interfaces and endpoints.
+    /// Returns the interfaces and endpoints of the device.
     #[must_use]
     pub fn layout(&self) -> &Layout {
         self.standard.layout()
     }
 
-    /// What was carried so far.
+    /// Returns the counts of what was carried so far.
     #[must_use]
     pub fn traffic(&self) -> Traffic {
         self.traffic
     }
 
-    /// Transfers that wait for data.
+    /// Returns the number of transfers that wait for data.
     #[must_use]
     pub fn waiting(&self) -> usize {
         self.in_flight
@@ -142,7 +142,7 @@ impl Attached {
         reply
     }
 
-    /// Hands `data` to an endpoint of the device.
+    /// Passes `data` to an endpoint of the device.
     pub fn bulk_out(&mut self, endpoint: u8, data: &[u8]) -> Status {
         let is_there = endpoint & 0x80 == 0 && self.standard.endpoint(endpoint).is_some();
         if !is_there {
@@ -159,7 +159,7 @@ impl Attached {
         Status::Done
     }
 
-    /// Puts a transfer of `asked` bytes in flight; `false` refuses it.
+    /// Puts a transfer of `asked` bytes in flight; returns `false` if it is refused.
     pub fn submit(&mut self, ticket: u64, endpoint: u8, asked: usize) -> bool {
         let is_there = endpoint & 0x80 != 0 && self.standard.endpoint(endpoint).is_some();
         if !is_there || self.in_flight >= WAITING_MAX {
@@ -172,7 +172,7 @@ impl Attached {
         true
     }
 
-    /// Takes a transfer back; its endpoint, where it was still in flight.
+    /// Cancels a transfer; returns its endpoint if it was still in flight.
     pub fn cancel(&mut self, ticket: u64) -> Option<u8> {
         for (number, queue) in (0x80..).zip(&mut self.waiting) {
             if let Some(place) = queue.iter().position(|one| one.ticket == ticket) {
@@ -185,7 +185,7 @@ impl Attached {
         None
     }
 
-    /// Takes every transfer back: their numbers and endpoints.
+    /// Cancels every transfer; returns their numbers and endpoints.
     pub fn cancel_all(&mut self) -> Vec<(u64, u8)> {
         let mut all = Vec::with_capacity(self.in_flight);
         for (number, queue) in (0x80..).zip(&mut self.waiting) {
@@ -196,7 +196,7 @@ impl Attached {
         all
     }
 
-    /// The next transfer that has ended, with its bytes in `data`; `None` where all of them wait.
+    /// Returns the next transfer that has ended, with its bytes in `data`; `None` if all transfers wait.
     pub fn poll(&mut self, data: &mut Vec<u8>) -> Option<Completion> {
         for step in 0..ENDPOINTS {
             let number = (self.turn + step) % ENDPOINTS;
@@ -221,9 +221,9 @@ impl Attached {
         None
     }
 
-    /// How a transfer of `room` bytes ends now; `None` where it waits.
+    /// Returns how a transfer of `room` bytes ends now; `None` if it waits.
     fn ask(&mut self, endpoint: u8, room: usize, data: &mut Vec<u8>) -> Option<Status> {
-        // Another configuration or setting may have taken the endpoint away.
+        // The endpoint may have disappeared with another configuration or setting.
         let is_there = self.standard.endpoint(endpoint).is_some();
         let bulk = if !is_there || self.standard.is_halted(endpoint) {
             Bulk::Stall
@@ -256,7 +256,7 @@ impl Attached {
         }
     }
 
-    /// The host has reset the bus.
+    /// Resets the bus: address, configuration and halts are cleared. Transfers in flight stay.
     pub fn reset(&mut self) {
         self.standard.reset(&mut *self.peripheral);
     }

@@ -1,4 +1,4 @@
-//! The microcontroller's own USB class as a [`Peripheral`]: the code of the firmware, on a bus in memory.
+//! The microcontroller's own USB class as a [`Peripheral`]: the code of the firmware on a bus in memory.
 //!
 //! ```text
 //! Peripheral -> control and bulk transfers -> packets on Wire -> usb-device -> eecvs-usb-class -> Application
@@ -14,11 +14,11 @@ use super::wire::{ENDPOINTS, Handshake, Wire};
 use super::{Bulk, Descriptors, Peripheral, Reply, Speed};
 use crate::link::control::Request;
 
-/// Bytes from the host that wait for the application, as on the firmware's ring.
+/// Most bytes from the host that wait for the application, as in the firmware's ring buffer.
 const INBOX_BYTES: usize = 1024;
-/// Bytes from the host that no packet was found for yet, which a host's controller would hold.
+/// Most bytes from the host that wait for a packet buffer, as in a host's controller.
 const HELD_BYTES_MAX: usize = 1 << 16;
-/// Times that a device is polled for a packet of a control transfer before the host gives up.
+/// Number of polls of the device for a packet of a control transfer before the host gives up.
 const CONTROL_POLLS: usize = 8;
 
 /// Bytes from the host for the application.
@@ -26,29 +26,29 @@ const CONTROL_POLLS: usize = 8;
 pub struct Inbox {
     bytes: VecDeque<u8>,
     restarted: bool,
-    /// Endpoints whose packets were numbered anew.
+    /// Endpoints whose packet numbering was restarted.
     pub renumbered: Vec<u8>,
 }
 
 impl Inbox {
-    /// Takes the oldest byte.
+    /// Takes the oldest byte, if there is one.
     pub fn take(&mut self) -> Option<u8> {
         self.bytes.pop_front()
     }
 
-    /// Bytes in it.
+    /// Returns the number of bytes that wait.
     #[must_use]
     pub fn len(&self) -> usize {
         self.bytes.len()
     }
 
-    /// Whether there is none.
+    /// Returns whether no bytes wait.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.bytes.is_empty()
     }
 
-    /// Whether a session has begun since the last call.
+    /// Returns whether a session has begun since the last call.
     pub fn has_restarted(&mut self) -> bool {
         std::mem::take(&mut self.restarted)
     }
@@ -69,16 +69,16 @@ impl Port for Inbox {
     }
 
     fn renumber(&mut self, endpoint: EndpointAddress) {
-        // The last few, for tests.
+        // The first 64 are enough for tests.
         if self.renumbered.len() < 64 {
             self.renumbered.push(endpoint.into());
         }
     }
 }
 
-/// What stands in the encoder's place.
+/// The application that stands in for the encoder.
 pub trait Application: Send {
-    /// Takes bytes from the host, as far as it can use them, and sends messages, as far as there is room.
+    /// Takes as many bytes from the host as it can use, and sends messages as far as there is room.
     fn work(&mut self, inbox: &mut Inbox, sender: &mut Sender<'_>);
 }
 
@@ -95,17 +95,17 @@ pub struct ClassBus<'a, A> {
     sender: Sender<'a>,
     application: A,
     descriptors: Descriptors,
-    /// Bytes of a transfer to the host that goes on, by endpoint.
+    /// Bytes of an unfinished transfer to the host, by endpoint.
     partial: [Vec<u8>; ENDPOINTS],
-    /// Bytes of transfers from the host that go on, by endpoint.
+    /// Bytes of unfinished transfers from the host, by endpoint.
     held: [VecDeque<u8>; ENDPOINTS],
-    /// Bytes from the host that found no room even there.
+    /// Bytes from the host for which there was no room at all.
     bytes_refused: u64,
 }
 
 impl<'a, A: Application> ClassBus<'a, A> {
-    /// The device on `wire`, which `allocator` was made of; enumerated as a host does it. `None` where the
-    /// class does not fit the controller, or does not enumerate.
+    /// Puts the device on `wire`, from which `allocator` was made, and enumerates it as a host does. `None` if the
+    /// class does not fit the controller or enumeration fails.
     pub fn new(
         wire: &Wire,
         allocator: &'a UsbBusAllocator<Wire>,
@@ -135,35 +135,37 @@ impl<'a, A: Application> ClassBus<'a, A> {
         Some(bus)
     }
 
-    /// What the class has moved and dropped.
+    /// Returns what the class has moved and dropped.
     #[must_use]
     pub fn counts(&self) -> Counts {
         self.device.counts()
     }
 
-    /// The bus.
+    /// Returns the bus to which the device is connected.
     #[must_use]
     pub const fn wire(&self) -> &Wire {
         &self.wire
     }
 
-    /// The application.
+    /// Returns the application that stands in for the encoder.
     pub const fn application(&mut self) -> &mut A {
         &mut self.application
     }
 
-    /// What waits for the application.
+    /// Returns the bytes that wait for the application.
     pub const fn inbox(&mut self) -> &mut Inbox {
         self.device.port()
     }
 
-    /// Bytes for an endpoint that wait for the device to take them, as in a host's controller.
+    /// Returns the number of bytes for an endpoint that wait for the device to take them, as in a host's
+    /// controller.
     #[must_use]
     pub fn held_bytes(&self, endpoint: u8) -> usize {
         Self::number(endpoint).map_or(0, |number| self.held[number].len())
     }
 
-    /// Bytes from the host that were dropped, as an application that took none had filled all there is.
+    /// Returns the number of bytes from the host that were dropped because the application took none and all
+    /// buffers were full.
     #[must_use]
     pub const fn bytes_refused(&self) -> u64 {
         self.bytes_refused
@@ -176,7 +178,7 @@ impl<'a, A: Application> ClassBus<'a, A> {
         self.device.poll();
     }
 
-    /// A control transfer of any kind, as a host's controller makes it.
+    /// Makes a control transfer of any kind, as a host's controller does.
     pub fn transfer(&mut self, request: Request, data: &[u8], length: usize) -> Reply {
         let length = match request.is_in() {
             true => length.min(usize::from(u16::MAX)),
@@ -206,7 +208,7 @@ impl<'a, A: Application> ClassBus<'a, A> {
         reply.unwrap_or(Reply::Stall)
     }
 
-    /// The data and status stages of a request that asks.
+    /// Runs the data and status stages of a request that reads.
     fn answer(&mut self, length: usize) -> Option<Vec<u8>> {
         let mut data = Vec::new();
         while data.len() < length {
@@ -217,11 +219,11 @@ impl<'a, A: Application> ClassBus<'a, A> {
             }
         }
         self.control_packet(|wire| wire.give(0, &[]))?;
-        // A device that answers with more than was asked for would do so on a real bus.
+        // A device that answers with more than was requested would do so on a real bus too.
         (data.len() <= length).then_some(data)
     }
 
-    /// The data and status stages of a request that sends.
+    /// Runs the data and status stages of a request that sends.
     fn question(&mut self, data: &[u8]) -> Option<()> {
         for packet in data.chunks(PACKET_BYTES) {
             self.control_packet(|wire| wire.give(0, packet))?;
@@ -229,7 +231,7 @@ impl<'a, A: Application> ClassBus<'a, A> {
         self.control_packet(|wire| wire.ask(0x80, &mut Vec::new()))
     }
 
-    /// Moves a packet of a control transfer; `None` where that is stalled.
+    /// Moves a packet of a control transfer; `None` if the transfer is stalled.
     fn control_packet(&mut self, mut packet: impl FnMut(&Wire) -> Handshake) -> Option<()> {
         for _ in 0..CONTROL_POLLS {
             let handshake = packet(&self.wire);
@@ -256,7 +258,7 @@ impl<'a, A: Application> ClassBus<'a, A> {
         }
     }
 
-    /// Gives the device an address and a configuration, and reads what it says of itself.
+    /// Gives the device an address and a configuration, and reads its descriptors.
     fn enumerate(&mut self) -> Option<Descriptors> {
         let device = self.descriptor(1, 0, 0)?;
         let configuration = self.descriptor(2, 0, 0)?;
@@ -286,7 +288,7 @@ impl<'a, A: Application> ClassBus<'a, A> {
         (1..ENDPOINTS).contains(&number).then_some(number)
     }
 
-    /// Sends what is held, as far as the device takes it; `false` where the endpoint is halted.
+    /// Sends what is held, as far as the device takes it; returns `false` if the endpoint is halted.
     fn send_held(&mut self, endpoint: u8, number: usize) -> bool {
         while !self.held[number].is_empty() {
             let len = self.held[number].len().min(PACKET_BYTES);
@@ -298,7 +300,7 @@ impl<'a, A: Application> ClassBus<'a, A> {
                 }
                 Handshake::Nak => {
                     self.run();
-                    // Nothing has become of the packet before: the application is busy.
+                    // The previous packet has not been taken: the application is busy.
                     if self.wire.give(endpoint, &packet) != Handshake::Ack {
                         return true;
                     }
@@ -350,7 +352,7 @@ impl<A: Application> Peripheral for ClassBus<'_, A> {
             let before = self.partial[number].len();
             match self.wire.ask(endpoint, &mut self.partial[number]) {
                 Handshake::Ack => ended = self.partial[number].len() - before < PACKET_BYTES,
-                // The transfer goes on when there is more.
+                // The transfer continues once there is more.
                 Handshake::Nak => return Bulk::Wait,
                 Handshake::Stall => return Bulk::Stall,
             }
@@ -389,5 +391,5 @@ impl<A: Application> Peripheral for ClassBus<'_, A> {
     }
 }
 
-/// The endpoint of frames is one of those that are there.
+/// The endpoint of frames must exist on this bus.
 const _: () = assert!((TO_HOST & 0x7F) < ENDPOINTS as u8);

@@ -1,6 +1,7 @@
-//! Descriptors: written from what a device is, and read back for what its endpoints are.
+//! USB descriptors: written from a description of a device, and parsed back into its interfaces and endpoints.
 //!
-//! USB 2.0, 9.6 and USB 3.2, 9.6. A device has one configuration and connects at one speed:
+//! The formats are those of USB 2.0, 9.6 and USB 3.2, 9.6. A device has one configuration and connects at one
+//! speed:
 //!
 //! ```
 //! use usb_bridge::peripheral::Speed;
@@ -35,37 +36,37 @@ pub(super) mod kind {
 /// `bConfigurationValue` of the only configuration.
 pub const CONFIGURATION: u8 = 1;
 
-/// How an endpoint moves its bytes: the low bits of `bmAttributes`.
+/// Transfer type of an endpoint: the low bits of `bmAttributes`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[repr(u8)]
 pub enum Transfer {
-    /// Requests.
+    /// Control requests.
     Control = 0,
-    /// A fixed rate, without repetition.
+    /// A fixed rate, without retransmission.
     Isochronous = 1,
-    /// What is left of the bus.
+    /// The remaining bandwidth of the bus.
     Bulk = 2,
-    /// Polled.
+    /// Polled at an interval.
     Interrupt = 3,
 }
 
 /// An endpoint of an interface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Endpoint {
-    /// Number 1 to 15, with the direction's bit 0x80 (to the host).
+    /// Number 1 to 15, with the direction bit 0x80 for endpoints to the host.
     pub address: u8,
-    /// How it moves its bytes.
+    /// Transfer type.
     pub transfer: Transfer,
-    /// Bytes of its packets; 0 for a bulk endpoint's at the device's speed (64, 512, 1024).
+    /// Bytes per packet; 0 for the size of bulk packets at the device's speed (64, 512 or 1024).
     pub packet: u16,
     /// `bInterval`.
     pub interval: u8,
-    /// Packets of a burst beyond the first, 0 to 15, at SuperSpeed.
+    /// Packets per burst beyond the first, 0 to 15, at SuperSpeed.
     pub burst: u8,
 }
 
 impl Endpoint {
-    /// A bulk endpoint with the packets of the device's speed.
+    /// Creates a bulk endpoint with the packet size of the device's speed.
     #[must_use]
     pub const fn bulk(address: u8) -> Self {
         Self {
@@ -77,7 +78,7 @@ impl Endpoint {
         }
     }
 
-    /// An interrupt endpoint.
+    /// Creates an interrupt endpoint with packets of `packet` bytes; `interval` is its `bInterval`.
     #[must_use]
     pub const fn interrupt(address: u8, packet: u16, interval: u8) -> Self {
         Self {
@@ -108,7 +109,7 @@ impl Endpoint {
             self.interval,
         ]);
         if speed == Speed::Super {
-            // Of an interrupt endpoint, also the bytes of an interval.
+            // Of interrupt endpoints also the bytes per interval.
             let [low, high] = match self.transfer {
                 Transfer::Interrupt => packet.to_le_bytes(),
                 _ => [0, 0],
@@ -118,27 +119,27 @@ impl Endpoint {
     }
 }
 
-/// An interface, or another setting of one.
+/// An interface, or an alternate setting of one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Interface<'d> {
-    /// Number, below 32.
+    /// Number of the interface, below 32.
     pub number: u8,
     /// `bAlternateSetting`.
     pub setting: u8,
-    /// Class, subclass, protocol.
+    /// Class, subclass and protocol.
     pub class: [u8; 3],
-    /// Number of its string, 0 for none.
+    /// Number of its string; 0 for none.
     pub name: u8,
-    /// Descriptors of an association, before it.
+    /// Descriptors of an interface association, written before the interface.
     pub before: &'d [u8],
-    /// Descriptors of its class, after it.
+    /// Class-specific descriptors, written after the interface.
     pub extra: &'d [u8],
-    /// Its endpoints, beside number 0.
+    /// Its endpoints, except number 0.
     pub endpoints: &'d [Endpoint],
 }
 
 impl<'d> Interface<'d> {
-    /// An interface of the vendor's own class.
+    /// Creates an interface of the vendor-specific class.
     #[must_use]
     pub const fn vendor(number: u8, endpoints: &'d [Endpoint]) -> Self {
         Self {
@@ -165,7 +166,7 @@ impl<'d> Interface<'d> {
     }
 }
 
-/// A device, from which its descriptors follow.
+/// A device, from which its descriptors are derived.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Device<'d> {
     /// Speed at which it connects.
@@ -176,13 +177,13 @@ pub struct Device<'d> {
     pub product: u16,
     /// `bcdDevice`.
     pub release: u16,
-    /// Class, subclass, protocol; zeros where the interfaces say it.
+    /// Class, subclass and protocol; zeros if the interfaces define them.
     pub class: [u8; 3],
-    /// Manufacturer, product, serial number; empty for none. They are strings 1 to 3.
+    /// Manufacturer, product and serial number, which become strings 1 to 3; empty for none.
     pub names: [&'d str; 3],
-    /// Its interfaces and their settings, by number.
+    /// Its interfaces and their settings, ordered by number.
     pub interfaces: &'d [Interface<'d>],
-    /// Device capabilities for the BOS, beside those of SuperSpeed.
+    /// Device capabilities for the BOS, besides those of SuperSpeed.
     pub capabilities: &'d [u8],
 }
 
@@ -202,7 +203,7 @@ impl Default for Device<'_> {
 }
 
 impl Device<'_> {
-    /// USB 2.0 extension, without link power management; SuperSpeed, at full to super speed.
+    /// USB 2.0 extension without link power management, and SuperSpeed with full to super speed.
     const SUPER_SPEED: [u8; 17] = [
         7,
         kind::CAPABILITY,
@@ -223,7 +224,7 @@ impl Device<'_> {
         0,
     ];
 
-    /// The descriptors.
+    /// Returns the descriptors of the device.
     #[must_use]
     pub fn describe(&self) -> Descriptors {
         Descriptors {
@@ -242,7 +243,7 @@ impl Device<'_> {
             _ if !self.capabilities.is_empty() => 0x0210,
             _ => 0x0200,
         };
-        // Of SuperSpeed, the power of two.
+        // At SuperSpeed, the exponent of a power of two.
         let packet = if self.speed == Speed::Super { 9 } else { 64 };
         let mut bytes = vec![18, kind::DEVICE];
         bytes.extend(version.to_le_bytes());
@@ -264,7 +265,7 @@ impl Device<'_> {
             .iter()
             .filter(|one| one.setting == 0)
             .count() as u8;
-        // 500 mA or 896 mA, from the bus.
+        // Bus-powered: 500 mA or 896 mA.
         let power = if self.speed == Speed::Super { 112 } else { 250 };
         let mut bytes = vec![9, kind::CONFIGURATION, 0, 0];
         bytes.extend([interfaces, CONFIGURATION, 0, 0x80, power]);
@@ -290,7 +291,7 @@ impl Device<'_> {
     }
 }
 
-/// Writes the length of all into `wTotalLength`.
+/// Writes the total length into `wTotalLength`.
 fn set_total(mut bytes: Vec<u8>) -> Vec<u8> {
     let total = u16::try_from(bytes.len()).unwrap_or(u16::MAX);
     bytes.truncate(usize::from(total));
@@ -298,7 +299,7 @@ fn set_total(mut bytes: Vec<u8>) -> Vec<u8> {
     bytes
 }
 
-/// Descriptors that follow each other, each with its `bLength`; ends at the first that cannot be one.
+/// Iterates over consecutive descriptors by their `bLength`; ends at the first invalid one.
 pub(super) fn parts(mut bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
     std::iter::from_fn(move || {
         let length = usize::from(*bytes.first()?);
@@ -311,45 +312,45 @@ pub(super) fn parts(mut bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
     })
 }
 
-/// An interface's setting as a configuration describes it.
+/// A setting of an interface, as parsed from a configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DescribedInterface {
-    /// Number.
+    /// Number of the interface.
     pub number: u8,
     /// `bAlternateSetting`.
     pub setting: u8,
-    /// Class, subclass, protocol.
+    /// Class, subclass and protocol.
     pub class: [u8; 3],
 }
 
-/// An endpoint as a configuration describes it.
+/// An endpoint, as parsed from a configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DescribedEndpoint {
     /// Number of its interface.
     pub interface: u8,
-    /// Setting of the interface in which it is there.
+    /// Setting of the interface to which it belongs.
     pub setting: u8,
-    /// Number with the direction's bit.
+    /// Number, with the direction bit.
     pub address: u8,
-    /// How it moves its bytes.
+    /// Transfer type.
     pub transfer: Transfer,
-    /// Bytes of its packets.
+    /// Bytes per packet.
     pub packet: u16,
     /// `bInterval`.
     pub interval: u8,
 }
 
-/// What a configuration holds.
+/// Interfaces and endpoints of a configuration.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Layout {
-    /// Interfaces and their settings, in the configuration's order.
+    /// Interfaces and their settings, in the order of the configuration.
     pub interfaces: Vec<DescribedInterface>,
-    /// Endpoints, in the configuration's order.
+    /// Endpoints, in the order of the configuration.
     pub endpoints: Vec<DescribedEndpoint>,
 }
 
 impl Layout {
-    /// Reads a configuration descriptor with all that follows it; what is cut off is left out.
+    /// Parses a configuration descriptor with everything that follows it; truncated parts are ignored.
     #[must_use]
     pub fn of(configuration: &[u8]) -> Self {
         let mut layout = Self::default();
@@ -373,7 +374,7 @@ impl Layout {
                     interval,
                     ..,
                 ] => {
-                    // An endpoint without an interface belongs to nobody.
+                    // An endpoint without an interface is ignored.
                     let Some(of) = layout.interfaces.last() else {
                         continue;
                     };

@@ -1,18 +1,19 @@
-//! The other end of the cable: devices that are simulated, down to their descriptors.
+//! The device end of a USB cable: simulated devices, down to their descriptors.
 //!
-//! A [`Peripheral`] answers what a host asks. What carries the questions stands beside it: inside the
-//! process, over usbredir to a virtual machine, over USB/IP to a kernel.
+//! A [`Peripheral`] answers a host's requests. Separate modules carry those requests: inside the process, over
+//! usbredir to a virtual machine, or over USB/IP to a kernel.
 //!
 //! ```text
-//! descriptors  what a device says of itself, from a few lines
+//! descriptors  a device's descriptors, from a few lines
 //! standard     the requests of chapter 9, for any device
 //! attached     a device on its bus: requests, halts, transfers in flight
 //! usbredir     ... for QEMU's usb-redir device
-//! usbip        ... for Linux' vhci-hcd
+//! usbip        ... for Linux's vhci-hcd
 //! socket       one host at the other end of a socket
 //! server       hosts that come and go, over TCP; unix_server over a Unix socket
-//! stream       a recording as the bytes that a device sends, in its time
+//! stream       a recording as the bytes that a device sends, at its pace
 //! sequence     a device with a known stream, for tests
+//! class_bus    the firmware's own USB class as a device, on the bus in memory of wire
 //! ```
 
 pub mod attached;
@@ -32,7 +33,7 @@ pub mod wire;
 
 use crate::link::control::Request;
 
-/// Speed of a bus.
+/// Speed of a USB bus.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Speed {
     /// 12 Mbit/s.
@@ -43,65 +44,64 @@ pub enum Speed {
     Super,
 }
 
-/// What a device says of itself on a bus, as the bytes of USB 2.0, 9.6 and USB 3.2, 9.6.
+/// Descriptors of a device, as the bytes of USB 2.0, 9.6 and USB 3.2, 9.6.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Descriptors {
     /// Device descriptor.
     pub device: Vec<u8>,
-    /// Its only configuration, with interfaces and endpoints.
+    /// The only configuration, with its interfaces and endpoints.
     pub configuration: Vec<u8>,
-    /// Binary object store, where it has one.
+    /// Binary object store; empty if the device has none.
     pub bos: Vec<u8>,
     /// Strings from number 1 on, in English.
     pub strings: Vec<String>,
-    /// Speed at which it connects.
+    /// Speed at which the device connects.
     pub speed: Speed,
 }
 
 /// Answer to a control request.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Reply {
-    /// Data for a request that asks; empty for one that sends.
+    /// Data of a request that reads; empty for a request that sends.
     Data(Vec<u8>),
-    /// The request is refused: a protocol stall.
+    /// The request is refused with a protocol stall.
     Stall,
 }
 
-/// What a bulk endpoint to the host has.
+/// Result of a bulk transfer to the host.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Bulk {
-    /// Bytes were appended; a short or empty last packet ends the transfer where they are fewer than
-    /// its room.
+    /// Bytes were appended. If they are fewer than the room, a short or empty last packet ends the transfer.
     Data,
-    /// Nothing yet: the transfer waits (NAK).
+    /// No data yet: the transfer waits (NAK).
     Wait,
     /// The endpoint is halted.
     Stall,
 }
 
-/// A device that is simulated.
+/// A simulated device.
 pub trait Peripheral: Send {
-    /// Its descriptors.
+    /// Returns the descriptors of the device.
     fn descriptors(&self) -> &Descriptors;
 
-    /// A request that is not the standard's own, with the bytes that were sent; `length` is how many
-    /// it may answer with.
+    /// Answers a request that is not a standard request. `data` are the bytes sent with it; the answer may have at
+    /// most `length` bytes.
     fn control(&mut self, request: Request, data: &[u8], length: usize) -> Reply;
 
-    /// Whether a bulk endpoint takes bytes now; where not, the host is held (NAK).
+    /// Returns whether a bulk endpoint accepts bytes now; if not, the host is held off (NAK).
     fn is_ready(&self, _endpoint: u8) -> bool {
         true
     }
 
-    /// Bytes for one of its bulk endpoints; `false` where that is halted.
+    /// Accepts bytes for a bulk endpoint; returns `false` if the endpoint is halted.
     fn bulk_out(&mut self, endpoint: u8, data: &[u8]) -> bool;
 
-    /// A transfer of at most `room` bytes from one of its bulk endpoints.
+    /// Fills a transfer of at most `room` bytes from a bulk endpoint.
     fn bulk_in(&mut self, endpoint: u8, room: usize, data: &mut Vec<u8>) -> Bulk;
 
-    /// The host has ended a halt.
+    /// Informs the device that the host has cleared a halt.
     fn clear_halt(&mut self, endpoint: u8);
 
-    /// The host has set the configuration anew, or the bus was reset.
+    /// Informs the device that the host has set the configuration again, or has reset the bus.
     fn reset(&mut self);
 }

@@ -1,15 +1,15 @@
-//! A device that sends a known sequence: what carries it can be tested without any model.
+//! A device that sends a known sequence, so that a carrier can be tested without any model.
 //!
-//! | request (vendor's) | does |
+//! | vendor request | effect |
 //! |---|---|
-//! | [`START`] out | the stream flows from where it stood |
+//! | [`START`] out | the stream runs from where it stopped |
 //! | [`STOP`] out | the stream waits |
 //! | [`SENT`] in | bytes sent so far, u64 little-endian |
 //! | [`NOTE`] out | keeps the data for [`NOTE`] in, at most 64 bytes |
 //!
-//! Word i of the stream is i times [`FACTOR`], modulo 2^32, little-endian: no two words near each
-//! other are alike, and any that is lost, repeated, moved or changed shows. What is written to
-//! [`COMMANDS`] comes back from [`ANSWERS`].
+//! Word i of the stream is i times [`FACTOR`], modulo 2^32, little-endian. No two nearby words are alike, so any
+//! word that is lost, repeated, moved or changed is detected. What is written to [`COMMANDS`] comes back from
+//! [`ANSWERS`].
 
 use std::collections::VecDeque;
 
@@ -17,9 +17,9 @@ use super::descriptors::{Device, Endpoint, Interface};
 use super::{Bulk, Descriptors, Peripheral, Reply, Speed};
 use crate::link::control::Request;
 
-/// USB vendor: that of test devices (pid.codes).
+/// USB vendor ID: that of test devices (pid.codes).
 pub const VENDOR: u16 = 0x1209;
-/// USB product: for private tests.
+/// USB product ID: for private tests.
 pub const PRODUCT: u16 = 0x0001;
 /// Endpoint of the stream.
 pub const STREAM: u8 = 0x82;
@@ -28,30 +28,30 @@ pub const ANSWERS: u8 = 0x81;
 /// Endpoint of commands.
 pub const COMMANDS: u8 = 0x01;
 
-/// Request that lets the stream flow.
+/// Request that starts the stream.
 pub const START: u8 = 0xB3;
-/// Request that holds the stream.
+/// Request that stops the stream.
 pub const STOP: u8 = 0xB4;
-/// Request for the bytes sent.
+/// Request for the number of bytes sent.
 pub const SENT: u8 = 0xB5;
-/// Request that keeps a note, or asks for it.
+/// Request that writes or reads a note.
 pub const NOTE: u8 = 0xB6;
 
-/// Odd, so that the words of a turn of 2^32 are all different.
+/// Odd, so that all words of a period of 2^32 are different.
 pub const FACTOR: u32 = 0x9E37_79B1;
 
-/// Bytes of a note, and of answers in wait, at the most.
+/// Most bytes of a note or an answer.
 const NOTE_MAX: usize = 64;
-/// Answers in wait, at the most.
+/// Most answers that wait.
 const ANSWERS_MAX: usize = 16;
 
-/// Byte `place` of the sequence.
+/// Returns byte `place` of the sequence.
 fn byte(place: u64) -> u8 {
     let word = (place / 4) as u32;
     word.wrapping_mul(FACTOR).to_le_bytes()[(place % 4) as usize]
 }
 
-/// Reads a sequence: in any pieces, every byte is compared.
+/// Checks a sequence, in pieces of any size, byte by byte.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Check {
     bytes: u64,
@@ -59,7 +59,7 @@ pub struct Check {
 }
 
 impl Check {
-    /// Compares the next bytes.
+    /// Compares the next bytes with the sequence.
     pub fn take(&mut self, bytes: &[u8]) {
         for &found in bytes {
             if found != byte(self.bytes) {
@@ -69,26 +69,26 @@ impl Check {
         }
     }
 
-    /// Bytes so far.
+    /// Returns the number of bytes so far.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// Place of the first byte that differs.
+    /// Returns the position of the first byte that differs.
     #[must_use]
     pub fn first_wrong(&self) -> Option<u64> {
         self.first_wrong
     }
 
-    /// Whether every byte was as it should be.
+    /// Returns whether every byte was correct.
     #[must_use]
     pub fn is_good(&self) -> bool {
         self.first_wrong.is_none()
     }
 }
 
-/// What a note causes.
+/// Action that a note triggers.
 type OnNote = Box<dyn FnMut(&[u8]) + Send>;
 
 /// A device that sends the sequence.
@@ -98,7 +98,7 @@ pub struct SequenceDevice {
     sent: u64,
     ends_at: u64,
     stall_at: Option<u64>,
-    /// Between two transfers with data, this many wait.
+    /// Number of transfers that find no data after each transfer with data.
     pauses: u32,
     paused: u32,
     note: Vec<u8>,
@@ -107,7 +107,7 @@ pub struct SequenceDevice {
 }
 
 impl SequenceDevice {
-    /// A device that sends without end.
+    /// Creates a device that sends without end.
     #[must_use]
     pub fn new(speed: Speed) -> Self {
         const ENDPOINTS: [Endpoint; 3] = [
@@ -138,35 +138,35 @@ impl SequenceDevice {
         }
     }
 
-    /// Its product is called `name`.
+    /// Sets the name in the product string.
     #[must_use]
     pub fn named(mut self, name: &str) -> Self {
         self.descriptors.strings[1] = name.to_owned();
         self
     }
 
-    /// The stream waits for ever after `bytes`.
+    /// Makes the stream wait for ever after `bytes` bytes.
     #[must_use]
     pub fn end_at(mut self, bytes: u64) -> Self {
         self.ends_at = bytes;
         self
     }
 
-    /// Its endpoint halts once, after `bytes`.
+    /// Makes the stream's endpoint halt once, after `bytes` bytes.
     #[must_use]
     pub fn stall_at(mut self, bytes: u64) -> Self {
         self.stall_at = Some(bytes);
         self
     }
 
-    /// After every transfer with data, `turns` find none.
+    /// Makes `turns` transfers find no data after each transfer with data.
     #[must_use]
     pub fn pause(mut self, turns: u32) -> Self {
         self.pauses = turns;
         self
     }
 
-    /// Calls `act` with every note: a script's way to unplug the device.
+    /// Calls `act` with every note, for instance to let a script unplug the device.
     #[must_use]
     pub fn on_note(mut self, act: impl FnMut(&[u8]) + Send + 'static) -> Self {
         self.on_note = Box::new(act);
@@ -265,7 +265,7 @@ mod tests {
             bad[place] ^= 1;
             assert!(!check(&bad));
         }
-        // A packet of 512 bytes lost, repeated, or two of them exchanged.
+        // A packet of 512 bytes is lost or repeated, or two packets are exchanged.
         assert!(!check(&[&good[..512], &good[1024..]].concat()));
         assert!(!check(&[&good[..512], &good[..]].concat()));
         assert!(!check(&[&good[512..1024], &good[..512]].concat()));

@@ -1,4 +1,4 @@
-//! Serves a simulated device to hosts that come and go, each of which gets it from the beginning.
+//! Serves a simulated device to hosts that come and go; each host gets it from the beginning.
 
 use std::io::ErrorKind;
 use std::net::{TcpListener, TcpStream};
@@ -12,26 +12,25 @@ use super::socket::{self, Change, Report};
 use super::usbip::{self, Operation, UsbIp};
 use crate::stop::Stop;
 
-/// Between two looks for a host.
+/// Wait between two checks for a host.
 pub(super) const LOOK: Duration = Duration::from_millis(20);
 
-/// What is served, until when, and who is told.
+/// What is served, until when, and who is informed.
 pub struct Service<'s> {
-    /// Makes the device anew for every host.
+    /// Creates the device anew for every host.
     pub device: &'s mut dyn FnMut() -> Result<Box<dyn Peripheral>>,
-    /// Ends everything.
+    /// Ends the service.
     pub stop: &'s Stop,
-    /// Ends after the first host that had the device.
+    /// Whether to end after the first host that had the device.
     pub once: bool,
-    /// A host has left, or was sent away with an error.
+    /// Called when a host has left, or was turned away with an error.
     pub left: &'s mut dyn FnMut(&Result<Report>),
 }
 
-/// Serves hosts over USB/IP: one has the device, others are told of it.
+/// Serves hosts over USB/IP: one host has the device, and others can only list it.
 ///
 /// # Errors
-/// The device cannot be made; the system refuses the socket; with `once`, also what the host did
-/// wrong.
+/// The device cannot be created, or the system refuses the socket; with `once`, also the host's protocol error.
 pub fn serve_usbip(listener: &TcpListener, service: &mut Service<'_>) -> Result<()> {
     listener.set_nonblocking(true).context("socket")?;
     let stop = service.stop;
@@ -64,7 +63,7 @@ pub fn serve_usbip(listener: &TcpListener, service: &mut Service<'_>) -> Result<
                 }
                 Err(error) => return Err(error).context("socket"),
             };
-            // Many small answers, each of which somebody waits for.
+            // Answers are small and awaited, so they must not be delayed.
             let _ = socket.set_nodelay(true);
             match usbip::operation(&mut socket, &descriptors, busy.is_none() && !stopped()) {
                 Ok(Operation::Imported) => {
@@ -90,7 +89,7 @@ fn carry(mut socket: TcpStream, device: Box<dyn Peripheral>, stop: &Stop) -> Res
     })
 }
 
-/// Whether no host has come yet.
+/// Returns whether the error only means that no host has connected yet.
 pub(super) fn is_later(error: &std::io::Error) -> bool {
     matches!(
         error.kind(),

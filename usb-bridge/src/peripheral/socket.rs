@@ -1,7 +1,7 @@
-//! One host at the other end of a socket: bytes in and out of a [`Session`], with bounded memory.
+//! One host at the other end of a socket: moves bytes in and out of a [`Session`], with bounded memory.
 //!
-//! One thread serves a host. It reads while the session can take bytes, stops reading where the
-//! host does not take its answers, and asks the device again in short steps while transfers wait.
+//! One thread serves a host. It reads while the session can take bytes, stops reading while the host does not take
+//! its answers, and polls the device in short steps while transfers wait.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::TcpStream;
@@ -14,67 +14,67 @@ use anyhow::{Context, Result};
 use super::Peripheral;
 use super::attached::Traffic;
 
-/// Bytes that wait for the host: beyond, nothing more is answered until it reads.
+/// Most bytes that wait for the host; beyond that, nothing more is answered until it reads.
 pub const OUTPUT_MAX: usize = 1 << 20;
 
-/// Bytes of one read.
+/// Bytes per read.
 const READ_BYTES: usize = 1 << 16;
-/// Longest pause between two questions to a device that has no data.
+/// Longest pause between two polls of a device that has no data.
 const PAUSE_MAX: Duration = Duration::from_millis(1);
-/// Shortest one.
+/// Shortest pause between two polls of a device that has no data.
 const PAUSE_MIN: Duration = Duration::from_micros(100);
-/// A read waits this long where only the host can cause anything.
+/// Longest wait of a read while only the host can cause anything.
 const QUIET: Duration = Duration::from_millis(20);
-/// What is left for the host is written in this time, at the end.
+/// Time at the end within which the remaining bytes are written to the host.
 const FLUSH: Duration = Duration::from_secs(1);
 
-/// What happens to the cable.
+/// A change of the cable.
 pub enum Change {
-    /// A device is plugged in, in place of the one that is there.
+    /// A device is plugged in, replacing the current one.
     Plug(Box<dyn Peripheral>),
     /// The device is unplugged.
     Unplug,
-    /// It is unplugged for good: serving ends.
+    /// The device is unplugged for good, and serving ends.
     End,
 }
 
-/// A protocol that carries a device's requests and transfers; it does no I/O.
+/// A protocol that carries a device's requests and transfers; it does no I/O itself.
 pub trait Session {
     /// Takes bytes from the host.
     fn receive(&mut self, bytes: &[u8]);
 
-    /// Answers one packet, or ends one transfer; `false` where there is nothing to do now.
+    /// Answers one packet or ends one transfer; returns `false` if there is nothing to do now.
     ///
     /// # Errors
-    /// The host breaks the protocol in a way after which its bytes cannot be told apart.
+    /// The host breaks the protocol such that packet boundaries are lost.
     fn step(&mut self) -> Result<bool>;
 
-    /// Bytes for the host; what was written is taken from their front.
+    /// Returns the bytes for the host; the caller removes from the front what it has written.
     fn output(&mut self) -> &mut Vec<u8>;
 
-    /// Whether transfers wait for the device.
+    /// Returns whether transfers wait for the device.
     fn waits(&self) -> bool;
 
-    /// Something happened to the cable; `false` ends the session when its output is written.
+    /// Handles a change of the cable; returns `false` if the session ends once its output is written.
     fn change(&mut self, change: Change) -> bool;
 
-    /// What was carried, and packets that were not understood.
+    /// Returns the counts of what was carried and of packets that were not understood.
     fn report(&self) -> Report;
 }
 
-/// What a session carried.
+/// Counts of a session.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Report {
     /// Requests and transfers.
     pub traffic: Traffic,
-    /// Packets that were not understood, or came at the wrong time: skipped.
+    /// Packets that were not understood or came at the wrong time, and were skipped.
     pub packets_odd: u64,
     /// Whether the host refused the device.
     pub is_rejected: bool,
 }
 
 impl Traffic {
-    /// Adds what another device carried.
+    /// Adds the counts of another device.
     pub(super) fn add(&mut self, other: Self) {
         self.requests += other.requests;
         self.requests_refused += other.requests_refused;
@@ -89,9 +89,9 @@ impl Traffic {
     }
 }
 
-/// A socket that can be asked without waiting.
+/// A socket that can be polled without waiting.
 pub trait Socket: Read + Write {
-    /// Reads and writes return at once, or a read waits at most for 20 ms.
+    /// Sets whether a read waits, for at most 20 ms, or reads and writes return at once.
     ///
     /// # Errors
     /// The system refuses.
@@ -113,21 +113,21 @@ impl Socket for TcpStream {
     }
 }
 
-/// Whether the host is still there.
+/// Result of a read or a write.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Moved {
-    /// Bytes went this way.
+    /// Bytes were moved.
     Bytes,
-    /// None could.
+    /// No bytes could be moved.
     Nothing,
     /// The host has closed its end.
     Closed,
 }
 
-/// Serves a host until it leaves, or the cable is pulled for good; `changes` is asked in between.
+/// Serves a host until it leaves or the cable is unplugged for good; `changes` is called in between.
 ///
 /// # Errors
-/// The host breaks the protocol; the system refuses the socket.
+/// The host breaks the protocol, or the system refuses the socket.
 pub fn serve(
     socket: &mut impl Socket,
     session: &mut dyn Session,
@@ -150,7 +150,7 @@ pub fn serve(
             has_more = session.step()?;
             is_busy |= has_more;
         }
-        // Only where nothing but the host can cause anything, a read may wait.
+        // A read may wait only while nothing but the host can cause anything.
         let waits = !is_busy && !session.waits() && session.output().is_empty();
         if waiting != Some(waits) {
             socket.set_waiting(waits).context("socket")?;
@@ -161,7 +161,7 @@ pub fn serve(
             Moved::Nothing => {}
             Moved::Closed => return Ok(session.report()),
         }
-        // Packets that wait for room in the output are in the session already.
+        // While packets wait for room in the output, more would only fill memory.
         if !has_more {
             match read(socket, &mut bytes)? {
                 (Moved::Bytes, length) => {
@@ -181,7 +181,7 @@ pub fn serve(
     }
 }
 
-/// Writes what the socket takes now.
+/// Writes as much as the socket accepts now.
 fn write(socket: &mut impl Write, output: &mut Vec<u8>) -> Result<Moved> {
     if output.is_empty() {
         return Ok(Moved::Nothing);
@@ -208,7 +208,7 @@ fn read(socket: &mut impl Read, bytes: &mut [u8]) -> Result<(Moved, usize)> {
     }
 }
 
-/// Writes the rest, as far as the host takes it in time.
+/// Writes the rest, as far as the host accepts it in time.
 fn flush(socket: &mut impl Socket, output: &mut Vec<u8>) -> Result<()> {
     let until = Instant::now() + FLUSH;
     socket.set_waiting(false).context("socket")?;
@@ -236,7 +236,7 @@ fn is_closed(error: &io::Error) -> bool {
     )
 }
 
-/// Bytes of a host that were not answered yet.
+/// Bytes from a host that have not been answered yet.
 #[derive(Debug, Default)]
 pub(super) struct Input {
     bytes: Vec<u8>,
@@ -244,19 +244,19 @@ pub(super) struct Input {
 }
 
 impl Input {
-    /// Appends bytes of the host.
+    /// Appends bytes from the host.
     pub fn append(&mut self, bytes: &[u8]) {
         self.bytes.drain(..self.taken);
         self.taken = 0;
         self.bytes.extend_from_slice(bytes);
     }
 
-    /// What is there and not taken.
+    /// Returns the bytes that have not been taken.
     pub fn rest(&self) -> &[u8] {
         &self.bytes[self.taken..]
     }
 
-    /// Takes the next `length` bytes; `None` where they have not all come.
+    /// Takes the next `length` bytes; `None` if they have not all arrived.
     pub fn take(&mut self, length: usize) -> Option<&[u8]> {
         let end = self.taken.checked_add(length)?;
         let bytes = self.bytes.get(self.taken..end)?;

@@ -4,16 +4,16 @@ use super::descriptors::{CONFIGURATION, DescribedEndpoint, Layout, kind};
 use super::{Descriptors, Peripheral, Reply};
 use crate::link::control::Request;
 
-/// Interfaces that a device may have, at the most.
+/// Most interfaces that a device may have.
 const INTERFACES_MAX: usize = 32;
 
-/// English of the United States, the only language of strings.
+/// English (United States), the only language of strings.
 const LANGUAGE: u16 = 0x0409;
 
-/// UTF-16 units of a string: its descriptor's length is a byte.
+/// Most UTF-16 units of a string, because its descriptor's length is one byte.
 const STRING_UNITS_MAX: usize = 126;
 
-/// `bRequest` of the standard's own requests.
+/// `bRequest` of the standard requests.
 mod request {
     pub const GET_STATUS: u8 = 0;
     pub const CLEAR_FEATURE: u8 = 1;
@@ -28,7 +28,7 @@ mod request {
     pub const SET_ISOCHRONOUS_DELAY: u8 = 49;
 }
 
-/// `bmRequestType` of the standard's own requests.
+/// `bmRequestType` of the standard requests.
 mod of {
     pub const DEVICE: u8 = 0x00;
     pub const INTERFACE: u8 = 0x01;
@@ -36,11 +36,11 @@ mod of {
     pub const IN: u8 = 0x80;
 }
 
-/// Feature `ENDPOINT_HALT`, of an endpoint.
+/// Feature `ENDPOINT_HALT` of an endpoint.
 const HALT: u16 = 0;
-/// Feature `FUNCTION_SUSPEND`, of a SuperSpeed interface.
+/// Feature `FUNCTION_SUSPEND` of a SuperSpeed interface.
 const FUNCTION_SUSPEND: u16 = 0;
-/// Features `U1_ENABLE` to `LTM_ENABLE`, of a SuperSpeed device.
+/// Features `U1_ENABLE` to `LTM_ENABLE` of a SuperSpeed device.
 const POWER: std::ops::RangeInclusive<u16> = 48..=50;
 
 /// State of a device on the bus: address, configuration, settings, halts.
@@ -51,12 +51,12 @@ pub struct Standard {
     address: u8,
     configuration: u8,
     settings: [u8; INTERFACES_MAX],
-    /// A bit for every endpoint: its number, and 16 more for those to the host.
+    /// One bit per halted endpoint, at its number, plus 16 for endpoints to the host.
     halted: u32,
 }
 
 impl Standard {
-    /// The state after a reset.
+    /// Creates the state after a reset.
     #[must_use]
     pub fn new(descriptors: &Descriptors) -> Self {
         Self {
@@ -69,25 +69,25 @@ impl Standard {
         }
     }
 
-    /// Interfaces and endpoints of the configuration.
+    /// Returns the interfaces and endpoints of the configuration.
     #[must_use]
     pub fn layout(&self) -> &Layout {
         &self.layout
     }
 
-    /// Address that the host gave, 0 for none.
+    /// Returns the address that the host has assigned; 0 if none.
     #[must_use]
     pub fn address(&self) -> u8 {
         self.address
     }
 
-    /// Value of the configuration, 0 for none.
+    /// Returns the value of the active configuration; 0 if none.
     #[must_use]
     pub fn configuration(&self) -> u8 {
         self.configuration
     }
 
-    /// Setting of an interface; `None` where there is no such interface.
+    /// Returns the setting of an interface; `None` if there is no such interface.
     #[must_use]
     pub fn setting(&self, interface: u8) -> Option<u8> {
         let is_there = |one: &super::descriptors::DescribedInterface| one.number == interface;
@@ -95,7 +95,7 @@ impl Standard {
         self.settings.get(usize::from(interface)).copied()
     }
 
-    /// An endpoint of the settings that are active; `None` also without a configuration.
+    /// Returns an endpoint of the active settings; always `None` without a configuration.
     #[must_use]
     pub fn endpoint(&self, address: u8) -> Option<&DescribedEndpoint> {
         let configured = self.configuration != 0;
@@ -104,26 +104,26 @@ impl Standard {
         })
     }
 
-    /// Whether an endpoint is halted.
+    /// Returns whether an endpoint is halted.
     #[must_use]
     pub fn is_halted(&self, address: u8) -> bool {
         self.halted & bit(address) != 0
     }
 
-    /// Halts an endpoint until the host ends it.
+    /// Halts an endpoint until the host clears the halt.
     pub fn halt(&mut self, address: u8) {
         self.halted |= bit(address);
     }
 
-    /// The bus was reset.
+    /// Resets the state and the device, as after a reset of the bus.
     pub fn reset(&mut self, peripheral: &mut dyn Peripheral) {
         self.address = 0;
         self.unconfigure();
         peripheral.reset();
     }
 
-    /// Answers a control request: the standard's own from the descriptors, every other one by the
-    /// `peripheral`; at most `length` bytes.
+    /// Answers a control request with at most `length` bytes: standard requests from the descriptors, all others
+    /// through `peripheral`.
     pub fn control(
         &mut self,
         peripheral: &mut dyn Peripheral,
@@ -147,7 +147,7 @@ impl Standard {
         }
     }
 
-    /// `None` refuses.
+    /// Answers a standard request; `None` refuses it.
     fn answer(&mut self, peripheral: &mut dyn Peripheral, asked: Request) -> Option<Vec<u8>> {
         let Request {
             kind,
@@ -163,7 +163,7 @@ impl Standard {
         match (kind, request) {
             (DEVICE_IN, request::GET_DESCRIPTOR) => descriptor(peripheral.descriptors(), high, low),
             (DEVICE_IN, request::GET_CONFIGURATION) => Some(vec![self.configuration]),
-            // From the bus, without remote wake-up.
+            // Bus-powered, without remote wake-up.
             (DEVICE_IN, request::GET_STATUS) => Some(vec![0, 0]),
             (INTERFACE_IN, request::GET_STATUS) => self.setting(recipient).map(|_| vec![0, 0]),
             (INTERFACE_IN, request::GET_INTERFACE) if self.configuration != 0 => {
@@ -205,7 +205,7 @@ impl Standard {
                 }
                 Some(Vec::new())
             }
-            // Nothing is saved here: the states are accepted, as a host insists on some.
+            // These power states have no effect here, but some hosts insist on them.
             (of::DEVICE, request::SET_FEATURE | request::CLEAR_FEATURE)
                 if self.is_super && POWER.contains(&value) =>
             {
@@ -244,7 +244,7 @@ impl Standard {
         Some(Vec::new())
     }
 
-    /// Endpoint 0, or one of the active settings.
+    /// Returns `Some` for endpoint 0 and for endpoints of the active settings.
     fn has(&self, address: u8) -> Option<()> {
         (address & 0x7F == 0 || self.endpoint(address).is_some()).then_some(())
     }
@@ -256,12 +256,12 @@ impl Standard {
     }
 }
 
-/// An endpoint's place in a word: its number, and 16 more for those to the host.
+/// Returns an endpoint's bit: its number, plus 16 for endpoints to the host.
 fn bit(address: u8) -> u32 {
     1 << (address & 0x0F | (address & 0x80) >> 3)
 }
 
-/// The device connects at one speed alone: it has no qualifier, which is a request error (9.6.2).
+/// Returns a descriptor. The device connects at one speed only, so a request for its qualifier is an error (9.6.2).
 fn descriptor(descriptors: &Descriptors, what: u8, number: u8) -> Option<Vec<u8>> {
     match (what, number) {
         (kind::DEVICE, 0) => Some(descriptors.device.clone()),

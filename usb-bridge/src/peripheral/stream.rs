@@ -1,6 +1,6 @@
-//! A recording as the bytes that a device sends, in its time.
+//! A recording as the bytes that a device sends, at its pace.
 //!
-//! Event i, at t_i of the recording, is due at the time e since the stream was first asked:
+//! Event i, at time t_i of the recording, is due when the time e since the stream was first read satisfies:
 //!
 //! ```text
 //! as recorded, f times as fast   (t_i - t_0) / f <= e
@@ -8,8 +8,8 @@
 //! as fast as possible            always
 //! ```
 //!
-//! A host that is slower than that makes the stream late ([`Sent::late_us`]); it loses nothing, and no
-//! more than a batch of events and the words of [`WRITE_EVENTS`] wait in memory.
+//! A slower host makes the stream late ([`Sent::late_us`]) but loses nothing. At most a batch of events and the
+//! words of [`WRITE_EVENTS`] events wait in memory.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -21,18 +21,18 @@ use event_files::{BATCH_EVENTS, EventReader};
 
 use crate::device::{Due, Stream, WriteStream};
 
-/// Events that are turned into bytes at once.
+/// Number of events turned into bytes at once.
 pub const WRITE_EVENTS: usize = 1024;
 
-/// A recording that begins before this keeps its own times: about 71 minutes on the device's clock.
+/// A recording that begins before this time keeps its own times: about 71 minutes on the device's clock.
 pub const OWN_TIME_MAX_US: u64 = 1 << 32;
 
 /// When events are due.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Pace {
-    /// As recorded, this many times as fast.
+    /// As recorded, but this many times as fast.
     Recorded(f64),
-    /// This many events per second, evenly.
+    /// This many events per second, evenly spaced.
     Rate(f64),
     /// As fast as the host takes them.
     Max,
@@ -41,7 +41,7 @@ pub enum Pace {
 impl std::str::FromStr for Pace {
     type Err = String;
 
-    /// `real`, `max`, events per second as `N`, or a factor of the recorded speed as `Nx`.
+    /// Parses `real`, `max`, `N` events per second, or `Nx` for a factor of the recorded speed.
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         let number = |digits: &str| {
             let number: Option<f64> = digits.parse().ok();
@@ -59,7 +59,7 @@ impl std::str::FromStr for Pace {
     }
 }
 
-/// What a stream has sent so far; it may be read while the stream is in use.
+/// Counts of what a stream has sent so far; they may be read while the stream is in use.
 #[derive(Debug, Default)]
 pub struct Sent {
     events: AtomicU64,
@@ -72,50 +72,50 @@ pub struct Sent {
 }
 
 impl Sent {
-    /// Events whose words were written.
+    /// Returns the number of events whose words were written.
     #[must_use]
     pub fn events(&self) -> u64 {
         self.events.load(Ordering::Relaxed)
     }
 
-    /// Bytes that were handed over.
+    /// Returns the number of bytes handed over.
     #[must_use]
     pub fn bytes(&self) -> u64 {
         self.bytes.load(Ordering::Relaxed)
     }
 
-    /// Times that the recording came to its end.
+    /// Returns how many times the recording reached its end.
     #[must_use]
     pub fn rounds(&self) -> u64 {
         self.rounds.load(Ordering::Relaxed)
     }
 
-    /// Longest time for which an event was due and not yet asked for, in microseconds.
+    /// Returns the longest time for which a due event was not yet read, in microseconds.
     #[must_use]
     pub fn late_us(&self) -> u64 {
         self.late_us.load(Ordering::Relaxed)
     }
 
-    /// From the first question to the latest bytes.
+    /// Returns the time from the first read to the latest bytes.
     #[must_use]
     pub fn elapsed(&self) -> Duration {
         Duration::from_micros(self.elapsed_us.load(Ordering::Relaxed))
     }
 
-    /// Time of the first event in the recording and in the stream, in microseconds.
+    /// Returns the time of the first event in the recording and in the stream, in microseconds.
     #[must_use]
     pub fn first_us(&self) -> Option<(u64, u64)> {
         self.first_us.get().copied()
     }
 
-    /// Why the stream ended before its end.
+    /// Returns the error that ended the stream early, if any.
     #[must_use]
     pub fn error(&self) -> Option<&str> {
         self.error.get().map(String::as_str)
     }
 }
 
-/// Opens the recording, each time anew.
+/// Opens the recording from its beginning.
 pub type Open = Box<dyn FnMut() -> Result<Box<dyn EventReader>> + Send>;
 
 /// A recording that a device sends.
@@ -126,17 +126,17 @@ pub struct Recording {
     pace: Pace,
     repeats: bool,
     start_us: Option<u64>,
-    /// Events that were read, at the stream's times, from `next` on.
+    /// Events that were read, at the stream's times; those from `next` on are not yet written.
     events: Vec<Event>,
     next: usize,
-    /// Words that were written, from `given` on.
+    /// Words that were written; those from `given` on are not yet handed over.
     words: Vec<u8>,
     given: usize,
-    /// First and latest time in the recording, of this round.
+    /// First and latest time in the recording, in this round.
     span: Option<(u64, u64)>,
-    /// Time in the stream of the recording's first event, in this round.
+    /// Stream time of the recording's first event, in this round.
     base_us: u64,
-    /// As it was in the first round, from which the pace counts.
+    /// Value of `base_us` in the first round, from which the pace counts.
     origin_us: u64,
     due: Due,
     clock: Option<Instant>,
@@ -144,8 +144,8 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// A stream of a recording; `start_us` is the time of its first event on the device's clock. Of
-    /// `None`, it is the recording's own where that is below [`OWN_TIME_MAX_US`], and otherwise 0.
+    /// Creates a stream of a recording. `start_us` is the time of its first event on the device's clock; `None`
+    /// keeps the recording's own time if that is below [`OWN_TIME_MAX_US`], and uses 0 otherwise.
     #[must_use]
     pub fn new(
         open: Open,
@@ -173,24 +173,24 @@ impl Recording {
         }
     }
 
-    /// Begins anew at the end, 1 us after the latest event.
+    /// Sets whether the recording restarts at its end, 1 us after its latest event.
     #[must_use]
     pub fn repeat(mut self, repeats: bool) -> Self {
         self.repeats = repeats;
         self
     }
 
-    /// What it has sent.
+    /// Returns the shared counts of what was sent.
     #[must_use]
     pub fn sent(&self) -> Arc<Sent> {
         Arc::clone(&self.sent)
     }
 
-    /// As [`Stream::take`], `elapsed` after the stream's start.
+    /// Appends the bytes that are due at `elapsed` after the stream's start; see [`Stream::take`].
     ///
     /// # Errors
-    /// The recording cannot be read, or an event has no place in the device's stream. The stream has
-    /// ended then.
+    /// The recording cannot be read, or an event cannot be represented in the device's stream. The stream has then
+    /// ended.
     pub fn take_at(&mut self, elapsed: Duration, room: usize, bytes: &mut Vec<u8>) -> Result<Due> {
         let before = bytes.len();
         let result = self.fill(elapsed, room, bytes);
@@ -202,7 +202,7 @@ impl Recording {
             self.due = Due::Ended;
             self.words.clear();
             self.given = 0;
-            // The first error is the one that ended it.
+            // Only the first error, which ended the stream, is kept.
             let _ = self.sent.error.set(format!("{error:#}"));
         }
         result
@@ -238,7 +238,8 @@ impl Recording {
         }
     }
 
-    /// Reads the next events; `false` at an end, where there may be words that close the stream.
+    /// Reads the next events; returns `false` at an end of the recording, where there may be words that close the
+    /// stream.
     fn read(&mut self) -> Result<bool> {
         self.events.clear();
         self.next = 0;
@@ -252,7 +253,7 @@ impl Recording {
         self.reader = None;
         self.sent.rounds.fetch_add(1, Ordering::Relaxed);
         match self.span.take() {
-            // Of an empty recording, no repetition has an end.
+            // An empty recording is not repeated, because that would never end.
             Some((first, latest)) if self.repeats => {
                 self.base_us = self.base_us.saturating_add(latest - first + 1);
             }
@@ -264,7 +265,7 @@ impl Recording {
         Ok(false)
     }
 
-    /// Puts the events that were just read at their times in the stream.
+    /// Shifts the events that were just read to their times in the stream.
     fn shift(&mut self) -> Result<()> {
         let Some(event) = self.events.first() else {
             return Ok(());
@@ -274,7 +275,7 @@ impl Recording {
             let own = if first < OWN_TIME_MAX_US { first } else { 0 };
             self.origin_us = self.start_us.unwrap_or(own);
             self.base_us = self.origin_us;
-            // Nobody else sets it.
+            // Nothing else sets it.
             let _ = self.sent.first_us.set((first, self.origin_us));
         }
         for event in &mut self.events {
@@ -292,7 +293,7 @@ impl Recording {
         Ok(())
     }
 
-    /// How many of the next events are due, at most [`WRITE_EVENTS`].
+    /// Returns how many of the next events are due, at most [`WRITE_EVENTS`].
     fn count_due(&self, elapsed: Duration) -> usize {
         let events = &self.events[self.next..];
         let events = &events[..events.len().min(WRITE_EVENTS)];
@@ -366,7 +367,7 @@ mod tests {
         }
     }
 
-    /// Eight bytes for every time, and 0xEE at the end; refuses the time 666,666.
+    /// Eight bytes per event, and 0xEE at the end; refuses the time 666,666.
     struct Writer;
 
     impl WriteStream for Writer {

@@ -1,4 +1,4 @@
-//! A Unix socket at which QEMU finds a simulated device.
+//! A Unix socket through which QEMU gets a simulated device.
 
 use std::io::ErrorKind;
 use std::os::unix::fs::FileTypeExt as _;
@@ -11,20 +11,20 @@ use super::server::{LOOK, Service, is_later};
 use super::socket::{self, Change};
 use super::usbredir::UsbRedir;
 
-/// A Unix socket that hosts connect to; its file is removed with it.
+/// A Unix socket that hosts connect to; its file is removed when it is dropped.
 pub struct UnixServer {
     listener: UnixListener,
     path: PathBuf,
 }
 
 impl UnixServer {
-    /// Listens at `path`; a socket there that nobody listens at is replaced.
+    /// Listens at `path`; a stale socket at that path is replaced.
     ///
     /// # Errors
-    /// Something else is there, or the folder cannot be written.
+    /// Something else is at that path, or the folder is not writable.
     pub fn listen(path: &Path) -> Result<Self> {
         let name = path.display();
-        // What is no socket refuses a connection in the same way, and is somebody's file.
+        // A file that is not a socket refuses connections in the same way, and must not be removed.
         let is_socket =
             std::fs::symlink_metadata(path).is_ok_and(|metadata| metadata.file_type().is_socket());
         let is_dead = || {
@@ -41,7 +41,7 @@ impl UnixServer {
         Ok(Self { listener, path })
     }
 
-    /// Serves one host after the other over usbredir.
+    /// Serves one host at a time over usbredir.
     ///
     /// # Errors
     /// As for [`super::server::serve_usbip`].
@@ -72,7 +72,7 @@ impl UnixServer {
 
 impl Drop for UnixServer {
     fn drop(&mut self) {
-        // Where it is gone already, there is nothing to do.
+        // If the file is gone already, nothing is left to do.
         let _ = std::fs::remove_file(&self.path);
     }
 }

@@ -1,10 +1,10 @@
 //! USB/IP: a device for a Linux host with vhci-hcd, over TCP.
 //!
-//! A connection begins with one operation, big-endian: a list of the devices, after which it ends,
-//! or the import of one, after which it carries that device. Then every packet from the host has
-//! 48 bytes, and data to the device after them; every answer has 48 bytes, and data to the host.
+//! A connection begins with one operation, in big-endian: a list of the devices, after which the connection ends,
+//! or the import of a device, which the connection carries from then on. Every packet from the host then has 48
+//! bytes, followed by any data to the device; every answer has 48 bytes, followed by any data to the host.
 //!
-//! | bytes | of every packet | then, of a submission | of its answer |
+//! | bytes | every packet | then, in a submission | in its answer |
 //! |---|---|---|---|
 //! | 4 | command: 1 submit, 2 unlink, 3 and 4 their answers | flags | status, as -errno |
 //! | 4 | number | length | bytes done |
@@ -25,16 +25,16 @@ use super::socket::{Change, Input, Report, Session};
 use super::{Descriptors, Peripheral, Reply, Speed};
 use crate::link::control::Request;
 
-/// TCP port that hosts try.
+/// TCP port that hosts try by default.
 pub const PORT: u16 = 3240;
 
-/// Name of the only device: the first port of the first bus.
+/// Bus ID of the only device: the first port of the first bus.
 pub const BUS_ID: &str = "1-1";
 
-/// Data of a transfer to the device, at the most.
+/// Most bytes of data in a transfer to the device.
 pub const DATA_MAX: usize = 1 << 20;
 
-/// An operation must have come in this time.
+/// Time within which the operation must arrive.
 const OPERATION_TIME: Duration = Duration::from_secs(2);
 
 /// Version 1.1.1 of the protocol.
@@ -44,7 +44,7 @@ const LIST: u16 = 0x0005;
 const ASK_IMPORT: u16 = 0x8003;
 const IMPORT: u16 = 0x0003;
 
-/// `busnum` and `devnum`, of which a device's number is made.
+/// `busnum` and `devnum`, of which the kernel composes a device's number.
 const BUS: u32 = 1;
 const NUMBER: u32 = 2;
 
@@ -57,16 +57,16 @@ const UNLINKED: u32 = 4;
 const HEADER: usize = 48;
 /// Bytes that describe an isochronous packet.
 const ISOCHRONOUS: usize = 16;
-/// Isochronous packets of a transfer, at the most (the kernel's limit).
+/// Most isochronous packets per transfer (the kernel's limit).
 const ISOCHRONOUS_MAX: usize = 1024;
 
-/// A transfer that ends short is an error.
+/// Flag: a transfer that ends short is an error.
 const SHORT_NOT_OK: u32 = 1;
 
-/// Beside a transfer's number: that it may not end short.
+/// Marks the ticket of a transfer that must not end short, beside the transfer's number.
 const STRICT: u64 = 1 << 32;
 
-/// Status of an answer.
+/// Status codes of an answer.
 mod status {
     pub const DONE: i32 = 0;
     pub const STALL: i32 = -32;
@@ -75,22 +75,21 @@ mod status {
     pub const SHORT: i32 = -121;
 }
 
-/// What a connection asks for.
+/// What a connection asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Operation {
-    /// It was told which devices there are; it ends.
+    /// It listed the devices, and ends.
     Listed,
-    /// It has the device now.
+    /// It has imported the device.
     Imported,
-    /// It asked for a device that is not there, or is taken; it ends.
+    /// It asked for a device that does not exist or is taken, and ends.
     Refused,
 }
 
-/// Answers the operation with which a connection begins; `is_free` says whether the device may be
-/// had.
+/// Answers the operation at the beginning of a connection; `is_free` says whether the device may be imported.
 ///
 /// # Errors
-/// No operation comes in time, or none that is known.
+/// No operation arrives in time, or it is unknown.
 pub fn operation(
     socket: &mut TcpStream,
     descriptors: &Descriptors,
@@ -152,7 +151,7 @@ fn begin(answer: &mut Vec<u8>, code: u16, status: u32) {
     answer.extend(status.to_be_bytes());
 }
 
-/// The device as an operation's answer has it, without its interfaces.
+/// Writes the device's description without its interfaces, for an operation's answer.
 fn describe(answer: &mut Vec<u8>, descriptors: &Descriptors) {
     let text = |answer: &mut Vec<u8>, text: &str, length: usize| {
         let end = answer.len() + length;
@@ -171,13 +170,13 @@ fn describe(answer: &mut Vec<u8>, descriptors: &Descriptors) {
     }
     let device = &descriptors.device;
     let byte = |at: usize| device.get(at).copied().unwrap_or(0);
-    // Vendor, product, release, which the descriptor has little-endian.
+    // Vendor, product and release, which are little-endian in the descriptor.
     for at in [8, 10, 12] {
         answer.extend([byte(at + 1), byte(at)]);
     }
     answer.extend([byte(4), byte(5), byte(6)]);
     let of_configuration = |at: usize| descriptors.configuration.get(at).copied().unwrap_or(0);
-    // Its value, the number of configurations, the number of interfaces.
+    // Value of the configuration, number of configurations, number of interfaces.
     answer.extend([of_configuration(5), byte(17), of_configuration(4)]);
 }
 
@@ -191,7 +190,7 @@ pub struct UsbIp {
 }
 
 impl UsbIp {
-    /// A session at its first packet.
+    /// Starts a session before its first packet.
     #[must_use]
     pub fn new(peripheral: Box<dyn Peripheral>) -> Self {
         Self {
@@ -203,7 +202,7 @@ impl UsbIp {
         }
     }
 
-    /// Takes the next packet; `false` where it has not come to its end.
+    /// Takes the next packet; returns `false` if it is incomplete.
     fn packet(&mut self) -> Result<bool> {
         let Some((header, rest)) = self.input.rest().split_first_chunk::<HEADER>() else {
             return Ok(false);
@@ -224,7 +223,7 @@ impl UsbIp {
     fn answer(&mut self, packet: &Packet, data: &[u8], is_isochronous: bool) {
         let number = packet.number;
         if packet.command == UNLINK {
-            // Where it has ended already, its answer was sent before.
+            // If the transfer has ended already, its answer was sent before this one.
             let ticket = u64::from(packet.flags);
             let found = self.device.cancel(ticket);
             let found = found.or_else(|| self.device.cancel(ticket | STRICT));
@@ -264,7 +263,7 @@ impl UsbIp {
             index: u16::from_le_bytes([i0, i1]),
         };
         let length = u16::from_le_bytes([l0, l1]);
-        // A request without data is one to the device, whatever its direction says.
+        // A request without data goes to the device, whatever its direction bit says.
         let is_good = asked.is_in() == packet.is_in || length == 0;
         let is_whole = asked.is_in() || data.len() == usize::from(length);
         if !is_good || !is_whole {
@@ -334,7 +333,7 @@ impl Session for UsbIp {
         self.device.waiting() > 0
     }
 
-    /// A connection is one device: whatever happens to the cable ends it.
+    /// Ends the session at any change of the cable, because a connection carries only one device.
     fn change(&mut self, _change: Change) -> bool {
         false
     }
@@ -348,14 +347,14 @@ impl Session for UsbIp {
     }
 }
 
-/// A packet of the host.
+/// A packet from the host.
 #[derive(Debug, Clone, Copy)]
 struct Packet {
     command: u32,
     number: u32,
     is_in: bool,
     endpoint: u32,
-    /// Of an unlinking, the number that it unlinks.
+    /// In an unlink packet, the number of the transfer to unlink.
     flags: u32,
     length: usize,
     isochronous: u32,
@@ -382,7 +381,7 @@ impl Packet {
         }
     }
 
-    /// Bytes of data and of isochronous descriptions that follow.
+    /// Returns the number of bytes of data and of isochronous descriptions that follow.
     fn after(&self) -> Result<(usize, usize)> {
         match self.command {
             UNLINK => return Ok((0, 0)),
@@ -390,7 +389,7 @@ impl Packet {
             other => bail!("USB/IP: a packet of type {other}: the host speaks another protocol"),
         }
         let descriptions = match self.isochronous {
-            // Of every other transfer: some kernels say 0, others -1.
+            // In all other transfers, some kernels send 0, others -1.
             0 | u32::MAX => 0,
             number => number as usize,
         };

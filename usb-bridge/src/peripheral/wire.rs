@@ -1,8 +1,8 @@
-//! A USB bus in memory, for a device stack on this host: packets, handshakes, resets.
+//! A USB bus in memory, for a device stack that runs on this host: packets, handshakes, resets.
 //!
-//! The device's side is a [`UsbBus`], the host's side [`Wire`]'s own functions. Each endpoint has memory for
-//! one packet in its direction, as a small controller has; what there is no memory or no packet for is
-//! answered with NAK.
+//! The device's side is a [`UsbBus`], the host's side the methods of [`Wire`]. Each direction of an endpoint has
+//! memory for one packet, as in a small controller; a packet that finds no memory, or a request that finds no
+//! packet, is answered with NAK.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -10,24 +10,24 @@ use usb_device::bus::{PollResult, UsbBus};
 use usb_device::endpoint::{EndpointAddress, EndpointType};
 use usb_device::{UsbDirection, UsbError};
 
-/// Endpoints of a direction, the control endpoint included: as many as an STM32F405's controller has.
+/// Number of endpoints per direction, including the control endpoint: as in an STM32F405's controller.
 pub const ENDPOINTS: usize = 4;
 
-/// How a packet was answered.
+/// Answer to a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Handshake {
-    /// Taken.
+    /// The packet was accepted.
     Ack,
-    /// Later.
+    /// Not now; try again later.
     Nak,
-    /// The endpoint is halted, or not there.
+    /// The endpoint is halted or does not exist.
     Stall,
 }
 
 /// One direction of an endpoint.
 #[derive(Debug, Clone, Default)]
 struct Endpoint {
-    /// Largest packet; 0 where it was not allocated.
+    /// Size of the largest packet; 0 if the endpoint is not allocated.
     bytes_max: usize,
     packet: Option<Vec<u8>>,
     halted: bool,
@@ -37,9 +37,9 @@ struct Endpoint {
 struct Controller {
     to_device: [Endpoint; ENDPOINTS],
     to_host: [Endpoint; ENDPOINTS],
-    /// The packet of the control endpoint is a setup.
+    /// Whether the packet of the control endpoint is a setup packet.
     is_setup: bool,
-    /// Endpoints whose packet the host took, since the last poll.
+    /// Bit mask of endpoints whose packet the host took since the last poll.
     taken: u16,
     reset: bool,
     suspend: bool,
@@ -58,7 +58,7 @@ impl Controller {
     }
 }
 
-/// A bus in memory: the device's side is a [`UsbBus`], the host's side its own functions.
+/// A bus in memory: the device's side is a [`UsbBus`], the host's side this type's own methods.
 #[derive(Debug, Clone, Default)]
 pub struct Wire(Arc<Mutex<Controller>>);
 
@@ -67,30 +67,30 @@ impl Wire {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The host resets the bus.
+    /// Resets the bus, as the host.
     pub fn reset_bus(&self) {
         let mut controller = self.lock();
         controller.reset = true;
         controller.address = 0;
     }
 
-    /// The host is silent for 3 ms, or was unplugged.
+    /// Suspends the bus: the host is silent for 3 ms, or was unplugged.
     pub fn suspend_bus(&self) {
         self.lock().suspend = true;
     }
 
-    /// The host goes on.
+    /// Resumes the bus, as the host.
     pub fn resume_bus(&self) {
         self.lock().resume = true;
     }
 
-    /// Address that the host has given.
+    /// Returns the address that the host has assigned.
     #[must_use]
     pub fn address(&self) -> u8 {
         self.lock().address
     }
 
-    /// The host begins a control transfer: whatever the control endpoint had is void.
+    /// Begins a control transfer as the host, which voids any packet of the control endpoint.
     pub fn setup(&self, setup: [u8; 8]) {
         let mut controller = self.lock();
         let [to_device, ..] = &mut controller.to_device;
@@ -102,7 +102,7 @@ impl Wire {
         controller.is_setup = true;
     }
 
-    /// The host sends a packet.
+    /// Sends a packet as the host.
     pub fn give(&self, endpoint: u8, packet: &[u8]) -> Handshake {
         let mut controller = self.lock();
         let address = EndpointAddress::from(endpoint & 0x7F);
@@ -121,7 +121,7 @@ impl Wire {
         }
     }
 
-    /// The host asks for a packet, which is appended to `bytes`.
+    /// Requests a packet as the host; it is appended to `bytes`.
     pub fn ask(&self, endpoint: u8, bytes: &mut Vec<u8>) -> Handshake {
         let mut controller = self.lock();
         let address = EndpointAddress::from(endpoint | 0x80);
@@ -153,7 +153,7 @@ impl UsbBus for Wire {
             UsbDirection::In => &mut controller.to_host,
             UsbDirection::Out => &mut controller.to_device,
         };
-        // Without a wish, the first that is free; the control endpoint is asked for by its number.
+        // Without a requested address, the first free endpoint; the control endpoint is requested by its number.
         let mut free = (1..ENDPOINTS).filter(|at| side[*at].bytes_max == 0);
         let at = match address {
             Some(address) => address.index(),
@@ -212,7 +212,7 @@ impl UsbBus for Wire {
             .ok_or(UsbError::InvalidEndpoint)?;
         let packet = endpoint.packet.as_ref().ok_or(UsbError::WouldBlock)?;
         let len = packet.len();
-        // It stays where it is, as in the controllers' drivers.
+        // On overflow the packet stays in place, as in the controllers' drivers.
         let to = bytes.get_mut(..len).ok_or(UsbError::BufferOverflow)?;
         to.copy_from_slice(packet);
         endpoint.packet = None;

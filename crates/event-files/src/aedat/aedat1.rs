@@ -1,9 +1,9 @@
 //! AEDAT 1.0 of the DVS128, as jAER wrote it from 2008 to 2010.
 //!
-//! `#!AER-DAT1.0` and further header lines that begin with `#`, then events of 6 bytes, big-endian: an address of
-//! 16 bits, laid out as `Layout::Dvs128` says, and a time of 32 bits in us. The time
-//! wraps after 71.6 minutes; the wraps are carried. y is as in the file: it counts upwards in jAER. Files without
-//! any header, which jAER wrote before, aren't told from other bytes.
+//! A file is `#!AER-DAT1.0`, further header lines that begin with `#`, and events of 6 bytes, big-endian: a 16-bit
+//! address in the layout `Layout::Dvs128`, and a 32-bit time in us. The time wraps after 71.6 minutes; the wraps
+//! are counted. y is as in the file: in jAER it counts upwards. The older files that jAER wrote without any header
+//! cannot be distinguished from other bytes and are not read.
 
 use event_types::stream::Result;
 use event_types::{Event, Sensor};
@@ -15,17 +15,17 @@ use crate::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
 use crate::wrapping::Wrapping;
 use crate::{Assumption, Skipped};
 
-/// First line of every file, without its line end.
+/// First line of every AEDAT 1 file, without the minor version and the line end.
 pub const MAGIC: &[u8] = b"#!AER-DAT1";
 
-/// Longest header and line.
+/// Largest length of the header and of a line, in bytes.
 const HEADER_MAX: u64 = 1 << 20;
 const LINE_MAX: usize = 1 << 16;
 
 /// Bytes of an event.
 const EVENT_BYTES: usize = 6;
 
-/// This format in the table of formats.
+/// This format's entry in the table of formats.
 pub const FORMAT: Format = Format {
     name: "aedat1",
     title: "AEDAT 1",
@@ -40,14 +40,15 @@ pub const FORMAT: Format = Format {
     create: None,
 };
 
-/// Reader of AEDAT 1.0 files.
+/// A reader of AEDAT 1.0 files.
 pub type Aedat1Reader = Reader<Aedat1Decoder>;
 
 impl Aedat1Reader {
-    /// Reads `source`, which messages call `name`.
+    /// Reads the header of `source`, which messages call `name`; the events follow by
+    /// [`crate::EventReader::read`].
     ///
     /// # Errors
-    /// No AEDAT 1.0 header.
+    /// There is no AEDAT 1.0 header.
     pub fn new(source: Box<dyn ReadSeek>, name: &str) -> Result<Self> {
         let mut input = Input::new(source, name)?;
         let mut line = Vec::new();
@@ -80,7 +81,7 @@ impl Aedat1Reader {
     }
 }
 
-/// State between two events.
+/// The decoder of [`Aedat1Reader`]: its state between two events.
 pub struct Aedat1Decoder {
     input: Input,
     words: Words<EVENT_BYTES>,
@@ -110,7 +111,7 @@ impl Decode for Aedat1Decoder {
         &self.skipped
     }
 
-    /// No address lies outside of 128x128.
+    /// Always true: no address lies outside 128x128.
     fn leave_out_bad_events(&mut self) -> bool {
         true
     }
@@ -125,7 +126,7 @@ impl Decode for Aedat1Decoder {
             match Chip::DVS128.decode(u16::from_be_bytes([a0, a1]).into()) {
                 Ok((x, y, polarity)) => batch.push(Event {
                     t_us,
-                    // Seven bits each.
+                    // x and y have seven bits each.
                     x: x as u16,
                     y: y as u16,
                     polarity,

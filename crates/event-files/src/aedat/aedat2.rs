@@ -1,18 +1,23 @@
-//! AEDAT 2.0 of DVS128 and every DAVIS, as jAER, v2e and MATLAB scripts write it.
+//! AEDAT 2.0 of the DVS128 and every DAVIS, as jAER, v2e and MATLAB scripts write it.
 //!
-//! Header lines that begin with `#`, then pairs of big-endian 32-bit words: address, time in us. How an address
-//! tells pixel and polarity says `Layout`. y is as in the file: it counts upwards in jAER.
+//! A file is header lines that begin with `#`, then pairs of big-endian 32-bit words: an address, and a time in
+//! us. `Layout` describes how an address encodes pixel and polarity. y is as in the file: in jAER it counts
+//! upwards.
 //!
-//! Which chip it is says the header line `# AEChip:`; v2e, saveaerdat.m and jAER before 2014 write none. Then:
+//! The header line `# AEChip:` names the chip; v2e, saveaerdat.m and jAER before 2014 write no such line. Without
+//! it:
 //!
-//! 1. Addresses of 16 bits are a DVS128's, and those whose lower 10 bits are 0 a DAVIS's; where both fit, or
-//!    neither, or the file has no events, the reader asks for the chip's line.
-//! 2. A DAVIS has the caller's size, else that of lines `# sizeX` and `# sizeY`. Without any it is a DAVIS240C,
-//!    provided that no address of the whole file lies outside of it: else the reader asks.
-//! 3. What was taken to be so is among the reader's assumptions.
+//! 1. If the addresses have only 16 bits, the chip is a DVS128; if their lower 10 bits are 0, it is a DAVIS. If
+//!    both fit, or neither, or the file has no events, it is a DAVIS if the size is known; without a size, or if
+//!    both fit and the size is 128x128, the reader's error asks for the chip's line or the size.
+//! 2. A DAVIS has the size that the caller states, or else that of the lines `# sizeX` and `# sizeY`. Without
+//!    either it is a DAVIS240C, provided that no address of the whole file lies outside it; otherwise the reader's
+//!    error asks for the size.
+//! 3. What was assumed is among the reader's assumptions.
 //!
-//! A chip that is not in `Chip`'s list is read by the same rules with the caller's size, and refused without
-//! one. The time wraps after 71.6 minutes; the wraps are carried. No maintained crate reads AEDAT 2.0.
+//! A chip that is not in `Chip`'s list is read by the same rules with the caller's size. Without a size, it is
+//! refused unless its addresses are those of a DVS128. The time wraps after 71.6 minutes; the wraps are counted.
+//! No maintained crate reads AEDAT 2.0.
 
 use std::path::Path;
 
@@ -26,20 +31,20 @@ use crate::output::sequential::Output;
 use crate::wrapping::Wrapping;
 use crate::{Assumption, EventWriter, Skipped};
 
-/// First line of every AEDAT 2.0 file, without its line end.
+/// First line of every AEDAT 2.0 file, without the minor version and the line end.
 pub const MAGIC: &[u8] = b"#!AER-DAT2";
 
-/// jAER copies its preferences into the header: 175 kB in a real file.
+/// Largest length of the header in bytes: jAER copies its preferences into it, 175 kB in a real file.
 const HEADER_MAX: u64 = 1 << 24;
 const LINE_MAX: usize = 1 << 16;
 
-/// Words looked at where the header does not name the chip.
+/// Number of addresses that are examined if the header does not name the chip.
 const CHIP_WORDS: usize = 4096;
 
-/// Line of our own writer: microseconds to add to the first time, which has only 32 bits.
+/// Key of a line of this project's writer: microseconds to add to the first time, which has only 32 bits.
 const TIME_BASE_KEY: &str = "time_base_us:";
 
-/// This format in the table of formats.
+/// This format's entry in the table of formats.
 pub const FORMAT: Format = Format {
     name: "aedat2",
     title: "AEDAT 2",
@@ -63,14 +68,15 @@ pub const FORMAT: Format = Format {
     create: Some(|path, sensor| Ok(Box::new(Aedat2Writer::create(path, sensor)?))),
 };
 
-/// Reader of AEDAT 2.0 files.
+/// A reader of AEDAT 2.0 files.
 pub type Aedat2Reader = Reader<Aedat2Decoder>;
 
 impl Aedat2Reader {
-    /// Reads `source`, which messages call `name`; `size` counts where the header names no chip.
+    /// Reads `source`, which messages call `name`; `size` is used if the header names no known chip.
     ///
     /// # Errors
-    /// No AEDAT 2.0 header; a chip that is not known, or that more than one reading fits, without a size.
+    /// There is no AEDAT 2.0 header; without a size, the chip is unknown, or more than one layout fits the
+    /// addresses.
     pub fn new(source: Box<dyn ReadSeek>, name: &str, size: Option<Sensor>) -> Result<Self> {
         let mut input = Input::new(source, name)?;
         let header = Header::read(&mut input)?;
@@ -103,7 +109,7 @@ impl Aedat2Reader {
     }
 }
 
-/// State between two pairs of words.
+/// The decoder of [`Aedat2Reader`]: its state between two pairs of words.
 pub struct Aedat2Decoder {
     input: Input,
     words: Words<8>,
@@ -179,18 +185,18 @@ impl Decode for Aedat2Decoder {
     }
 }
 
-/// What the header says.
+/// What the header states.
 #[derive(Default)]
 struct Header {
-    /// After `# AEChip:`.
+    /// Class after `# AEChip:`.
     class: Option<String>,
-    /// From `# sizeX` and `# sizeY`, which some scripts write.
+    /// Size from `# sizeX` and `# sizeY`, which some scripts write.
     size: Option<Sensor>,
     time_base_us: u64,
 }
 
 impl Header {
-    /// Reads it and leaves the input at the first word.
+    /// Reads the header and leaves the input at the first word.
     fn read(input: &mut Input) -> Result<Self> {
         let mut header = Self::default();
         let (mut width, mut height) = (None, None);
@@ -234,8 +240,8 @@ impl Header {
     }
 }
 
-/// Whether `line` is text after `#`. The first address of a DAVIS240C may begin with the byte of
-/// `#` as well, but then control characters follow.
+/// Returns whether `line` is text after `#`. The first address of a DAVIS240C may also begin with the byte of `#`,
+/// but control characters then follow.
 pub(crate) fn is_header_line(line: &[u8]) -> bool {
     let text = line
         .strip_suffix(b"\n")
@@ -245,14 +251,15 @@ pub(crate) fn is_header_line(line: &[u8]) -> bool {
     })
 }
 
-/// What is known of a chip that the header does not name, or names by another than a known name.
+/// What is known about a chip that the header does not name, or names by an unknown name.
 struct Guess<'a> {
     class: Option<&'a str>,
     size: Option<Sensor>,
 }
 
 impl Guess<'_> {
-    /// The chip that the first addresses speak for. The input stays where it is.
+    /// Returns the chip that the first addresses indicate, and adds the assumption to `said`; leaves the input
+    /// where it is.
     fn chip(&self, input: &mut Input, said: &mut Vec<Assumption>) -> Result<Chip> {
         let layout = self.layout(input)?;
         let is_large = |sensor: &Sensor| *sensor != Chip::DVS128.sensor;
@@ -299,12 +306,12 @@ impl Guess<'_> {
         }
     }
 
-    /// The layout that all of the first addresses allow.
+    /// Returns the layout that all of the first addresses allow.
     fn layout(&self, input: &mut Input) -> Result<Layout> {
         let start = input.offset();
         let mut words = Words::<8>::default();
         let (mut dvs, mut davis, mut count) = (true, true, 0);
-        // The reader will meet damage again, after the events before it.
+        // The reader will meet the damage again, after the events before it.
         while count < CHIP_WORDS
             && let Ok(Some([a0, a1, a2, a3, ..])) = words.next(input)
         {
@@ -318,7 +325,8 @@ impl Guess<'_> {
         match (dvs, davis, self.size) {
             (true, false, _) => Ok(Layout::Dvs128),
             (false, true, _) => Ok(Layout::Davis),
-            // Samples of old firmware and tags of filters stand in the lower bits; the caller knows the size.
+            // Samples of old firmware and tags of filters use the lower bits; the caller knows the size, so it is
+            // a DAVIS.
             (false, false, Some(_)) => Ok(Layout::Davis),
             (true, true, Some(_)) if is_large || count == 0 => Ok(Layout::Davis),
             (true, true, _) if count > 0 => Err(input.error(format!(
@@ -333,7 +341,7 @@ impl Guess<'_> {
         }
     }
 
-    /// The DAVIS240, where a look at the whole file finds no address outside of it.
+    /// Returns the DAVIS240 if the whole file has no address outside it.
     fn davis(&self, input: &mut Input) -> Result<Chip> {
         let ask = |input: &Input, why: String| {
             let what = format!("{}{why}: give --width W --height H", self.named());
@@ -368,23 +376,23 @@ impl Guess<'_> {
     }
 }
 
-/// Writer of AEDAT 2.0 files for the sizes of DVS128 (128x128) and DAVIS240C (240x180).
+/// A writer of AEDAT 2.0 files for the sizes of DVS128 (128x128) and DAVIS240C (240x180).
 ///
-/// Times up to 2^60 us (the header line `# time_base_us:` carries what exceeds 32 bits), in any
-/// order as long as a reader can follow the wraps; gaps stay below 35 minutes.
+/// It holds times up to 2^60 us (the header line `# time_base_us:` carries what exceeds 32 bits), in any order as
+/// long as a reader can follow the wraps; gaps must be below 35 minutes.
 pub struct Aedat2Writer {
     file: Output,
     chip: Chip,
-    /// `None` until the first event: the header needs its time.
+    /// Counter of the times; `None` until the first event, whose time the header needs.
     time: Option<Wrapping>,
     events: u64,
 }
 
 impl Aedat2Writer {
-    /// Creates the file.
+    /// Creates the file; the header is written with the first event.
     ///
     /// # Errors
-    /// I/O, a sensor size that no known chip has.
+    /// I/O; the sensor's size is that of neither chip.
     pub fn create(path: &Path, sensor: Sensor) -> Result<Self> {
         let mut chips = [Chip::DVS128, Chip::DAVIS240].into_iter();
         let chip = chips.find(|chip| chip.sensor == sensor);
@@ -432,7 +440,7 @@ impl EventWriter for Aedat2Writer {
                 Some(time) => time,
                 None => self.header(event.t_us)?,
             };
-            // Below 2^32.
+            // `low` is below 2^32.
             let low = time.low(event.t_us) as u32;
             if time.extend(u64::from(low)) != event.t_us {
                 let refused =

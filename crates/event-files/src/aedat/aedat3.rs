@@ -1,9 +1,9 @@
-//! AEDAT 3.0 and 3.1, as cAER writes it: IBM's DVS128 Gesture data set, among others.
+//! AEDAT 3.0 and 3.1, as cAER writes it, for instance in IBM's DVS128 Gesture data set.
 //!
-//! `#!AER-DAT3.1\r\n`, lines that begin with `#` (`#Format: RAW`, `#Source 1: DVS128`) up to `#!END-HEADER`, then
-//! packets, little-endian: i16 type, i16 source, i32 bytes of an event, i32 offset of its time, i32 overflows of the
-//! time, i32 capacity, i32 events, i32 valid events; the events follow. One of a polarity packet (type 1) has 8
-//! bytes:
+//! A file is `#!AER-DAT3.1\r\n`, lines that begin with `#` (`#Format: RAW`, `#Source 1: DVS128`) up to
+//! `#!END-HEADER`, then packets. A packet's header is little-endian: i16 type, i16 source, i32 bytes of an event,
+//! i32 offset of its time, i32 overflows of the time, i32 capacity, i32 events, i32 valid events; the events
+//! follow. An event of a polarity packet (type 1) has 8 bytes:
 //!
 //! | bits of the first word | content |
 //! |---|---|
@@ -12,10 +12,10 @@
 //! | 16..2 | y, downwards |
 //! | 31..17 | x |
 //!
-//! The second word is the time in us, 31 bits; the packet's overflows are the bits above. Invalid events and the
-//! events of other packets are counted as skipped, and so are those of other sources than the first in the header,
-//! which is said. The sensor's size is that of the source's name, else the caller's. Source: iniVation's page
-//! "AEDAT 3.1" and the data set's README.
+//! The second word is the time in us, 31 bits; the packet's overflow count provides the bits above. Invalid events
+//! and the events of other packets are counted as skipped. So are those of all sources but the first in the
+//! header; the reader's assumptions then state which source is read. The sensor's size is that of the camera that
+//! the source names, or else the caller's. Source: iniVation's page "AEDAT 3.1" and the data set's README.
 
 use event_types::stream::{ErrorKind, Result};
 use event_types::{Event, Polarity, Sensor};
@@ -25,17 +25,17 @@ use crate::format::{Format, Limits, Opening};
 use crate::input::{Batch, Decode, Input, ReadSeek, Reader};
 use crate::{Assumption, Skipped};
 
-/// First line of every file, without its line end.
+/// First line of every AEDAT 3 file, without the minor version and the line end.
 pub const MAGIC: &[u8] = b"#!AER-DAT3";
 
-/// Longest header and line.
+/// Largest length of the header and of a line, in bytes.
 const HEADER_MAX: u64 = 1 << 20;
 const LINE_MAX: usize = 1 << 16;
 
 /// Bytes of a packet's header.
 const PACKET_HEADER: usize = 28;
 
-/// Longest content of a packet.
+/// Largest length of a packet's content, in bytes.
 const PACKET_MAX: u64 = 1 << 26;
 
 /// Type of a packet of polarity events.
@@ -44,7 +44,7 @@ const POLARITY: u16 = 1;
 /// Bytes of a polarity event.
 const EVENT_BYTES: usize = 8;
 
-/// This format in the table of formats.
+/// This format's entry in the table of formats.
 pub const FORMAT: Format = Format {
     name: "aedat3",
     title: "AEDAT 3",
@@ -64,14 +64,14 @@ pub const FORMAT: Format = Format {
     create: None,
 };
 
-/// Reader of AEDAT 3 files.
+/// A reader of AEDAT 3 files.
 pub type Aedat3Reader = Reader<Aedat3Decoder>;
 
 impl Aedat3Reader {
-    /// Reads `source`, which messages call `name`; `size` counts where the header names no known camera.
+    /// Reads `source`, which messages call `name`; `size` is used if the header names no known camera.
     ///
     /// # Errors
-    /// No AEDAT 3 header, compressed packets, no sensor size.
+    /// There is no AEDAT 3 header; the packets are compressed; the sensor's size is unknown.
     pub fn new(source: Box<dyn ReadSeek>, name: &str, size: Option<Sensor>) -> Result<Self> {
         let mut input = Input::new(source, name)?;
         let sources = read_header(&mut input)?;
@@ -116,7 +116,7 @@ impl Aedat3Reader {
     }
 }
 
-/// Numbers and names of the sources; leaves the input at the first packet.
+/// Returns the numbers and names of the sources; leaves the input at the first packet.
 fn read_header(input: &mut Input) -> Result<Vec<(u16, String)>> {
     let mut sources = Vec::new();
     let mut line = Vec::new();
@@ -145,7 +145,7 @@ fn read_header(input: &mut Input) -> Result<Vec<(u16, String)>> {
                 format!("packets in the format {value}: only RAW is known: record it as RAW");
             return Err(input.error_at(start, what));
         }
-        // Lines of `-Source` are those of earlier recordings that this one was made of.
+        // Lines of `-Source` describe earlier recordings from which this one was made.
         let number = key.strip_prefix("Source").map(str::trim);
         if let Some(Ok(number)) = number.map(str::parse) {
             sources.push((number, value.to_owned()));
@@ -153,15 +153,15 @@ fn read_header(input: &mut Input) -> Result<Vec<(u16, String)>> {
     }
 }
 
-/// State between two batches: one packet.
+/// The decoder of [`Aedat3Reader`]: its state between two batches, with one packet.
 pub struct Aedat3Decoder {
     input: Input,
     sensor: Sensor,
-    /// The source that is read, if the header names one.
+    /// Number of the source that is read, if the header names one.
     source: Option<u16>,
     camera: Option<String>,
     assumptions: Vec<Assumption>,
-    /// Events of the packet, and the byte of the next.
+    /// Events of the current packet, and the offset of the next event in it.
     packet: Vec<u8>,
     next: usize,
     packet_at: u64,
@@ -171,7 +171,7 @@ pub struct Aedat3Decoder {
 }
 
 impl Aedat3Decoder {
-    /// Reads packets up to the next one of events; `false` at the end.
+    /// Reads packets up to the next one with events; returns false at the end.
     fn next_packet(&mut self) -> Result<bool> {
         loop {
             let start = self.input.offset();
@@ -224,7 +224,7 @@ impl Aedat3Decoder {
                 let what = format!("polarity events of {size} bytes: only 8 are known");
                 return Err(self.input.error_at(start, what));
             }
-            // At most PACKET_MAX.
+            // `bytes` is at most [`PACKET_MAX`].
             self.packet.resize(bytes as usize, 0);
             self.packet_at = self.input.offset();
             if self.input.fill(&mut self.packet)? < self.packet.len() {

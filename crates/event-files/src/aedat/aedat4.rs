@@ -1,22 +1,22 @@
-//! AEDAT 4.0, the format of iniVation's DV: LZ4, Zstandard or no compression.
+//! AEDAT 4.0, the format of iniVation's DV, with LZ4, Zstandard or no compression.
 //!
-//! `#!AER-DAT4.0\r\n`, an `IOHE` table (compression, position of the packet table, XML that names
-//! streams, their types and sizes), packets (i32 stream, i32 size, content), then the `FTAB`
-//! packet table. A packet's content and the packet table are size-prefixed `FlatBuffers`, each
-//! compressed as one frame. An event is 16 bytes: i64 t in us, i16 x, i16 y, u8 polarity, padding.
+//! A file is `#!AER-DAT4.0\r\n`, an `IOHE` table (compression, position of the packet table, XML that names the
+//! streams, their types and sizes), packets (i32 stream, i32 size, content), then the `FTAB` packet table. A
+//! packet's content and the packet table are size-prefixed `FlatBuffers`, each compressed as one frame. An event
+//! has 16 bytes: i64 t in us, i16 x, i16 y, u8 polarity, padding.
 //!
-//! Events come from the stream that is named behind the file (`FILE.aedat4/1`, or its camera's or output's name), or
-//! else from the first event stream in the XML, which is said where there are several. Frames, IMU samples,
-//! triggers and the events of further streams are counted as skipped.
+//! Events come from the stream that the path names after the file (`FILE.aedat4/1`, or the name of its camera or
+//! output), or else from the first event stream in the XML; if there are several, the reader's assumptions say so.
+//! Frames, IMU samples, triggers and the events of other streams are counted as skipped.
 //!
-//! A recording is sought by its packet table, as `aedat4_table.rs` says. One that is still being written, or
-//! was interrupted, says that it has none (position -1, or 0 from DV): it ends with its last packet, or where
-//! the table itself stands, which its first bytes tell from a packet of a stream that the XML names.
+//! The reader seeks by the packet table, as described in `packet_table.rs`. A recording that is still being
+//! written, or was interrupted, states that it has none (position -1, or 0 from DV). It ends after its last
+//! packet, or where a packet table begins nevertheless: the table's first bytes distinguish it from a packet of a
+//! stream that the XML names.
 //!
-//! The crate `aedat` 1.3 decodes the shared recordings alike, but it allocates whatever size a
-//! packet states, takes a truncated file for its end, hands the packets out without offsets and
-//! reads from files and sockets only, and it builds two C libraries and `ndarray`; so this is our
-//! own decoder, and `aedat` is its peer in the tests.
+//! The crate `aedat` 1.3 decodes the shared recordings to the same events, but it allocates whatever size a packet
+//! states, takes a truncated file for a complete one, returns packets without offsets, reads only from files and
+//! sockets, and builds two C libraries and `ndarray`. Hence this decoder, which the tests compare with `aedat`.
 
 use std::io::Read;
 
@@ -36,17 +36,17 @@ use crate::{Assumption, Skipped};
 /// First bytes of every AEDAT 4.0 file.
 pub const MAGIC: &[u8; 14] = b"#!AER-DAT4.0\r\n";
 
-/// Bytes behind the packets in which another recording is looked for: more than any packet table has.
+/// Number of bytes after the packets in which another recording is searched for: more than any packet table has.
 const FOLLOWING_MAX: u64 = 1 << 24;
 
-/// Longest IOHE table: the XML of real files has a few kB.
+/// Largest IOHE table in bytes: the XML of real files has a few kB.
 const HEADER_MAX: usize = 1 << 20;
 
-/// Longest content of a packet, compressed and decompressed: 4 million events. DV closes a packet
+/// Largest content of a packet in bytes, both compressed and decompressed: 4 million events. DV closes a packet
 /// every 10 ms.
 pub(crate) const PACKET_MAX: usize = 1 << 26;
 
-/// First bytes of a frame of Zstandard.
+/// First bytes of a Zstandard frame.
 const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
 /// Bytes of an event in a packet.
@@ -60,7 +60,7 @@ enum Compression {
 }
 
 impl Compression {
-    /// Unpacks a packet or the packet table, at most a byte more than a packet may have.
+    /// Decompresses a packet or the packet table, to at most one byte more than a packet may have.
     fn unpack(self, raw: &[u8], to: &mut Unpacked) -> std::io::Result<()> {
         const LIMIT: usize = PACKET_MAX + 1;
         match self {
@@ -76,7 +76,7 @@ impl Compression {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Content {
-    /// The stream whose events are read.
+    /// Events of the stream that is read.
     Events,
     OtherEvents,
     Frames,
@@ -92,12 +92,12 @@ struct Stream {
     content: Content,
     size: Option<(u64, u64)>,
     source: Option<String>,
-    /// What the program that wrote it called it.
+    /// Name that the recording program gave the stream's output.
     output: Option<String>,
 }
 
 impl Stream {
-    /// Whether `place` names it: by its number, its camera, its output's name, or camera and name.
+    /// Returns whether `place` names the stream: by its number, its camera, its output's name, or camera/output.
     fn is_named(&self, place: &str) -> bool {
         let is = |name: &Option<String>, part: &str| name.as_deref() == Some(part);
         let both = place.split_once('/');
@@ -109,7 +109,7 @@ impl Stream {
             })
     }
 
-    /// Its number and its names, for messages.
+    /// Returns the stream's number and names, for messages.
     fn title(&self) -> String {
         let names = [&self.source, &self.output].into_iter().flatten();
         let names: Vec<&str> = names.map(String::as_str).collect();
@@ -120,7 +120,7 @@ impl Stream {
     }
 }
 
-/// This format in the table of formats.
+/// This format's entry in the table of formats.
 pub const FORMAT: Format = Format {
     name: "aedat4",
     title: "AEDAT 4",
@@ -148,22 +148,23 @@ pub const FORMAT: Format = Format {
     create: Some(|path, sensor| Ok(Box::new(Aedat4Writer::create(path, sensor)?))),
 };
 
-/// Reader of AEDAT 4.0 files.
+/// A reader of AEDAT 4.0 files.
 pub type Aedat4Reader = Reader<Aedat4Decoder>;
 
 impl Aedat4Reader {
-    /// Reads `source`, which messages call `name`; `size` counts where the XML names no size.
+    /// Reads `source`, which messages call `name`; `size` is used if the XML states no size.
     ///
     /// # Errors
-    /// No AEDAT 4.0 header, an unknown compression, no event stream, no sensor size.
+    /// There is no AEDAT 4.0 header; the compression is unknown; there is no event stream; the sensor's size is
+    /// unknown.
     pub fn new(source: Box<dyn ReadSeek>, name: &str, size: Option<Sensor>) -> Result<Self> {
         Self::of_stream(source, name, None, size)
     }
 
-    /// As [`Aedat4Reader::new`], the events of the stream that `place` names.
+    /// Reads the events of the stream that `place` names; otherwise like [`Aedat4Reader::new`].
     ///
     /// # Errors
-    /// As [`Aedat4Reader::new`]; no event stream of that name, or more than one.
+    /// Those of [`Aedat4Reader::new`]; no event stream has that name, or more than one has it.
     pub fn of_stream(
         source: Box<dyn ReadSeek>,
         name: &str,
@@ -227,7 +228,7 @@ impl Aedat4Reader {
 
 struct Buffers {
     compression: Compression,
-    /// Where the packets end, if the file says so.
+    /// Offset of the packet table, where the packets end, if the file states it.
     table_position: Option<u64>,
     xml: String,
 }
@@ -261,7 +262,7 @@ fn read_io_header(input: &mut Input) -> Result<Buffers> {
             return Err(input.error_at(start, format!("compression {other} is not known")));
         }
     };
-    // -1 says that there is no table; DV leaves 0 where it was killed.
+    // -1 means that there is no table; DV leaves 0 if it was killed.
     let table_position = u64::try_from(position)
         .ok()
         .filter(|position| *position > 0);
@@ -272,7 +273,7 @@ fn read_io_header(input: &mut Input) -> Result<Buffers> {
     })
 }
 
-/// The streams that the XML describes, in its order.
+/// Returns the streams that the XML describes, in its order.
 fn streams_of(xml: &str) -> Result<Vec<Stream>, String> {
     let options = roxmltree::ParsingOptions {
         nodes_limit: 1 << 16,
@@ -321,8 +322,8 @@ fn streams_of(xml: &str) -> Result<Vec<Stream>, String> {
     Ok(streams)
 }
 
-/// Makes the event stream that `place` names, or the first one, the one that is read; what was chosen where there
-/// was a choice.
+/// Selects the event stream that `place` names, or else the first one, and returns an assumption if there was a
+/// choice.
 fn choose(streams: &mut [Stream], place: Option<&str>) -> Result<Option<Assumption>, String> {
     let is_events = |stream: &&Stream| stream.content == Content::OtherEvents;
     let titles: Vec<String> = streams
@@ -363,36 +364,36 @@ fn choose(streams: &mut [Stream], place: Option<&str>) -> Result<Option<Assumpti
     }))
 }
 
-/// State between two batches: one decompressed packet.
+/// The decoder of [`Aedat4Reader`]: its state between two batches, with one decompressed packet.
 pub struct Aedat4Decoder {
     input: Input,
     compression: Compression,
     streams: Vec<Stream>,
-    /// The stream whose events are read.
+    /// Number of the stream whose events are read.
     stream_id: i32,
     sensor: Sensor,
     camera: Option<String>,
     assumptions: Vec<Assumption>,
-    /// Whether events that cannot be ones are counted instead of refused.
+    /// Whether invalid events are counted instead of refused.
     leave_out: bool,
-    /// Byte of the first packet.
+    /// Offset of the first packet.
     start: u64,
-    /// Where the packets end; `None` where only the file's end or the packet table itself says it.
+    /// Offset where the packets end; `None` if only the file's end or the packet table itself shows it.
     end: Option<u64>,
-    /// Since the first seek; empty where there is none.
+    /// The packet table, read at the first seek; the inner `None` means that there is no usable one.
     table: Option<Option<PacketTable>>,
-    /// A packet as the file holds it.
+    /// A packet as stored in the file.
     raw: Vec<u8>,
     packet: Unpacked,
     packet_offset: u64,
-    /// Events of the packet that are still to be read.
+    /// Events of the packet that have not been returned yet.
     elements: Vector,
     events: u64,
     skipped: Skipped,
 }
 
 impl Aedat4Decoder {
-    /// Reads packets up to the next one of the event stream; `false` at the end.
+    /// Reads packets up to the next one of the event stream; returns false at the end.
     fn next_packet(&mut self) -> Result<bool> {
         loop {
             let start = self.input.offset();
@@ -404,7 +405,8 @@ impl Aedat4Decoder {
             match self.input.fill(&mut header)? {
                 0 => {
                     return match self.end {
-                        // Interrupted, or still being written where nobody waits for more.
+                        // The recording was interrupted, or is still being written and the caller does not wait
+                        // for more.
                         None => Ok(false),
                         Some(_) => Err(self
                             .input
@@ -474,9 +476,10 @@ impl Aedat4Decoder {
         }
     }
 
-    /// Refuses a file behind whose packet table, at byte `at`, another recording begins: `cat` puts files so.
+    /// Returns an error if another recording begins after the packet table at byte `at`, as in files joined by
+    /// `cat`.
     fn check_nothing_follows(&mut self, at: u64) -> Result<()> {
-        // No more than is there: of a file that grows, more would be waited for.
+        // Read no more than there is: in a growing file, a read would wait for more.
         let length = self.input.end()?.saturating_sub(at);
         self.input.seek(at)?;
         let mut bytes = vec![0; length.min(FOLLOWING_MAX) as usize];
@@ -492,7 +495,7 @@ impl Aedat4Decoder {
         self.input.seek(at)
     }
 
-    /// Whether the packet table begins with these bytes, behind which the input is.
+    /// Returns whether these bytes, after which the input is positioned, begin the packet table.
     fn is_table(&mut self, start: [u8; 8]) -> Result<bool> {
         let [m0, m1, m2, m3, ..] = start;
         let magic = [m0, m1, m2, m3];
@@ -509,7 +512,7 @@ impl Aedat4Decoder {
         })
     }
 
-    /// Takes the content of a packet whose `size` bytes follow.
+    /// Reads and decompresses the content of a packet, whose `size` bytes come next.
     fn unpack(&mut self, start: u64, size: usize) -> Result<()> {
         self.raw.resize(size, 0);
         if self.input.fill(&mut self.raw)? < size {
@@ -527,7 +530,7 @@ impl Aedat4Decoder {
         Ok(())
     }
 
-    /// The packet table at byte `at`; none where it is damaged. The input's position is lost.
+    /// Reads the packet table at byte `at`; `None` if it is damaged. Changes the input's position.
     fn read_table(&mut self, at: u64) -> Result<Option<PacketTable>> {
         let size = usize::try_from(self.input.length().saturating_sub(at)).unwrap_or(usize::MAX);
         let mut raw = vec![0; size.min(PACKET_MAX)];
@@ -540,8 +543,8 @@ impl Aedat4Decoder {
             .and_then(|()| PacketTable::parse(table.bytes(), self.stream_id)))
     }
 
-    /// Where to go on for events of `t_us` and later, and the number of the events before; none where no
-    /// table tells it. The input's position is lost.
+    /// Returns the offset from which to read events at or after `t_us`, and the number of events before it; `None`
+    /// if there is no usable table. Changes the input's position.
     fn place(&mut self, t_us: u64) -> Result<Option<(u64, u64)>> {
         let Some(end) = self.end else {
             return Ok(None);
@@ -567,7 +570,7 @@ impl Aedat4Decoder {
         Ok((is_there && header == (self.stream_id, size)).then_some((header_at, events)))
     }
 
-    /// The one vector of events, IMU and trigger packets.
+    /// Returns the only vector of an event, IMU or trigger packet; `None` if the packet is damaged.
     fn elements_of(&self, content: Content) -> Option<Vector> {
         let letters = match content {
             Content::Imu => b"IMUS",
@@ -595,7 +598,7 @@ impl Aedat4Decoder {
     }
 }
 
-/// An event as a packet holds it.
+/// An event as stored in a packet.
 struct RawEvent {
     t: i64,
     x: i16,
@@ -614,12 +617,13 @@ impl RawEvent {
         }
     }
 
-    /// Whether it lies in the sensor. What is negative is beyond every sensor as an unsigned number.
+    /// Returns whether the event lies inside the sensor. Negative coordinates are outside too, as unsigned
+    /// numbers.
     const fn is_inside(&self, sensor: Sensor) -> bool {
         sensor.contains(self.x.cast_unsigned(), self.y.cast_unsigned())
     }
 
-    /// The event, where it lies in the sensor and its time is not negative.
+    /// Converts to an [`Event`], which is valid only inside the sensor and for a time that is not negative.
     const fn event(&self) -> Event {
         Event {
             t_us: self.t.cast_unsigned(),
@@ -680,7 +684,7 @@ impl Decode for Aedat4Decoder {
             let (run, _) = bytes.unwrap_or_default().as_chunks::<EVENT_BYTES>();
             let is_sound = |event: &RawEvent| event.t >= 0 && event.is_inside(self.sensor);
             let parsed = || run.iter().map(|bytes| RawEvent::parse(*bytes));
-            // Of all, not up to the first: without a branch for each.
+            // Check all events, not only those up to the first invalid one: this needs no branch per event.
             let are_sound = parsed().fold(true, |sound, event| sound & is_sound(&event));
             let wrong = if are_sound {
                 None
@@ -731,7 +735,7 @@ mod tests {
         height: 48,
     };
 
-    /// Several packets, some of one time.
+    /// Returns events of several packets, some with equal times.
     fn events() -> Vec<Event> {
         (0..100_000_u64)
             .map(|i| Event {
@@ -753,7 +757,7 @@ mod tests {
         std::fs::read(path).unwrap()
     }
 
-    /// Position of the packet table, and where the header says it.
+    /// Returns the position of the packet table, and the offset at which the header states it.
     fn table(bytes: &[u8]) -> (usize, usize) {
         let at = MAGIC.len() + 40;
         let position = i64::from_le_bytes(bytes[at..at + 8].try_into().unwrap());
@@ -776,7 +780,7 @@ mod tests {
         let mut reader = open(file(&want));
         let last_us = want.last().unwrap().t_us;
         let middle_us = want[50_000].t_us;
-        // Also back, and from the end.
+        // Also seeks backwards, and from the end.
         for target in [
             middle_us,
             0,
@@ -810,7 +814,8 @@ mod tests {
             got.extend(rest(reader.as_mut()));
             assert_eq!(got, want);
         };
-        // Interrupted before the table, and before the header told it: there the table ends the packets.
+        // Interrupted before the table; and with a table whose position the header does not state: it ends the
+        // packets.
         let mut untold = bytes.clone();
         untold[position_at..position_at + 8].copy_from_slice(&(-1_i64).to_le_bytes());
         without(untold[..table_at].to_vec());
@@ -819,7 +824,7 @@ mod tests {
         damaged[table_at + 20] ^= 0x55;
         without(damaged);
         without([&bytes[..table_at], b"nonsense"].concat());
-        // A packet that is not where the table says: the table of another recording.
+        // A packet is not where the table says, since the table is that of another recording.
         let other: Vec<Event> = want
             .iter()
             .map(|event| Event {
@@ -858,7 +863,7 @@ mod tests {
         writer.finish().unwrap();
         let bytes = std::fs::read(path).unwrap();
         let end = table(&bytes).0;
-        // From the event's end: the packet is 1000 events and nothing else.
+        // Offsets count back from the packet's end: the packet holds 1000 events and nothing after them.
         let event = |index: usize| end - (1000 - index) * EVENT_BYTES;
         for (at, value, what) in [
             (event(700) + 7, 0x80, "event 700 of the packet here (t = -"),

@@ -1,4 +1,4 @@
-//! Writer of AEDAT 4.0 files: one event stream, compressed frames (LZ4 with checksums), packet table.
+//! Writer of AEDAT 4.0 files: one event stream, by default in LZ4 frames with checksums, and a packet table.
 
 use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
@@ -11,31 +11,31 @@ use lz4_flex::frame::{FrameEncoder, FrameInfo};
 use crate::aedat::aedat4::{EVENT_BYTES, MAGIC};
 use crate::{BATCH_EVENTS, EventWriter, create_file};
 
-/// What is said where a packet or a file grows beyond the format's fields.
+/// Message for a packet or a file that exceeds the format's fields.
 const TOO_LARGE: &str = "AEDAT 4: too large a packet or file";
 
-/// Events of a packet, at the most: 256 kB before compression.
+/// Largest number of events in a packet: 256 KiB before compression.
 const PACKET_EVENTS: usize = BATCH_EVENTS;
 
-/// The stream's number, in the XML and in every packet.
+/// Number of the stream, in the XML and in every packet.
 const STREAM: i32 = 0;
 
-/// Where the position of the packet table stands in the file.
+/// Offset in the file of the packet table's position.
 const TABLE_POSITION_AT: u64 = MAGIC.len() as u64 + 40;
 
-/// How packets are compressed.
+/// A compression in which [`Aedat4Writer`] writes packets.
 #[derive(Debug, Clone, Copy)]
 pub struct Compression {
-    /// The format's number of it.
+    /// Number of the compression in the format.
     pub code: i32,
-    /// The format's name of it.
+    /// Name of the compression in the format.
     pub name: &'static str,
-    /// Bytes to one frame.
+    /// Compresses bytes to one frame.
     pub compress: fn(&[u8]) -> Result<Vec<u8>>,
 }
 
 impl Compression {
-    /// LZ4 with checksums.
+    /// LZ4 frames with a checksum of their content.
     pub const LZ4: Self = Self {
         code: 1,
         name: "LZ4",
@@ -50,9 +50,9 @@ fn lz4(bytes: &[u8]) -> Result<Vec<u8>> {
     encoder.finish().context("LZ4")
 }
 
-/// A packet in the packet table.
+/// A packet's entry in the packet table.
 struct Packet {
-    /// Position of its content, after the 8 bytes of its header.
+    /// Offset of the packet's content, after its 8-byte header.
     content_at: u64,
     size: i32,
     events: u32,
@@ -60,9 +60,9 @@ struct Packet {
     last_us: i64,
 }
 
-/// Writer of AEDAT 4.0 files. Times up to 2^63 us, in any order.
+/// A writer of AEDAT 4.0 files, for times up to 2^63 - 1 us in any order.
 ///
-/// It holds one packet and 40 bytes for every packet written (16,384 events).
+/// It holds one packet, and 32 bytes for every packet written (16,384 events).
 pub struct Aedat4Writer {
     file: BufWriter<File>,
     name: String,
@@ -78,7 +78,7 @@ pub struct Aedat4Writer {
 }
 
 impl Aedat4Writer {
-    /// Creates the file, LZ4 inside.
+    /// Creates a file whose packets are compressed with LZ4.
     ///
     /// # Errors
     /// I/O.
@@ -86,7 +86,7 @@ impl Aedat4Writer {
         Self::with_compression(path, sensor, Compression::LZ4)
     }
 
-    /// Creates the file.
+    /// Creates a file whose packets are compressed with `compression`.
     ///
     /// # Errors
     /// I/O.
@@ -154,7 +154,7 @@ impl EventWriter for Aedat4Writer {
             self.first_us = self.first_us.min(t);
             self.last_us = self.last_us.max(t);
             self.pending.extend_from_slice(&t.to_le_bytes());
-            // Both are below 2048: i16 and u16 have the same bytes.
+            // Both are below 2048, where i16 and u16 have the same bytes.
             self.pending.extend_from_slice(&event.x.to_le_bytes());
             self.pending.extend_from_slice(&event.y.to_le_bytes());
             self.pending
@@ -181,9 +181,9 @@ impl EventWriter for Aedat4Writer {
     }
 }
 
-/// The `IOHE` table with its size, packet table position -1: with no table yet, an interrupted
-/// file still reads. A `FlatBuffer` may be laid out in any order that its offsets allow; scalars
-/// of 8 bytes stand at multiples of 8 from the start of the size.
+/// Returns the `IOHE` table with its size. The packet table's position is -1 for now, so that an interrupted file
+/// can still be read. A `FlatBuffer` may be laid out in any order that its offsets allow; 8-byte scalars are at
+/// multiples of 8 from the start of the size.
 fn io_header(sensor: Sensor, compression: Compression) -> Vec<u8> {
     let Sensor { width, height } = sensor;
     let Compression { code, name, .. } = compression;
@@ -212,7 +212,7 @@ fn io_header(sensor: Sensor, compression: Compression) -> Vec<u8> {
     for value in [10_u16, 24, 4, 12, 8] {
         bytes.extend_from_slice(&value.to_le_bytes());
     }
-    // Table at 28: back to its vtable, compression, description 16 bytes on, position -1.
+    // Table at 28: offset back to its vtable, compression, description 16 bytes further on, position -1.
     bytes.extend_from_slice(&10_i32.to_le_bytes());
     bytes.extend_from_slice(&code.to_le_bytes());
     bytes.extend_from_slice(&16_u32.to_le_bytes());
@@ -220,13 +220,13 @@ fn io_header(sensor: Sensor, compression: Compression) -> Vec<u8> {
     bytes.extend_from_slice(&[0; 4]);
     bytes.extend_from_slice(&(xml.len() as u32).to_le_bytes());
     bytes.extend_from_slice(xml.as_bytes());
-    // Strings end with a 0 that their length leaves out.
+    // Strings end with a 0 that their length does not count.
     bytes.push(0);
     pad(&mut bytes);
     finish(bytes, 28, b"IOHE")
 }
 
-/// An `EVTS` packet around events of 16 bytes.
+/// Returns an `EVTS` packet of events of 16 bytes each.
 fn event_packet(events: &[u8], count: u32) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(32 + events.len());
     bytes.resize(14, 0);
@@ -241,11 +241,11 @@ fn event_packet(events: &[u8], count: u32) -> Vec<u8> {
     finish(bytes, 20, b"EVTS")
 }
 
-/// Bytes from one table of a packet to the next, and where its vtable stands.
+/// Bytes from one packet's entry to the next, and the offset of the entries' vtable.
 const ENTRY_BYTES: usize = 48;
 const ENTRY_VTABLE_AT: usize = 18;
 
-/// The `FTAB` table: per packet the position and size of its content, its events and times.
+/// Returns the `FTAB` table: for each packet, the position and size of its content, its events and its times.
 fn packet_table(packets: &[Packet]) -> Vec<u8> {
     let mut bytes = vec![0; ENTRY_VTABLE_AT];
     // vtable of the entries at 18: position, packet header, events, first and last time.
@@ -259,7 +259,7 @@ fn packet_table(packets: &[Packet]) -> Vec<u8> {
     bytes.extend_from_slice(&8_i32.to_le_bytes());
     bytes.extend_from_slice(&4_u32.to_le_bytes());
     bytes.extend_from_slice(&(packets.len() as u32).to_le_bytes());
-    // The entries begin 4 bytes after a multiple of 8, so that their first field stands at one.
+    // The entries begin 4 bytes after a multiple of 8, so that their first field is at a multiple of 8.
     let offsets_at = bytes.len();
     let first = (offsets_at + 4 * packets.len() + 3) / 8 * 8 + 4;
     for index in 0..packets.len() {
@@ -286,7 +286,7 @@ fn pad(bytes: &mut Vec<u8>) {
     bytes.resize(bytes.len().next_multiple_of(8), 0);
 }
 
-/// Writes the size, the root table's offset and the four letters into the first 12 bytes.
+/// Writes the size, the root table's offset and the four-letter identifier into the first 12 bytes.
 fn finish(mut bytes: Vec<u8>, root_at: u32, letters: &[u8; 4]) -> Vec<u8> {
     let size = (bytes.len() - 4) as u32;
     let start = [size.to_le_bytes(), (root_at - 4).to_le_bytes(), *letters].concat();

@@ -1,12 +1,13 @@
-//! The cameras of AEDAT 1 to 3: their names, sizes and layouts of addresses.
+//! The cameras of AEDAT 1 to 3: their names, sizes and address layouts.
 //!
-//! jAER writes the class of a chip into its files (`eu.seebetter.ini.chips.davis.Davis346red`), cAER a short name
-//! (`DAVIS346B`); both differ in letters and in what follows the size. A DAVIS of every size has one layout of
-//! addresses, mirrored about its own last column, so that a wrong size gives wrong columns and no error.
+//! jAER writes a chip's Java class into its files (`eu.seebetter.ini.chips.davis.Davis346red`), cAER a short name
+//! (`DAVIS346B`). Both vary in upper and lower case and in what follows the size. DAVIS chips of all sizes share
+//! one address layout, mirrored about the chip's last column, so a wrong size gives wrong columns without an
+//! error.
 
 use event_types::{Event, Polarity, Sensor};
 
-/// How an AEDAT 2 address tells pixel and polarity.
+/// How an AEDAT 2 address encodes pixel and polarity.
 ///
 /// | layout | x | y | polarity | not an event |
 /// |---|---|---|---|---|
@@ -14,18 +15,18 @@ use event_types::{Event, Polarity, Sensor};
 /// | DAVIS | width - 1 - bits 21..12 | bits 30..22 | bit 11, 1 = ON | bit 31: APS or IMU; bit 10: external |
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Layout {
-    /// 16 bits.
+    /// Addresses of 16 bits.
     Dvs128,
-    /// 32 bits.
+    /// Addresses of 32 bits.
     Davis,
 }
 
-/// A chip: how its addresses are laid out, and its size.
+/// A chip: its address layout and its size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Chip {
-    /// Layout of its addresses.
+    /// Layout of the chip's addresses.
     pub layout: Layout,
-    /// Its size.
+    /// Size of the chip.
     pub sensor: Sensor,
 }
 
@@ -37,7 +38,7 @@ const fn davis(width: u16, height: u16) -> Chip {
 }
 
 impl Chip {
-    /// The DVS128.
+    /// The DVS128, of 128 x 128 pixels.
     pub const DVS128: Self = Self {
         layout: Layout::Dvs128,
         sensor: Sensor {
@@ -46,10 +47,10 @@ impl Chip {
         },
     };
 
-    /// The DAVIS240C and all others of its size.
+    /// The DAVIS240C, and all other DAVIS chips of its size.
     pub const DAVIS240: Self = davis(240, 180);
 
-    /// How the names of chips begin, in small letters. The DAVIS240 was called SBret and SeeBetter first.
+    /// How the names of chips begin, in lower case. The DAVIS240 was first called SBret and SeeBetter.
     const NAMES: [(&'static str, Self); 16] = [
         ("dvs128", Self::DVS128),
         ("tmpdiff128", Self::DVS128),
@@ -69,7 +70,7 @@ impl Chip {
         ("davis640", davis(640, 480)),
     ];
 
-    /// The chip of a name or of a Java class, if it is known.
+    /// Returns the chip of a name or a Java class, if it is known.
     #[must_use]
     pub fn of_name(name: &str) -> Option<Self> {
         let class = name.trim().rsplit('.').next().unwrap_or_default();
@@ -78,7 +79,7 @@ impl Chip {
         Self::NAMES.iter().find(known).map(|(_, chip)| *chip)
     }
 
-    /// The class that jAER knows it by, where a writer needs one.
+    /// Returns the chip's class in jAER, for writers; known for the DVS128 and the DAVIS240C.
     #[must_use]
     pub const fn class(self) -> &'static str {
         match self.layout {
@@ -87,10 +88,10 @@ impl Chip {
         }
     }
 
-    /// Column, row and polarity of an address, or the name of what it is instead.
+    /// Returns column, row and polarity of an address.
     ///
     /// # Errors
-    /// What is skipped.
+    /// The address is not an event: the error names the kind that it is counted as.
     pub fn decode(self, address: u32) -> Result<(i64, i64, Polarity), &'static str> {
         match self.layout {
             Layout::Dvs128 if address >> 16 != 0 => Err("unknown words"),
@@ -109,7 +110,7 @@ impl Chip {
         }
     }
 
-    /// Address of a pixel inside of the sensor.
+    /// Returns the address of an event, which must lie on the chip.
     #[must_use]
     pub fn encode(self, event: &Event) -> u32 {
         let (x, y) = (u32::from(event.x), u32::from(event.y));
@@ -123,7 +124,7 @@ impl Chip {
 }
 
 impl Layout {
-    /// The fields of x, as it is in the address, and of y.
+    /// Returns the address's fields of x, not mirrored, and of y.
     #[must_use]
     pub const fn fields(self, address: u32) -> (u32, u32) {
         match self {
@@ -132,17 +133,17 @@ impl Layout {
         }
     }
 
-    /// Whether an address may be one of this layout.
+    /// Returns whether an address is possible in this layout.
     #[must_use]
     pub const fn allows(self, address: u32) -> bool {
         match self {
             Self::Dvs128 => address >> 16 == 0,
-            // The lower bits are those of samples and of the types of external events.
+            // The lower bits belong to samples and to the types of external events.
             Self::Davis => address >> 31 != 0 || address & 0x3ff == 0,
         }
     }
 
-    /// Its name in messages.
+    /// Returns the layout's name in messages.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {

@@ -1,22 +1,24 @@
-//! LZ4 frames as AEDAT 4 holds them, one for each packet, whole in memory.
+//! Decodes the LZ4 frames of AEDAT 4, one per packet, which are wholly in memory.
 //!
 //! | bytes | |
 //! |---|---|
 //! | 4 | magic number 0x184D2204 |
-//! | 1 | flags: bits 7..6 version 1, 5 blocks stand alone, 4 blocks have checksums, 3 content size follows, 2 content has a checksum, 1 none, 0 dictionary |
-//! | 1 | bits 6..4 largest block: 4 to 7 are 64 kB, 256 kB, 1 MB, 4 MB; others 0 |
+//! | 1 | flags: bits 7..6 version (1); bit 5 independent blocks; bit 4 block checksums; |
+//! | | bit 3 content size follows; bit 2 content checksum; bit 1 reserved, 0; bit 0 dictionary |
+//! | 1 | bits 6..4 largest block: 4 to 7 mean 64 kB, 256 kB, 1 MB, 4 MB; other bits 0 |
 //! | 0 or 8 | size of the content |
-//! | 1 | checksum of the bytes since the flags |
-//! | blocks | u32 size, bit 31: not compressed; content; checksum where flagged |
+//! | 1 | checksum of the bytes from the flags on |
+//! | blocks | u32 size, bit 31 set: not compressed; content; checksum if flagged |
 //! | 4 | 0: the end |
 //! | 0 or 4 | checksum of the content |
 //!
-//! All numbers are little-endian, checksums XXH32. Definition: "LZ4 Frame Format Description" 1.6.
+//! All numbers are little-endian; checksums are XXH32. Source: "LZ4 Frame Format Description" 1.6.
 //!
-//! The decoder of frames in `lz4_flex` zeroes a buffer of the largest block's size for every frame and copies
-//! what it decodes out of it, which takes longer than the few hundred events of a packet. Here its decoder
-//! of blocks writes where the content is wanted. What this does not take, damaged frames above all, is decoded
-//! by `lz4_flex`, so that the outcome and the message are its own.
+//! The frame decoder of `lz4_flex` zeroes a buffer of the largest block's size for every frame and copies the
+//! decoded bytes out of it, which takes longer than decoding the few hundred events of a packet. Here the block
+//! decoder of `lz4_flex` writes directly to the place of the content. Frames that this decoder does not accept,
+//! above all damaged ones, are decoded by the frame decoder of `lz4_flex`, so that the result and the message are
+//! its own.
 
 use std::io::{Read, Result};
 
@@ -24,30 +26,30 @@ use lz4_flex::block::decompress_into_with_dict;
 use lz4_flex::frame::FrameDecoder;
 use twox_hash::XxHash32;
 
-/// First bytes of a frame.
+/// First bytes of an LZ4 frame.
 pub(crate) const MAGIC: [u8; 4] = [0x04, 0x22, 0x4d, 0x18];
 
-/// How far back a block that does not stand alone reaches.
+/// How far back a block that is not independent may refer.
 const WINDOW: usize = 1 << 16;
 
-/// A block of this bit in its size is not compressed.
+/// Bit of a block's size that marks it as not compressed.
 const STORED: u32 = 1 << 31;
 
-/// Content of packets, in a buffer that serves many of them.
+/// The content of packets, in a buffer that is reused from packet to packet.
 #[derive(Default)]
 pub(crate) struct Content {
-    /// As long as the longest content so far and a block, so that nothing is zeroed twice.
+    /// As long as the longest content so far plus a block, so that no byte is zeroed twice.
     bytes: Vec<u8>,
     filled: usize,
 }
 
 impl Content {
-    /// The content of the latest one.
+    /// Returns the content of the latest packet.
     pub fn bytes(&self) -> &[u8] {
         self.bytes.get(..self.filled).unwrap_or_default()
     }
 
-    /// Takes all of `source` as it is.
+    /// Reads all of `source` without decoding it.
     ///
     /// # Errors
     /// Those of the source.
@@ -58,7 +60,7 @@ impl Content {
         read.map(drop)
     }
 
-    /// The bytes so far, and room for `more` after them.
+    /// Returns the bytes so far, and room for `more` after them.
     fn room(&mut self, more: usize) -> Option<(&[u8], &mut [u8])> {
         let end = self.filled.checked_add(more)?;
         if self.bytes.len() < end {
@@ -68,10 +70,11 @@ impl Content {
         Some((before, after.get_mut(..more)?))
     }
 
-    /// Decodes the frame that `frame` begins with, at most `limit` bytes of content.
+    /// Decodes the frame at the start of `frame`, at most `limit` bytes of content.
     ///
     /// # Errors
-    /// A damaged frame, as `lz4_flex` tells it. One that goes on beyond `limit` is none: its content is cut there.
+    /// The frame is damaged; the error is that of `lz4_flex`. More than `limit` bytes are not an error: the
+    /// content is cut off there.
     pub fn decode(&mut self, frame: &[u8], limit: usize) -> Result<()> {
         self.filled = 0;
         if self.decode_whole(frame, limit).is_some() {
@@ -80,7 +83,8 @@ impl Content {
         self.read(FrameDecoder::new(frame).take(limit as u64))
     }
 
-    /// As [`Content::decode`], for a whole frame with nothing unusual about it; none for every other.
+    /// Does the same as [`Content::decode`] for a complete frame without unusual features; returns `None` for any
+    /// other.
     fn decode_whole(&mut self, frame: &[u8], limit: usize) -> Option<()> {
         let mut rest = frame.strip_prefix(&MAGIC)?;
         let descriptor = rest;
@@ -137,7 +141,7 @@ impl Content {
     }
 }
 
-/// The first `N` bytes, which `bytes` then begins after.
+/// Splits the first `N` bytes off `bytes`.
 fn take<'a, const N: usize>(bytes: &mut &'a [u8]) -> Option<&'a [u8; N]> {
     let (first, rest) = bytes.split_first_chunk()?;
     *bytes = rest;
@@ -156,7 +160,7 @@ mod tests {
 
     use super::*;
 
-    /// Frames of every kind, which are whole, and what becomes of them: cut, without an end, damaged.
+    /// Returns frames of every kind and whether they are complete: whole, cut, without an end, damaged.
     fn frames() -> Vec<(Vec<u8>, bool)> {
         let content: Vec<u8> = (0..300_000_u32)
             .map(|i| ((i / 7).wrapping_mul(i) % 251) as u8)
@@ -191,7 +195,7 @@ mod tests {
                 }
             }
         }
-        // Noise is stored as it is.
+        // Incompressible noise is stored uncompressed.
         let mut noise = 1_u32;
         let noise: Vec<u8> = (0..200_000)
             .map(|_| {
@@ -222,7 +226,7 @@ mod tests {
                 assert!(content.bytes() == expected);
             }
             content.filled = 0;
-            // Not by the library.
+            // A complete frame is decoded here, not by `lz4_flex`'s frame decoder.
             assert!(!is_whole || content.decode_whole(&frame, 1 << 20).is_some());
         }
     }

@@ -1,4 +1,4 @@
-//! AEDAT: the formats of jAER, cAER and DV, versions 1 to 4.
+//! AEDAT versions 1 to 4, the formats of jAER, cAER and DV.
 
 pub mod aedat1;
 pub mod aedat2;

@@ -1,39 +1,38 @@
-//! The packet table of AEDAT 4, by which a recording is sought.
+//! The packet table of AEDAT 4, which is used for seeking.
 //!
-//! `FTAB`: a vector of tables, one for each packet in the file. Its fields: i64 position of the packet's
-//! content (after its header of 8 bytes), the header itself (i32 stream, i32 size), i64 number of elements,
-//! i64 first and i64 last time in us. Packets without times have -1 or nothing there.
+//! `FTAB` is a vector of tables, one for each packet in the file, with these fields: i64 position of the packet's
+//! content (after its 8-byte header); the header itself (i32 stream, i32 size); i64 number of elements; i64 first
+//! and i64 last time in us. For packets without times, the times are -1 or absent.
 //!
-//! Nothing in the file depends on it but the time that is saved: a table that is damaged, or does not agree
-//! with the packets, is not used.
+//! The table only saves time: if it is damaged or does not agree with the packets, it is not used.
 
 use crate::flatbuffer::{Buffer, Table};
 
 /// A packet of the stream that is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Entry {
-    /// Byte of the packet's header.
+    /// Offset of the packet's header in the file.
     pub header_at: u64,
-    /// Bytes of its content.
+    /// Size of the packet's content in bytes.
     pub size: i32,
-    /// Number of its events.
+    /// Number of the packet's events.
     pub events: u64,
-    /// Time of its last event.
+    /// Time of the packet's last event.
     pub last_us: u64,
 }
 
-/// Packets of one stream, in the order of the file.
+/// The packets of one stream, in file order.
 #[derive(Debug, Default)]
 pub(crate) struct PacketTable(Vec<Entry>);
 
 impl PacketTable {
-    /// The packets of `stream` that `bytes`, a whole `FTAB` buffer, names; none where it is damaged.
+    /// Parses `bytes`, a whole `FTAB` buffer, and keeps the packets of `stream`; `None` if the buffer is damaged.
     pub fn parse(bytes: &[u8], stream: i32) -> Option<Self> {
         let (buffer, root) = Buffer::root(bytes, b"FTAB")?;
         let vector = buffer.vector(root, 0)?;
         let mut entries = Vec::new();
         for index in 0..vector.len {
-            // Every element takes 4 bytes of the buffer, so a count beyond it ends here.
+            // Every element takes 4 bytes of the buffer, so this returns if the count is larger than the buffer.
             let table = buffer.element(vector, index)?;
             if let Some(entry) = entry(buffer, table, stream)? {
                 entries.push(entry);
@@ -43,8 +42,8 @@ impl PacketTable {
         Some(Self(entries))
     }
 
-    /// The first packet behind which every event of `t_us` and later stands, and the number of the events
-    /// before it; no packet where all events are earlier.
+    /// Returns the first packet whose last time is at or after `t_us`, so that no packet before it has such
+    /// events, and the number of events before it; no packet if all events are earlier.
     pub fn place(&self, t_us: u64) -> (Option<Entry>, u64) {
         let Self(entries) = self;
         let found = entries.iter().position(|entry| entry.last_us >= t_us);
@@ -54,7 +53,7 @@ impl PacketTable {
     }
 }
 
-/// An entry of `stream` that has times; `None` where it is damaged.
+/// Returns an entry if it is of `stream` and has times; the outer `None` means that it is damaged.
 fn entry(buffer: Buffer<'_>, table: Table, stream: i32) -> Option<Option<Entry>> {
     let content_at = u64::try_from(buffer.i64(table, 0, 0)?).ok()?;
     let header = buffer.inline(table, 1)?;

@@ -1,23 +1,25 @@
-//! Arrow's IPC format: files (`.arrow`, Feather 2's `.feather`) and streams (`.arrows`), as pyarrow, polars
-//! and pandas write them (Arrow Columnar Format 1.5).
+//! Arrow's IPC format: files (`.arrow`, Feather 2's `.feather`) and streams (`.arrows`), as pyarrow, polars and
+//! pandas write them (Arrow Columnar Format 1.5).
 //!
-//! A file is `ARROW1`, two zeros, a stream, and a footer that lists the batches. A stream is messages: ff ff
-//! ff ff, u32 bytes of metadata, metadata (a `FlatBuffers` table), body; the first holds the schema, every
-//! other rows of all columns; a length of 0 ends it. In the body, a column is a list of bits of the values
-//! that are not missing, and its values, each LZ4, Zstandard (behind i64 bytes unpacked, -1 for none) or
-//! not compressed.
+//! A file is `ARROW1`, two zeros, a stream, and a footer that lists the batches. A stream is a sequence of
+//! messages: ff ff ff ff, u32 length of the metadata, metadata (a `FlatBuffers` table), body. The first message
+//! holds the schema, every other one holds rows of all columns or the values of a dictionary, and a length of 0
+//! ends the stream. In the body, a column is a bitmap of the values that are present, followed by its values. Each
+//! of the two is compressed with LZ4 or Zstandard, after an i64 with its decompressed size (-1: not compressed),
+//! or stored uncompressed.
 //!
-//! * Columns t, x, y, p, named as in a text file's header line, of any integers or floats, p also of bool;
-//!   other columns are left out. `--columns` names or places them. They may be places in a dictionary of
-//!   numbers, or of texts such as ON and OFF.
-//! * t: of a type with a unit (timestamp, duration, time) or with a unit in its name in that one, rounded to
-//!   microseconds; else `crate::table::time_unit` has the rule. `crate::table::row_events` has those for clocks that
-//!   wrap, polarities, and events that cannot be one, such as those with a missing value.
-//! * The sensor's size: the schema's metadata `width` and `height`, `resolution` and the like; else the caller's; else from names like
-//!   `x@320`; else the largest x and y plus one, by a first pass.
+//! - Columns: t, x, y and p, named as in a text file's header line, of any integer or float type, p also of bool;
+//!   other columns are left out. `--columns` selects them by name or position. They may be indices into a
+//!   dictionary of numbers, or of strings such as ON and OFF.
+//! - t: a type with a unit (timestamp, duration, time), or a unit in the column's name, gives the unit; times are
+//!   rounded to microseconds. Otherwise the rule of `crate::table::time_unit` applies. `crate::table::row_events`
+//!   has the rules for clocks that wrap, polarities, and invalid events, such as those with a missing value.
+//! - The sensor's size: from the schema's metadata (`width` and `height`, `resolution` and the like); else the
+//!   caller's; else from names like `x@320`; else the largest x and y plus one, by a first pass.
 //!
-//! Messages are read from front to back, so that what is before a damage is given; the footer is not needed, but where it alone has the schema, as in polars' files.
-//! Seeking reads the first time of every batch. Columns are read in step, some kilobytes of each.
+//! Messages are read from front to back, so that everything before a damaged place is returned. The footer is
+//! needed only if it alone has the schema, as in polars' files. Seeking reads the first time of every batch. The
+//! columns are read side by side, some kilobytes of each at a time.
 
 mod schema;
 mod writer;
@@ -52,23 +54,23 @@ pub const MAGIC: &[u8] = b"ARROW1";
 /// First bytes of a message.
 pub const CONTINUATION: [u8; 4] = [0xff; 4];
 
-/// First bytes of Feather 1, another format.
+/// First bytes of Feather 1, a different format.
 const FEATHER_1: &[u8] = b"FEA1";
 
-/// Bytes before a file's first message.
+/// Number of bytes before a file's first message.
 const START_BYTES: u64 = 8;
 
-/// Most bytes of a message's metadata.
+/// Largest length of a message's metadata in bytes.
 const METADATA_MAX: u32 = 16 << 20;
 
-/// Bytes of a column that are read at once.
+/// Number of bytes of a column that are read at once.
 const BUFFER_BYTES: usize = 1 << 15;
 
-/// Most values of a dictionary, and most bytes of its texts.
+/// Largest number of values of a dictionary, and largest total length of its strings in bytes.
 const DICTIONARY_MAX: usize = 1 << 22;
 const TEXTS_MAX: u64 = 64 << 20;
 
-/// This format in the table of formats.
+/// The entry of Arrow files, and of reading streams, in the table of formats.
 pub const FORMAT: Format = Format {
     name: "arrow",
     title: "Arrow",
@@ -88,7 +90,7 @@ pub const FORMAT: Format = Format {
     create: Some(|path, sensor| Ok(Box::new(ArrowWriter::create(path, sensor, false)?))),
 };
 
-/// A stream, which is written from front to back and read as [`FORMAT`].
+/// The entry of Arrow streams, which are written from front to back and read like [`FORMAT`].
 pub const STREAM_FORMAT: Format = Format {
     name: "arrows",
     title: "Arrow stream",
@@ -97,7 +99,7 @@ pub const STREAM_FORMAT: Format = Format {
     ..FORMAT
 };
 
-/// A file, or a stream, whose first message has metadata of a believable length.
+/// Returns whether the file is an Arrow file, or a stream whose first message has metadata of a plausible length.
 fn is_arrow(start: &Start) -> bool {
     let length = start.bytes.get(4..).and_then(<[u8]>::first_chunk);
     let is_stream = start.begins(&CONTINUATION)
@@ -105,14 +107,15 @@ fn is_arrow(start: &Start) -> bool {
     start.begins(MAGIC) || start.begins(FEATHER_1) || is_stream
 }
 
-/// Reader of Arrow files and streams.
+/// A reader of Arrow files and streams.
 pub type ArrowReader = Reader<ArrowDecoder>;
 
 impl ArrowReader {
-    /// Reads `source`, which messages call `name`; `reading` says what the file does not.
+    /// Reads `source`, which messages call `name`; `reading` states what the file does not.
     ///
     /// # Errors
-    /// No Arrow file, no columns t, x, y, p of numbers, no size and no event.
+    /// The source is not an Arrow file; it has no numeric columns t, x, y and p; it has neither a size nor an
+    /// event.
     pub fn new(source: Box<dyn ReadSeek>, name: &str, reading: &Reading) -> Result<Self> {
         let mut decoder = ArrowDecoder::open(source, name, reading)?;
         let start = decoder.position;
@@ -136,13 +139,13 @@ impl ArrowReader {
     }
 }
 
-/// State between two batches of events.
+/// The decoder of [`ArrowReader`]: its state between two batches of events.
 pub struct ArrowDecoder {
     source: Shared,
     name: String,
     length: u64,
     is_file: bool,
-    /// Place of the first message behind the schema, and of the next one.
+    /// Offset of the first message after the schema, and of the next message.
     first: u64,
     position: u64,
     schema: Schema,
@@ -150,32 +153,32 @@ pub struct ArrowDecoder {
     /// Size that the metadata states.
     stated: Option<Sensor>,
     numbers: RowEvents,
-    /// Values of dictionaries that have been met.
+    /// Values of the dictionaries met so far.
     dictionaries: HashMap<i64, Arc<Vec<Number>>>,
     rows: Option<Rows>,
     events: u64,
 }
 
-/// A record batch being read.
+/// A record batch that is being read.
 struct Rows {
-    /// Where its message begins.
+    /// Offset of the batch's message.
     start: u64,
     left: u64,
     columns: [Values; 4],
 }
 
-/// A column of a record batch being read.
+/// A column of the record batch that is being read.
 struct Values {
     reader: Box<dyn Read + Send>,
     stored: Stored,
     bits: Bits,
-    /// Which values are there, where some are missing.
+    /// Bitmap of the values that are present, if some are missing.
     present: Option<(Box<dyn Read + Send>, Bits)>,
-    /// What the values are places in.
+    /// Dictionary into which the values are indices.
     dictionary: Option<Arc<Vec<Number>>>,
 }
 
-/// The byte that the next bits are in, and how many of it are left.
+/// The byte with the next bits, and the number of bits left in it.
 #[derive(Default)]
 struct Bits {
     byte: u8,
@@ -199,7 +202,7 @@ impl Bits {
 }
 
 impl Values {
-    /// The next `count` numbers, or as many as there are before an error; a missing one is NaN.
+    /// Returns the next `count` numbers, or as many as there are before an error; a missing value becomes NaN.
     fn take(&mut self, count: usize) -> (Vec<Option<Number>>, Option<std::io::Error>) {
         let (mut numbers, mut error) = self.take_stored(count);
         if let Some(dictionary) = &self.dictionary {
@@ -250,7 +253,7 @@ impl Values {
     }
 }
 
-/// Fills `bytes`, or what of it there is before an error; the end is one.
+/// Fills `bytes`, or as much of it as there is before an error; the end of the column is an error.
 fn fill(reader: &mut dyn Read, bytes: &mut [u8]) -> (usize, Option<std::io::Error>) {
     let mut filled = 0;
     while let Some(rest) = bytes.get_mut(filled..).filter(|rest| !rest.is_empty()) {
@@ -298,7 +301,7 @@ impl ArrowDecoder {
                 place.position += body;
                 schema
             }
-            // polars writes the schema into the footer alone.
+            // polars writes the schema only into the footer.
             other if is_file => {
                 place.position = start;
                 let Some((schema, first, at)) = place.footer() else {
@@ -332,7 +335,7 @@ impl ArrowDecoder {
         let at_start = |what: String| error!(Damaged, "{name}: byte {start}: {what}");
         let mut columns = Columns::find(&named, reading).map_err(at_start)?;
         for (which, place) in columns.places.into_iter().enumerate() {
-            // Of places in a dictionary, the type is that of the places.
+            // The stored type of a dictionary column is that of its indices, not of its times.
             let column = schema.columns.get(place);
             if let (T, Some((_, items))) = (which, column.and_then(|column| column.dictionary)) {
                 columns.times.is_u32 = false;
@@ -378,7 +381,7 @@ impl ArrowDecoder {
         self.numbers.rewind();
     }
 
-    /// What makes events of rows that begin with `sample`.
+    /// Returns the converter from rows to events, for a recording whose rows begin with `sample`.
     fn numbers(&self, reading: &Reading, sample: &[Row]) -> Result<RowEvents> {
         let numbers = RowEvents::new(reading, self.columns.times, Base::default(), sample);
         let mut numbers =
@@ -396,7 +399,7 @@ impl ArrowDecoder {
         )
     }
 
-    /// Opens the next record batch; false at the end.
+    /// Opens the next record batch; returns false at the end.
     fn next_rows(&mut self) -> Result<bool> {
         loop {
             let mut place = self.place();
@@ -423,7 +426,7 @@ impl ArrowDecoder {
         }
     }
 
-    /// Keeps the values of a dictionary that t, x, y or p refers to.
+    /// Keeps the values of a dictionary if t, x, y or p refers to it.
     fn take_dictionary(
         &mut self,
         dictionary: &Dictionary,
@@ -457,7 +460,7 @@ impl ArrowDecoder {
         Ok(())
     }
 
-    /// The values of a dictionary.
+    /// Returns the values of a dictionary.
     fn items(
         &self,
         dictionary: &Dictionary,
@@ -516,7 +519,7 @@ impl ArrowDecoder {
         }
     }
 
-    /// A buffer of a message's body, unpacked.
+    /// Returns a buffer of a message's body, decompressed.
     fn buffer(
         &self,
         (at, length): (u64, u64),
@@ -573,7 +576,7 @@ impl ArrowDecoder {
         })
     }
 
-    /// Some of the next rows, at most `count`, and the error that ended them; none at the end.
+    /// Returns the next rows, at most `count`, and the error that ended them; no rows at the end.
     fn read_rows(
         &mut self,
         count: usize,
@@ -608,7 +611,7 @@ impl ArrowDecoder {
         Ok((rows, ended))
     }
 
-    /// The first rows; damage is for the reader, which returns the events before it.
+    /// Returns the first rows; damage is reported later by the reader, after the events before it.
     fn sample(&mut self) -> Vec<Row> {
         let mut sample = Vec::new();
         while sample.len() < SAMPLE_TIMES {
@@ -624,7 +627,7 @@ impl ArrowDecoder {
         sample
     }
 
-    /// Size that holds every event before the first that is damaged.
+    /// Returns the size that holds every event before the first damaged one.
     fn largest(&mut self, reading: &Reading) -> Result<Sensor> {
         let mut extent = Extent::new(reading);
         'all: loop {
@@ -645,8 +648,8 @@ impl ArrowDecoder {
         extent.sensor(&self.name)
     }
 
-    /// Place and first event of the last batch that begins before `t_us`, or of the first one; batches behind
-    /// a damage do not count.
+    /// Returns the offset and the first event number of the last batch that begins before `t_us`, or of the first
+    /// batch; ignores batches after a damaged place.
     fn batch_before(&mut self, t_us: u64) -> (u64, u64) {
         let mut found = (self.first, 0);
         let mut events = 0_u64;
@@ -668,10 +671,10 @@ impl ArrowDecoder {
     }
 }
 
-/// A text of a dictionary as a number: a polarity, or the number that it spells.
+/// Converts a string of a dictionary to a number: a polarity, or the number that it spells.
 fn item(text: &[u8]) -> Result<Number, String> {
     if let Some(on) = text_layout::polarity(text) {
-        // -1 and 0 must not be mixed up.
+        // Keep -1 distinct from 0.
         return Ok(Number::Whole(if text.starts_with(b"-") {
             -1
         } else {
@@ -684,10 +687,10 @@ fn item(text: &[u8]) -> Result<Number, String> {
     number.map_err(|_| format!("{} is no number and no polarity", text.escape_debug()))
 }
 
-/// The end of a file and the beginning of one that was put behind it.
+/// The end of one file followed by the start of another.
 const JOINED: &[u8] = b"ARROW1ARROW1";
 
-/// The schema of a message, behind its length; `None` where it is none.
+/// Returns the schema of a message with its length prefix; `None` if the message holds none.
 pub fn schema_of_message(bytes: &[u8]) -> Option<Schema> {
     let rest = bytes.strip_prefix(&CONTINUATION).unwrap_or(bytes);
     match schema::message(rest.get(4..)?)? {
@@ -696,11 +699,11 @@ pub fn schema_of_message(bytes: &[u8]) -> Option<Schema> {
     }
 }
 
-/// A column's bytes, decompressed.
+/// Returns a reader of a column's decompressed bytes.
 fn unpacked(mut section: Section, codec: Codec) -> Result<Box<dyn Read + Send>, String> {
     let mut size = [0; 8];
     if codec != Codec::Stored {
-        // Of no bytes, there is not even their number.
+        // An empty buffer does not even have its decompressed size.
         match fill(&mut section, &mut size) {
             (0, Some(_)) => return Ok(Box::new(std::io::empty())),
             (_, Some(error)) => return Err(error.to_string()),
@@ -720,7 +723,7 @@ fn unpacked(mut section: Section, codec: Codec) -> Result<Box<dyn Read + Send>, 
     })
 }
 
-/// A place in the file, for errors and for messages.
+/// A position in the file, for reading messages and reporting errors.
 struct Place<'a> {
     source: &'a Shared,
     name: &'a str,
@@ -733,8 +736,8 @@ impl Place<'_> {
         error!(Damaged, "{}: byte {}: {what}", self.name, self.position)
     }
 
-    /// The schema in a file's footer, where the first of the messages begins that it lists, and where it begins
-    /// itself.
+    /// Returns the schema in a file's footer, the offset of the first message that the footer lists, and the
+    /// footer's own offset.
     fn footer(&mut self) -> Option<(Schema, u64, u64)> {
         let start = self.position;
         let end = self.length.checked_sub(10)?;
@@ -758,7 +761,7 @@ impl Place<'_> {
             .then_some((schema, first, at))
     }
 
-    /// Refuses a file behind whose end another one begins, of a stream another stream.
+    /// Returns an error if another file follows the end of this one, or another stream the end of this stream.
     fn check_nothing_follows(&mut self, is_file: bool) -> Result<()> {
         let shared = self.source;
         let mut source = shared.lock().unwrap_or_else(PoisonError::into_inner);
@@ -791,8 +794,8 @@ impl Place<'_> {
         Ok(bytes)
     }
 
-    /// The message here, the bytes of its body, which lies wholly in the file, and where it began; `None` at
-    /// the end.
+    /// Reads the message at the current position. Returns it, the length of its body, which lies wholly in the
+    /// file, and the offset of the message; `None` at the end.
     fn message(&mut self) -> Result<Option<(Message, u64, u64)>> {
         let start = self.position;
         let mut left = self.length.saturating_sub(start);
@@ -809,7 +812,7 @@ impl Place<'_> {
         }
         let mut length = word(self.bytes(4)?);
         left -= 4;
-        // Before version 0.15 there was the length alone.
+        // Before version 0.15, only the length preceded the metadata.
         if length == u32::MAX {
             if left < 4 {
                 return Err(self.error(truncated));

@@ -1,94 +1,94 @@
-//! Messages of Arrow's IPC format: the schema, and where the columns of a record batch lie.
+//! Parses messages of Arrow's IPC format: the schema, and the positions of the columns in a record batch.
 //!
-//! Field numbers are those of Schema.fbs, Message.fbs and File.fbs of the format's 1.x versions.
+//! Field numbers are those of Schema.fbs, Message.fbs and File.fbs of the format's versions 1.x.
 
 use crate::flatbuffer::{Buffer, Table, Vector};
 use crate::numpy::npy_header::Dtype;
 use crate::table::columns::Stored;
 
-/// How deep types may be nested.
+/// Largest depth of nested types.
 const DEPTH_MAX: usize = 16;
 
-/// Most columns of a schema.
+/// Largest number of columns of a schema.
 const COLUMNS_MAX: usize = 10_000;
 
-/// What a message is.
+/// The content of a message.
 pub enum Message {
-    /// The columns.
+    /// The schema.
     Schema(Schema),
-    /// Rows.
+    /// A batch of rows.
     Batch(RecordBatch),
-    /// Values that columns name by their places.
+    /// Values that columns refer to by index.
     Dictionary(Dictionary),
-    /// Anything else: tensors.
+    /// Anything else, such as tensors.
     Other,
 }
 
-/// The columns of a file.
+/// The columns and the metadata of a file.
 pub struct Schema {
-    /// Columns, in their order.
+    /// Columns, in file order.
     pub columns: Vec<Column>,
-    /// Keys and values.
+    /// Keys and values of the metadata.
     pub metadata: Vec<(String, String)>,
 }
 
-/// A column.
+/// A column of the schema.
 pub struct Column {
-    /// Its name.
+    /// Name of the column.
     pub name: String,
-    /// How it is stored, if that can be read.
+    /// How the column is stored; `None` if it cannot be read.
     pub stored: Option<Stored>,
-    /// Of a time with a unit: microseconds are its values times 10 to this.
+    /// For times with a unit: microseconds are the values times 10 to this power.
     pub shift: Option<i32>,
-    /// Of places in a dictionary: the dictionary's number, and what it holds.
+    /// For indices into a dictionary: the dictionary's number and the type of its values.
     pub dictionary: Option<(i64, Items)>,
-    /// Nodes and buffers that it has in a batch; `None` where batches differ.
+    /// Numbers of nodes and buffers that the column has in a batch; `None` if they differ between batches.
     extent: Option<(usize, usize)>,
 }
 
-/// What the values of a dictionary are.
+/// The type of a dictionary's values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Items {
     /// Numbers.
     Numbers(Stored),
-    /// Texts, whose places are numbers of so many bytes.
+    /// Strings, whose offsets are integers of this many bytes.
     Texts(usize),
 }
 
-/// A dictionary's message.
+/// A message with the values of a dictionary.
 pub struct Dictionary {
-    /// Its number, which columns refer to.
+    /// Number of the dictionary, to which columns refer.
     pub id: i64,
-    /// Its values, as a column.
+    /// Values of the dictionary, as a column.
     pub batch: RecordBatch,
-    /// Whether they follow those that are there already.
+    /// Whether the values are appended to those that the dictionary already has.
     pub is_more: bool,
 }
 
-/// How the buffers of a batch are compressed.
+/// The compression of a batch's buffers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Codec {
-    /// They are not.
+    /// Not compressed.
     Stored,
-    /// LZ4's frames.
+    /// LZ4 frames.
     Lz4,
-    /// Zstandard.
+    /// Zstandard frames.
     Zstandard,
 }
 
-/// Where a batch has its columns.
+/// The positions of the columns in a batch.
 pub struct RecordBatch {
-    /// Rows.
+    /// Number of rows.
     pub rows: u64,
     /// Compression of every buffer.
     pub codec: Codec,
     /// Offset and length of every buffer in the message's body.
     pub buffers: Vec<(u64, u64)>,
-    /// Values that are missing, of every column and its parts.
+    /// Number of missing values of every node, that is, of every column and its children.
     pub nulls: Vec<u64>,
 }
 
-/// What a message holds, and the length of its body; `None` where it is damaged.
+/// Returns a message's content and the length of its body; `None` if the message is damaged.
 pub fn message(bytes: &[u8]) -> Option<(Message, u64)> {
     let (buffer, root) = Buffer::plain(bytes)?;
     let body = u64::try_from(buffer.i64(root, 3, 0)?).ok()?;
@@ -102,13 +102,13 @@ pub fn message(bytes: &[u8]) -> Option<(Message, u64)> {
     Some((message, body))
 }
 
-/// The schema that a file's footer repeats, and where the first of the messages begins that it lists, if any;
-/// `None` where it is damaged.
+/// Returns the schema that a file's footer repeats, and the offset of the first message that it lists, if any;
+/// `None` if the footer is damaged.
 pub fn footer(bytes: &[u8]) -> Option<(Schema, Option<u64>)> {
     let (buffer, root) = Buffer::plain(bytes)?;
     let schema = schema(buffer, buffer.table(root, 1)??)?;
     let mut first: Option<u64> = None;
-    // Dictionaries, batches: blocks of offset, metadata's bytes, body's bytes.
+    // Dictionaries and batches: blocks of offset, metadata length and body length.
     for field in [2, 3] {
         let blocks = buffer.vector(root, field)?;
         buffer.holds(blocks.start, blocks.len.checked_mul(24)?)?;
@@ -138,7 +138,7 @@ fn schema(buffer: Buffer, table: Table) -> Option<Schema> {
     let mut columns = Vec::new();
     for index in 0..fields.len {
         let mut column = column(buffer, buffer.element(fields, index)?)?;
-        // Of the other order, only single bytes could be read: no writer is known.
+        // In big-endian files, only single bytes could be read; no writer of such files is known.
         column.stored = column.stored.filter(|_| is_little);
         columns.push(column);
     }
@@ -152,7 +152,7 @@ fn pairs(buffer: Buffer, vector: Vector) -> Option<Vec<(String, String)>> {
     let mut pairs = Vec::new();
     for index in 0..vector.len {
         let table = buffer.element(vector, index)?;
-        // Values may be no text.
+        // Values need not be text.
         if let (Some(key), Some(value)) = (buffer.string(table, 0), buffer.string(table, 1)) {
             pairs.push((key.to_owned(), value.to_owned()));
         }
@@ -211,7 +211,7 @@ fn column(buffer: Buffer, field: Table) -> Option<Column> {
     })
 }
 
-/// The type of integers.
+/// Returns the stored type of an integer type; `Some(None)` if it cannot be read.
 fn integer(buffer: Buffer, of: Table) -> Option<Option<Stored>> {
     let bytes = usize::try_from(buffer.i32(of, 0, 0)?).ok()? / 8;
     let kind = if buffer.u8(of, 1, 0)? != 0 {
@@ -222,7 +222,7 @@ fn integer(buffer: Buffer, of: Table) -> Option<Option<Stored>> {
     Some(Dtype::new(kind, false, bytes).map(Stored::Number))
 }
 
-// Numbers of types in the union `Type`.
+// Codes of types in the union `Type`.
 const NULL: u8 = 1;
 const INT: u8 = 2;
 const FLOAT: u8 = 3;
@@ -246,11 +246,12 @@ const UTF8_VIEW: u8 = 24;
 const LIST_VIEW: u8 = 25;
 const LARGE_LIST_VIEW: u8 = 26;
 
-/// Nodes and buffers of a field with its parts; `Some(None)` where every batch has its own number.
+/// Returns the numbers of nodes and buffers of a field with its children; `Some(None)` if they differ between
+/// batches.
 fn extent(buffer: Buffer, field: Table, depth: usize) -> Option<Option<(usize, usize)>> {
     let depth = depth.checked_sub(1)?;
     if buffer.table(field, 4)?.is_some() {
-        // Indices into a dictionary.
+        // A dictionary column stores indices.
         return Some(Some((1, 2)));
     }
     let own = match buffer.u8(field, 2, 0)? {
@@ -283,7 +284,7 @@ fn extent(buffer: Buffer, field: Table, depth: usize) -> Option<Option<(usize, u
         };
         nodes += more_nodes;
         buffers += more_buffers;
-        // Tables may be shared, so that few of them stand for many.
+        // Tables may be shared, so a small buffer can describe a huge number of nodes.
         if nodes > COLUMNS_MAX {
             return None;
         }
@@ -294,7 +295,7 @@ fn extent(buffer: Buffer, field: Table, depth: usize) -> Option<Option<(usize, u
 fn batch(buffer: Buffer, table: Table) -> Option<RecordBatch> {
     let number = |position| u64::try_from(i64::from_le_bytes(buffer.bytes(position)?)).ok();
     let pairs = |vector: Vector| {
-        // Before memory is asked for: 16 bytes each are there.
+        // Check before allocating that there are 16 bytes for each element.
         buffer.holds(vector.start, vector.len.checked_mul(16)?)?;
         let starts = (0..vector.len).map(|index| vector.start + 16 * index);
         let pairs = starts.map(|at| Some((number(at)?, number(at + 8)?)));
@@ -318,15 +319,15 @@ fn batch(buffer: Buffer, table: Table) -> Option<RecordBatch> {
 }
 
 impl Schema {
-    /// The node and the buffer of values of column number `place`; `None` where a column before it has no
-    /// fixed number of buffers.
+    /// Returns the node and the values' buffer of column number `place`; `None` if a column before it has no fixed
+    /// number of buffers.
     pub fn position(&self, place: usize) -> Option<(usize, usize)> {
         let mut position = (0, 0);
         for column in self.columns.get(..place)? {
             let (nodes, buffers) = column.extent?;
             position = (position.0 + nodes, position.1 + buffers);
         }
-        // The first buffer tells which values are missing.
+        // The first buffer is the bitmap of the values that are present.
         Some((position.0, position.1 + 1))
     }
 }

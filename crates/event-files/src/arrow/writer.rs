@@ -1,5 +1,5 @@
-//! Writer of Arrow's IPC format: t (int64, us), x, y (uint16), p (uint8, 0 or 1), uncompressed, so that
-//! readers can map the file; `width` and `height` are keys of the schema's metadata.
+//! Writer of Arrow's IPC format: t (int64, us), x, y (uint16), p (uint8, 0 or 1), uncompressed, so that readers
+//! can map the file into memory; the schema's metadata has the keys `width` and `height`.
 
 use std::path::Path;
 
@@ -11,18 +11,18 @@ use crate::EventWriter;
 use crate::flatbuffer::writer::{Value, buffer};
 use crate::output::sequential::Output;
 
-/// Rows of a record batch, as pyarrow's.
+/// Number of rows in a record batch, as in pyarrow.
 const BATCH_ROWS: usize = 1 << 16;
 
-/// Version 5 of the metadata.
+/// Code of version 5 of the metadata.
 const VERSION: i16 = 4;
 
-/// Numbers in the union of message headers, and of the type `Int`.
+/// Codes of message headers in their union, and of the type `Int`.
 const SCHEMA: u8 = 1;
 const RECORD_BATCH: u8 = 3;
 const INT: u8 = 2;
 
-/// Names, bits and signedness of the columns.
+/// Names, widths in bits and signedness of the columns.
 const COLUMNS: [(&str, i32, bool); 4] = [
     ("t", 64, true),
     ("x", 16, false),
@@ -30,20 +30,20 @@ const COLUMNS: [(&str, i32, bool); 4] = [
     ("p", 8, false),
 ];
 
-/// Writer of Arrow files. It holds a batch, and 24 bytes for every batch written.
+/// A writer of Arrow files and streams. It holds one batch, and 24 bytes for every batch written.
 pub struct ArrowWriter {
     file: Output,
     sensor: Sensor,
     is_stream: bool,
     columns: [Vec<u8>; 4],
     rows: usize,
-    /// Offset, bytes of the metadata and of the body of every batch, as the footer has them.
+    /// Offset, metadata length and body length of every batch, as in the footer.
     blocks: Vec<u8>,
     events: u64,
 }
 
 impl ArrowWriter {
-    /// Creates a file or a stream.
+    /// Creates a file, or a stream if `is_stream` is true, and writes the schema.
     ///
     /// # Errors
     /// I/O.
@@ -69,7 +69,7 @@ impl ArrowWriter {
         self.message(SCHEMA, schema(self.sensor), 0).map(drop)
     }
 
-    /// Writes a message's metadata; returns its bytes.
+    /// Writes a message's metadata; returns its length with the prefix.
     fn message(&mut self, kind: u8, header: Value, body: u64) -> Result<u32> {
         let message = buffer(&Value::Table(vec![
             (0, Value::i16(VERSION)),
@@ -83,14 +83,14 @@ impl ArrowWriter {
         Ok(message.len() as u32 + 8)
     }
 
-    /// Writes the rows that wait.
+    /// Writes the buffered rows as a record batch.
     fn write_batch(&mut self) -> Result<()> {
         if self.rows == 0 {
             return Ok(());
         }
         let (mut nodes, mut buffers, mut body) = (Vec::new(), Vec::new(), 0_u64);
         for column in &self.columns {
-            // No row is missing, so there is no list of those that are.
+            // No value is missing, so the bitmap is empty.
             nodes.extend([self.rows as u64, 0].map(u64::to_le_bytes).concat());
             let length = column.len() as u64;
             buffers.extend([body, 0, body, length].map(u64::to_le_bytes).concat());

@@ -1,22 +1,22 @@
-//! Prophesee DAT: decoded events in records of 8 bytes, little-endian.
+//! Prophesee DAT: decoded events in 8-byte records, little-endian.
 //!
-//! Header lines that begin with `% `, then two bytes: the type of the events and a record's size, 8. Types
-//! 0 (`Event2d`) and 12 (`EventCD`) are read; 14 are triggers.
+//! A file is header lines that begin with `% `, then two bytes (the type of the events and the size of a record,
+//! 8), then the records. Types 0 (`Event2d`) and 12 (`EventCD`) are read; type 14 means triggers.
 //!
 //! | | bits 31..0 | x | y | polarity |
 //! |---|---|---|---|---|
 //! | version 2 | time in us | bits 45..32 | 59..46 | 63..60, 0 = OFF |
 //! | version 1 | time in us | bits 40..32 | 48..41 | 52..49, 0 = OFF |
 //!
-//! Definition: "DAT File Format" in Prophesee's documentation for version 2, and kAER's readers for
-//! version 1. x counts from the left and y from the top. A header without `% Version` is told by its
-//! records: bits 63..53 are empty in version 1. The header may name the size (`% Width`, `% Height`); N-CARS
-//! does not. Old files without any header line are not told from other bytes.
+//! Source: "DAT File Format" in Prophesee's documentation for version 2, and kAER's readers for version 1. x
+//! counts from the left and y from the top. If the header has no `% Version`, the records show the version: bits
+//! 63..53 are empty in version 1. The header may state the size (`% Width`, `% Height`); that of N-CARS does not.
+//! Old files without any header line cannot be distinguished from other bytes and are not read.
 //!
-//! The time wraps after 71.6 minutes; the wraps are carried, which OpenEB does not do. A line `% T0` is
-//! added to every time, as faery does, whose writer puts it there. faery gives a time that steps back as the
-//! one before it, and reads no files of type 0 but by its inner decoder. A file is sought by bisection, as
-//! `dat_times.rs` says.
+//! The time wraps after 71.6 minutes; the wraps are counted, which OpenEB does not do. The value of a line `% T0`,
+//! which faery's writer adds, is added to every time, as faery does. Unlike this reader, faery replaces a time
+//! that steps back by the time before it, and reads files of type 0 only with its inner decoder. The reader seeks
+//! by bisection, as described in `times.rs`.
 
 pub(crate) mod times;
 pub(crate) mod writer;
@@ -42,10 +42,10 @@ pub(super) const EVENT_CD: u8 = 12;
 /// Type of `EventExtTrigger`.
 const TRIGGER: u8 = 14;
 
-/// Records that the version is found from, where the header does not tell it.
+/// Number of records from which the version is inferred if the header does not state it.
 const VERSION_RECORDS: usize = 4096;
 
-/// This format in the table of formats.
+/// This format's entry in the table of formats.
 pub const FORMAT: Format = Format {
     name: "dat",
     title: "Prophesee DAT",
@@ -65,8 +65,8 @@ pub const FORMAT: Format = Format {
     create: Some(|path, sensor| Ok(Box::new(DatWriter::create(path, sensor)?))),
 };
 
-/// Whether a header is one of a DAT file: it names no words, and says that data follow or is followed by
-/// a type and a record's size, which no text has.
+/// Returns whether a header is that of a DAT file: it names no word format, and it either has
+/// `% Data file containing` or is followed by a type and a record's size, which no text has.
 fn is_dat(start: &Start) -> bool {
     start.header.as_ref().is_some_and(|header| {
         let at = usize::try_from(header.length).unwrap_or(usize::MAX);
@@ -77,16 +77,16 @@ fn is_dat(start: &Start) -> bool {
     })
 }
 
-/// Where a record's second half has what.
+/// Layout of a record's second half.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Version {
-    /// 9 bits of x, 8 of y.
+    /// 9 bits of x, 8 bits of y.
     One,
-    /// 14 bits of each.
+    /// 14 bits each of x and y.
     Two,
 }
 
-/// Lower bits of the time, x, y and polarity of a record, whose x and y have so many bits.
+/// Returns the lower bits of the time, x, y and polarity of a record with `X_BITS` bits of x and `Y_BITS` of y.
 #[inline]
 const fn parse<const X_BITS: u32, const Y_BITS: u32>(record: [u8; 8]) -> (u32, u16, u16, Polarity) {
     let record = u64::from_le_bytes(record);
@@ -98,14 +98,14 @@ const fn parse<const X_BITS: u32, const Y_BITS: u32>(record: [u8; 8]) -> (u32, u
     (record as u32, x as u16, y as u16, polarity)
 }
 
-/// Reader of DAT files.
+/// A reader of DAT files.
 pub type DatReader = Reader<DatDecoder>;
 
 impl DatReader {
-    /// Reads `source`, which messages call `name`; `size` counts where the header names no size.
+    /// Reads `source`, which messages call `name`; `size` is used if the header states no size.
     ///
     /// # Errors
-    /// No DAT header, no sensor size, an unknown version, records of another kind than events.
+    /// There is no DAT header; the sensor's size is unknown; the version is unknown; the records are not events.
     pub fn new(source: Box<dyn ReadSeek>, name: &str, size: Option<Sensor>) -> Result<Self> {
         let mut input = Input::new(source, name)?;
         let header = RawHeader::read(&mut input)?;
@@ -168,16 +168,16 @@ impl DatReader {
     }
 }
 
-/// The version that the first records speak for; the input stays where it is.
+/// Returns the version that the first records fit; leaves the input where it is.
 ///
-/// Records of version 1 leave the upper bits empty, and read as version 2 most of them lie outside of the sensor;
-/// version 2 with polarity OFF in the first 128 rows leaves them empty as well.
+/// Records of version 1 leave the upper bits empty, and most of them lie outside the sensor when read as version
+/// 2. Records of version 2 leave the upper bits empty only for polarity OFF in the first 128 rows.
 fn version_of_records(input: &mut Input, sensor: Sensor) -> Result<(Version, Assumption)> {
     let start = input.offset();
     let mut words = Words::<8>::default();
     let (mut is_one, mut is_two) = (true, true);
     for _ in 0..VERSION_RECORDS {
-        // The reader will meet damage again, after the events before it.
+        // The reader will meet the damage again, after the events before it.
         let Ok(Some(record)) = words.next(input) else {
             break;
         };
@@ -210,17 +210,17 @@ fn version_of_records(input: &mut Input, sensor: Sensor) -> Result<(Version, Ass
     ))
 }
 
-/// State between two records.
+/// The decoder of [`DatReader`]: its state between two records.
 pub struct DatDecoder {
     input: Input,
     words: Words<8>,
     version: Version,
     sensor: Sensor,
-    /// Byte of the first record.
+    /// Offset of the first record.
     start: u64,
     t0_us: u64,
     time: Wrapping,
-    /// Since the first seek.
+    /// Times for seeking, read at the first seek.
     times: Option<Times>,
     assumptions: Vec<Assumption>,
     events: u64,
@@ -228,7 +228,7 @@ pub struct DatDecoder {
 }
 
 impl DatDecoder {
-    /// As [`Decode::decode`], of records whose x and y have so many bits.
+    /// Implements [`Decode::decode`] for records with `X_BITS` bits of x and `Y_BITS` of y.
     fn decode_version<const X_BITS: u32, const Y_BITS: u32>(
         &mut self,
         batch: &mut Batch<'_>,
@@ -245,7 +245,7 @@ impl DatDecoder {
                 .time
                 .last()
                 .map_or(0, |time| self.time.low(time) as u32);
-            // Where no time is half a period from another, none has wrapped.
+            // If no time is half a period or more from another, none has wrapped.
             let (steps, is_inside) = records.clone().fold((0, true), |(steps, inside), record| {
                 let (low, x, y, _) = record;
                 (steps | (low ^ before), inside & sensor.contains(x, y))
@@ -285,7 +285,7 @@ impl DatDecoder {
         Ok(())
     }
 
-    /// The first record of `t_us` or later, and the time's counter before it.
+    /// Returns the number of the first record at or after `t_us`, and the time counter before it.
     fn place(&mut self, t_us: u64) -> Result<Option<(u64, Wrapping)>> {
         let times = match self.times.take() {
             Some(times) => times,
@@ -319,7 +319,7 @@ impl Decode for DatDecoder {
     }
 
     fn seek(&mut self, t_us: u64) -> Result<bool> {
-        // Where the next block of records would be read from.
+        // Offset from which the next block of records would be read.
         let offset = self.input.offset();
         let place = self.place(t_us);
         let Ok(Some((index, time))) = place else {
@@ -392,7 +392,7 @@ mod tests {
         ];
         let line = |version: &str| format!("{HEADER}{version}");
         assert_eq!(read(&line("% Version 2\n"), &two), want);
-        // As the records tell it, though the second would do for either.
+        // Inferred from the records, although the second would fit either version.
         assert_eq!(read(HEADER, &two), want);
         let one = [
             record(5, 1 << 17 | 199 << 9 | 299),
@@ -433,7 +433,7 @@ mod tests {
             read("% Width 9\n% Height 9\n", &records),
             [event(1, 0, 0, true)]
         );
-        // Text that begins alike.
+        // Text that begins in the same way.
         let text = b"% Version 2\n% Width 9\n% Height 9\n1 2 3 1\n2 3 4 0\n";
         let source = Box::new(Cursor::new(text.to_vec()));
         if let Ok(reader) = open_source(source, "test", Sensor::new(9, 9)) {
@@ -470,7 +470,7 @@ mod tests {
         }
         assert!(reader.seek(u64::MAX).unwrap());
         assert_eq!(reader.read(&mut events).unwrap(), 0);
-        // What cannot be sought goes on where it was.
+        // A reader that cannot seek goes on where it was.
         let mut reader = open(&lines, &records[..8000]);
         events.clear();
         assert!(!reader.seek(4_300_000_000).unwrap());

@@ -1,9 +1,10 @@
-//! Times at places of a DAT file, by which it is sought.
+//! Times of sampled records of a DAT file, which are used for seeking.
 //!
-//! A record's time has 32 bits and wraps after 71.6 minutes, and nothing tells how often it has wrapped
-//! but all the records before. So every 4,096th record is looked at, 16,384 of them at the most, and the
-//! wraps are carried from one to the next: sound while so many events come within 35 minutes, which is two
-//! a second. A file of fewer than two such parts is not sought, it is read through.
+//! A record's time has 32 bits and wraps after 71.6 minutes, and only the records before it show how often it has
+//! wrapped. Therefore every 4,096th record is read, or in larger files about 16,384 records at equal distances,
+//! and the wraps are counted from one of them to the next. This is sound as long as the events of an interval span
+//! less than 35 minutes: for 4,096 events, from two events per second on. A file of fewer than two such intervals
+//! is read through instead.
 
 use event_types::stream::Result;
 
@@ -11,15 +12,15 @@ use crate::dat::RECORD_BYTES;
 use crate::input::Input;
 use crate::wrapping::Wrapping;
 
-/// Records from one mark to the next, at the least.
+/// Smallest distance between two sampled records.
 const STRIDE_MIN: u64 = 1 << 12;
 
-/// Marks of a file, about; more records than 2^26 are further apart.
+/// Approximate largest number of sampled records; in files of more than 2^26 records the distance grows.
 const MARKS: u64 = 1 << 14;
 
-/// Times of marks, wraps carried.
+/// Times of the sampled records, with the wraps counted.
 pub struct Times {
-    /// Byte of the first record.
+    /// Offset of the first record.
     start: u64,
     records: u64,
     stride: u64,
@@ -27,7 +28,7 @@ pub struct Times {
 }
 
 impl Times {
-    /// Looks at the marks of a file whose records begin at byte `start`; the input's position is lost.
+    /// Samples a file whose records begin at byte `start`. Changes the input's position.
     ///
     /// # Errors
     /// I/O.
@@ -50,8 +51,8 @@ impl Times {
         Ok(times)
     }
 
-    /// The first record of `target` or later, in a file whose times ascend, and the time's counter before
-    /// it; none where the file is too short to be sought. The input's position is lost.
+    /// Returns the number of the first record at or after `target`, in a file whose times ascend, and the time
+    /// counter before it; `None` if the file is too short for seeking. Changes the input's position.
     ///
     /// # Errors
     /// I/O.
@@ -66,7 +67,7 @@ impl Times {
         else {
             return Ok(Some((0, Wrapping::new(32, 0))));
         };
-        // The last record known to be before the target and its time, and the first known not to be.
+        // The last record known to be before the target, with its time, and the first record known not to be.
         let (mut low, mut time) = (before as u64 * self.stride, mark);
         let mut high = (low + self.stride).min(self.records);
         while high - low > 1 {
@@ -83,21 +84,21 @@ impl Times {
         Ok(Some((high, counter)))
     }
 
-    /// Time of a record as the file holds it.
+    /// Returns the time of a record as stored in the file.
     fn low(&self, input: &mut Input, index: u64) -> Result<u32> {
         let mut bytes = [0; 4];
         let offset = self.start + index * RECORD_BYTES;
         if input.fill_at(offset, &mut bytes)? < bytes.len() {
-            // The file has got shorter since it was opened.
+            // The file has become shorter since it was opened.
             return Err(input.error_at(offset, "the file ends within a record: truncated"));
         }
         Ok(u32::from_le_bytes(bytes))
     }
 }
 
-/// The time with these lower bits that is nearest to `to`.
+/// Returns the time with these lower bits that is nearest to `to`.
 const fn nearest(to: u64, low: u32) -> u64 {
-    // The sign of a step below half a period.
+    // As a signed number, a step of less than half a period has its sign.
     let step = low.wrapping_sub(to as u32).cast_signed();
     to.saturating_add_signed(step as i64)
 }
@@ -108,7 +109,7 @@ mod tests {
 
     use super::*;
 
-    /// Records of these times, from byte 3 on.
+    /// Returns a file with records of these times from byte 3 on.
     fn file(times: &[u64]) -> Input {
         let mut bytes = vec![0; 3];
         for time in times {
@@ -119,7 +120,7 @@ mod tests {
 
     #[test]
     fn every_time_is_found_across_wraps() {
-        // 3 hours, several events of one time.
+        // 3 hours, with several events at each time.
         let times: Vec<u64> = (0..30_000).map(|i| 7 + i / 3 * 3 * 400_000).collect();
         let mut input = file(&times);
         let index = Times::of(&mut input, 3).unwrap();

@@ -10,25 +10,25 @@ use crate::dat::{EVENT_CD, RECORD_BYTES};
 use crate::output::sequential::Output;
 use crate::wrapping::Wrapping;
 
-/// What a `% T0` stays before the first event: events that are late find room.
+/// Time between a `% T0` and the first event, so that events somewhat earlier can still be written.
 const ROOM_US: u64 = 1 << 20;
 
-/// Writer of DAT files, version 2, events of type 12 (`EventCD`).
+/// A writer of DAT files of version 2, with events of type 12 (`EventCD`).
 ///
-/// Times up to 2^60 us in any order as long as a reader can follow the wraps; gaps stay below 35 minutes.
-/// From 2^32 us on, times count from a second before the first event, and a line `% T0` says from where:
-/// readers that do not know it lose only that.
+/// It holds times up to 2^60 us, in any order as long as a reader can follow the wraps; gaps must be below 35
+/// minutes. If the first time is 2^32 us or later, times count from about one second before it, and a line `% T0`
+/// states this start: readers that do not know the line lose only that.
 pub struct DatWriter {
     file: Output,
     sensor: Sensor,
     t0_us: u64,
-    /// `None` until the first event: the header needs its time.
+    /// Counter of the times; `None` until the first event, whose time the header needs.
     time: Option<Wrapping>,
     events: u64,
 }
 
 impl DatWriter {
-    /// Creates the file.
+    /// Creates the file; the header is written with the first event.
     ///
     /// # Errors
     /// I/O.
@@ -77,7 +77,7 @@ impl EventWriter for DatWriter {
             };
             let since_t0 = event.t_us.checked_sub(self.t0_us);
             let low = since_t0.map(|since| time.low(since)).filter(|low| {
-                // What a reader will make of it.
+                // The time must be what a reader will decode.
                 since_t0 == Some(time.extend(*low))
             });
             let Some(low) = low else {

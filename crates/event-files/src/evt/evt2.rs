@@ -1,12 +1,13 @@
-//! Prophesee RAW with EVT 2.0 words: 32 bits, little-endian, the type in the upper four.
+//! Prophesee RAW with EVT 2.0 words: 32 bits, little-endian, with the type in the upper four.
 //!
-//! The core's [`event_types::evt2`] decodes the words, here and on a microcontroller. Words that are
-//! no events (triggers, vendor words) are skipped and counted; so is an event before the first
-//! `TIME_HIGH`, which has no time. There is no maintained crate for EVT 2.0.
+//! [`event_types::evt2`] decodes the words, here and on a microcontroller. Words that are not events (triggers,
+//! vendor words) are skipped and counted, and so are events before the first `TIME_HIGH`, which have no time.
+//! There is no maintained crate for EVT 2.0.
 //!
-//! It is not sought: the file has no index, and though every `TIME_HIGH` tells 34 bits of time anew, nothing but
-//! the words before it tells how often they have wrapped, once in 4.8 hours. Two of them far apart are alike
-//! whether or not there is a wrap between; how many words may be passed over unread, no definition says.
+//! The reader does not seek. The file has no index, and although every `TIME_HIGH` restates the 34 bits of time,
+//! only the words before it show how often they have wrapped, once in 4.8 hours. Two `TIME_HIGH` far apart look
+//! alike whether or not there is a wrap between them, and no definition limits how many words may be skipped
+//! safely.
 
 use std::hint::select_unpredictable;
 use std::path::Path;
@@ -27,10 +28,10 @@ const TIME_HIGH: u32 = 0x8;
 const TIME_HIGH_BITS: u32 = 28;
 const HIGH_MASK: u32 = (1 << TIME_HIGH_BITS) - 1;
 const TIME_LOW_BITS: u32 = 6;
-/// 4.8 hours.
+/// 4.8 hours, after which the time bits wrap.
 const PERIOD_US: u64 = 1 << (TIME_HIGH_BITS + TIME_LOW_BITS);
 
-/// This format in the table of formats.
+/// This format's entry in the table of formats.
 pub const FORMAT: Format = Format {
     name: "evt2",
     title: "Prophesee RAW EVT 2",
@@ -50,14 +51,14 @@ pub const FORMAT: Format = Format {
     create: Some(|path, sensor| Ok(Box::new(Evt2Writer::create(path, sensor)?))),
 };
 
-/// Reader of EVT 2.0 files.
+/// A reader of EVT 2.0 files.
 pub type Evt2Reader = Reader<Evt2Decoder>;
 
 impl Evt2Reader {
-    /// Reads `source`, which messages call `name`; `size` counts where the header names no size.
+    /// Reads `source`, which messages call `name`; `size` is used if the header states no size.
     ///
     /// # Errors
-    /// No EVT 2.0 header, no sensor size.
+    /// There is no EVT 2.0 header, or the sensor's size is unknown.
     pub fn new(source: Box<dyn ReadSeek>, name: &str, size: Option<Sensor>) -> Result<Self> {
         let RawFile {
             input,
@@ -78,7 +79,7 @@ impl Evt2Reader {
     }
 }
 
-/// State between two words.
+/// The decoder of [`Evt2Reader`]: its state between two words.
 pub struct Evt2Decoder {
     input: Input,
     words: Words<4>,
@@ -157,7 +158,7 @@ impl Decode for Evt2Decoder {
                 }
                 taken += 1;
                 if word >> 28 == TIME_HIGH {
-                    // What is plain depends on it.
+                    // Which words are plain depends on the current time.
                     break;
                 }
             }
@@ -168,10 +169,10 @@ impl Decode for Evt2Decoder {
     }
 }
 
-/// Tells which of the first [`RUN_WORDS`] words are plain: events in the sensor, and times less than half a
-/// period after the decoder's, which has one.
+/// Returns which of the first [`RUN_WORDS`] words are plain: events inside the sensor, and times less than half a
+/// period after the decoder's current time. Without a current time no word is plain.
 ///
-/// The compiler makes four of them at a time of it.
+/// The compiler vectorises the loop to four words at a time.
 fn plain(decoder: &WordDecoder, sensor: Sensor, words: &[[u8; 4]]) -> [bool; RUN_WORDS] {
     let mut plain = [false; RUN_WORDS];
     let Some((start, _)) = decoder.time_high() else {
@@ -181,7 +182,7 @@ fn plain(decoder: &WordDecoder, sensor: Sensor, words: &[[u8; 4]]) -> [bool; RUN
     for (is_plain, word) in plain.iter_mut().zip(words) {
         let word = u32::from_le_bytes(*word);
         let (x, y) = (word >> 11 & 0x7ff, word & 0x7ff);
-        // A step is below 2^28, where it is not back.
+        // A step back underflows to more than 2^28.
         let step = (word & HIGH_MASK).wrapping_sub(start);
         *is_plain = (word >> 29 == 0) & (x < width) & (y < height)
             | (word >> 28 == TIME_HIGH) & (step >> (TIME_HIGH_BITS - 1) == 0);
@@ -189,10 +190,10 @@ fn plain(decoder: &WordDecoder, sensor: Sensor, words: &[[u8; 4]]) -> [bool; RUN
     plain
 }
 
-/// Takes the words up to the first that is not plain, as [`plain`] has told; puts their events into `scratch`
-/// and returns how many words and events there were.
+/// Decodes the words up to the first that is not plain according to [`plain`], puts their events into `scratch`,
+/// and returns the numbers of words and of events.
 ///
-/// Which kind comes next cannot be foretold, so nothing here branches on it.
+/// The order of the words' types is unpredictable, so nothing here branches on it.
 fn decode_plain(
     decoder: &mut WordDecoder,
     words: &[[u8; 4]],
@@ -202,14 +203,14 @@ fn decode_plain(
     let Some((start, start_us)) = decoder.time_high() else {
         return (0, 0);
     };
-    // No step from one to another of them is half a period, forward or back: none has wrapped.
+    // All plain times lie within half a period after the decoder's time, so no step between two of them is a wrap.
     let zero_us = start_us.wrapping_sub(u64::from(start) << TIME_LOW_BITS);
     let mut high = start;
     let words = words.get(..plain_words(plain)).unwrap_or(words);
     let mut events = 0;
     for word in words {
         let word = u32::from_le_bytes(*word);
-        // Stays only where it is an event.
+        // Only an event keeps its slot; the slot of any other word is overwritten.
         if let Some(event) = scratch.get_mut(events) {
             let low_us = u64::from(word >> 22 & 0x3f);
             *event = Event {
@@ -229,15 +230,15 @@ fn decode_plain(
     (words.len(), events)
 }
 
-/// Writer of EVT 2.0 files.
+/// A writer of EVT 2.0 files.
 ///
-/// Holds any times up to 2^60 us, in any order as long as a reader can follow the wraps. Up to
-/// 4,096 wraps from time 0 are written out, for any reader; beyond that the header's
-/// `% time_base_us` carries what exceeds 34 bits, and other readers lose only that.
+/// It holds any times up to 2^60 us, in any order as long as a reader can follow the wraps. Up to 4,096 wraps from
+/// time 0 are written out for every reader. Beyond that, the header's `% time_base_us` carries what exceeds 34
+/// bits, and readers that do not know it lose only that.
 pub struct Evt2Writer(RawWriter);
 
 impl Evt2Writer {
-    /// Creates the file.
+    /// Creates the file; the header is written with the first event.
     ///
     /// # Errors
     /// I/O.
@@ -250,7 +251,7 @@ impl Evt2Writer {
 impl EventWriter for Evt2Writer {
     fn write(&mut self, events: &[Event]) -> Result<()> {
         for event in events {
-            // Below 2^28.
+            // `high` is below 2^28.
             let time = |high: u64| (TIME_HIGH << 28 | high as u32).to_le_bytes();
             self.0.begin(std::slice::from_ref(event), time)?;
             let word = u32::from(event.polarity == Polarity::On) << 28
@@ -275,7 +276,7 @@ mod tests {
     use crate::EventReader;
     use crate::wrapping::Wrapping;
 
-    /// Words of every kind, mostly events on 64 x 48 pixels and times of small steps.
+    /// Returns words of every type: mostly events on 64 x 48 pixels, and times that change in small steps.
     fn words() -> impl Strategy<Value = Vec<u32>> {
         let event = (0..2_u32, 0..64_u32, 0..64_u32, 0..48_u32)
             .prop_map(|(kind, low, x, y)| kind << 28 | low << 22 | x << 11 | y);
@@ -324,7 +325,7 @@ mod tests {
             prop_assert_eq!(got, want);
         }
 
-        /// The writer asks its own counter what a reader will make of a time.
+        /// The writer uses its own counter to find out how a reader will interpret a time.
         #[test]
         fn the_writers_counter_agrees_with_the_decoder(
             periods in 0..3_u64,

@@ -1,18 +1,18 @@
-//! Prophesee RAW with EVT 2.1 words: 64 bits, vectors of up to 32 columns ([`crate::evt::evt21_word`]).
+//! Prophesee RAW with EVT 2.1 words: 64 bits, with vectors of up to 32 columns ([`crate::evt::evt21_word`]).
 //!
-//! Definition: "EVT 2.1 Format" in Prophesee's documentation, and the decoder of their OpenEB. x counts
-//! from the left and y from the top, as in every RAW file; type 1 is a rise in brightness, ON. The 34
-//! bits of time wrap every 4.8 hours; the wraps are carried as [`crate::evt::evt2`] does.
+//! Source: "EVT 2.1 Format" in Prophesee's documentation, and the decoder of their OpenEB. x counts from the left
+//! and y from the top, as in every RAW file; type 1 is a rise in brightness, ON. The 34 bits of time wrap every
+//! 4.8 hours; the wraps are counted as in [`crate::evt::evt2`].
 //!
-//! The bytes of a word come in one of two orders ([`Order`]). The header tells by
-//! `% endianness` or `% format EVT21;endianness=`: `legacy` is the upper half first, `little` the whole
-//! word. Where it does not, the words tell: in the right order `EVT_TIME_HIGH`s ascend, in the other one
-//! their place is a vector's columns. OpenEB takes such a file by the number of its board, which other
-//! recorders do not write.
+//! The bytes of a word come in one of two orders ([`Order`]). The header states it by `% endianness` or
+//! `% format EVT21;endianness=`: `legacy` means the upper half first, `little` the whole word little-endian. If
+//! the header does not, the order is inferred from the words: in the right order the values of `EVT_TIME_HIGH`
+//! ascend, while in the wrong one a vector's columns stand in their place. OpenEB decides by the board number in
+//! the file, which other recorders do not write.
 //!
-//! Triggers, vendor words and vectors without events are skipped and counted, and events before the first
-//! `EVT_TIME_HIGH`, which have no time. A file cannot be sought: nothing bounds the time that passes
-//! between two words, so how often it has wrapped is known only from all the words before.
+//! Triggers, vendor words and vectors without events are skipped and counted, and so are events before the first
+//! `EVT_TIME_HIGH`, which have no time. The reader does not seek: nothing limits the time that passes between two
+//! words, so only all words before a place show how often the time has wrapped.
 
 use std::path::Path;
 
@@ -31,16 +31,16 @@ use crate::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
 use crate::wrapping::Wrapping;
 use crate::{EventWriter, Skipped};
 
-/// Events that one word can hold.
+/// Number of events that one word can hold.
 const WORD_EVENTS: usize = evt21_word::COLUMNS as usize;
 
-/// Words that the order of the bytes is found from, where the header does not tell it.
+/// Number of words from which the byte order is inferred if the header does not state it.
 const ORDER_WORDS: usize = 1 << 14;
 
-/// Largest step from one `EVT_TIME_HIGH` to the next that speaks for an order: 17 minutes.
+/// Largest step from one `EVT_TIME_HIGH` to the next that counts in favour of a byte order: 17 minutes.
 const STEP_MAX: u64 = 1 << 24;
 
-/// This format in the table of formats.
+/// This format's entry in the table of formats.
 pub const FORMAT: Format = Format {
     name: "evt21",
     title: "Prophesee RAW EVT 2.1",
@@ -60,14 +60,14 @@ pub const FORMAT: Format = Format {
     create: Some(|path, sensor| Ok(Box::new(Evt21Writer::create(path, sensor)?))),
 };
 
-/// Reader of EVT 2.1 files.
+/// A reader of EVT 2.1 files.
 pub type Evt21Reader = Reader<Evt21Decoder>;
 
 impl Evt21Reader {
-    /// Reads `source`, which messages call `name`; `size` counts where the header names no size.
+    /// Reads `source`, which messages call `name`; `size` is used if the header states no size.
     ///
     /// # Errors
-    /// No EVT 2.1 header, no sensor size, an unknown order of bytes.
+    /// There is no EVT 2.1 header; the sensor's size is unknown; the header's byte order is unknown.
     pub fn new(source: Box<dyn ReadSeek>, name: &str, size: Option<Sensor>) -> Result<Self> {
         let RawFile {
             mut input,
@@ -99,7 +99,7 @@ impl Evt21Reader {
     }
 }
 
-/// State between two words.
+/// The decoder of [`Evt21Reader`]: its state between two words.
 pub struct Evt21Decoder {
     input: Input,
     words: Words<8>,
@@ -107,14 +107,14 @@ pub struct Evt21Decoder {
     sensor: Sensor,
     camera: Option<String>,
     t0_us: u64,
-    /// Time bits 6 and up; without a value before the first `EVT_TIME_HIGH`.
+    /// Counter of time bits 6 and up; it has no value before the first `EVT_TIME_HIGH`.
     high: Wrapping,
     events: u64,
     skipped: Skipped,
 }
 
 impl Evt21Decoder {
-    /// Emits the events of a vector.
+    /// Appends the events of a vector.
     fn vector(&mut self, word: u64, batch: &mut Batch<'_>) -> Result<()> {
         let columns = word as u32;
         if columns == 0 {
@@ -188,14 +188,14 @@ impl Decode for Evt21Decoder {
     }
 }
 
-/// The order that the first words speak for; the input stays where it is.
+/// Returns the byte order that fits the first words best; leaves the input where it is.
 fn order_of_words(input: &mut Input, sensor: Sensor) -> Result<Order> {
     let start = input.offset();
     let mut words = Words::<8>::default();
     let orders = [Order::Little, Order::UpperFirst];
     let mut evidence = orders.map(|order| Evidence::new(order, sensor));
     for _ in 0..ORDER_WORDS {
-        // The reader will meet a damage again, after the events before it.
+        // The reader will meet the damage again, after the events before it.
         let Ok(Some(bytes)) = words.next(input) else {
             break;
         };
@@ -211,12 +211,12 @@ fn order_of_words(input: &mut Input, sensor: Sensor) -> Result<Order> {
     })
 }
 
-/// What speaks for an order of bytes.
+/// Evidence for or against one byte order.
 struct Evidence {
     order: Order,
     sensor: Sensor,
     last: Option<u64>,
-    /// Rising times less all that no sensor sends.
+    /// Number of ascending times, minus the number of words that no sensor sends.
     score: i64,
 }
 
@@ -242,10 +242,10 @@ impl Evidence {
                 let high = evt21_word::time_high(word);
                 let last = self.last.replace(high);
                 match last.map(|last| high.checked_sub(last)) {
-                    // A first one, a repeated one.
+                    // The first or a repeated time.
                     None | Some(Some(0)) => 0,
                     Some(Some(step)) if step <= STEP_MAX => 1,
-                    // Back, a wrap, or no time at all.
+                    // A step back, a wrap, or not a time at all.
                     Some(_) => -1,
                 }
             }
@@ -255,13 +255,13 @@ impl Evidence {
     }
 }
 
-/// Writer of EVT 2.1 files, the whole word little-endian; neighbours in one row share a word.
+/// A writer of EVT 2.1 files with little-endian words; neighbouring events in one row share a word.
 ///
-/// Holds what [`crate::evt::evt2::Evt2Writer`] holds.
+/// It can hold the same events as [`crate::evt::evt2::Evt2Writer`].
 pub struct Evt21Writer(RawWriter);
 
 impl Evt21Writer {
-    /// Creates the file.
+    /// Creates the file; the header is written with the first event.
     ///
     /// # Errors
     /// I/O.

@@ -1,46 +1,46 @@
-//! Words of EVT 2.1, of files and of cameras: 64 bits with up to 32 events each.
+//! EVT 2.1 words, as used in files and by cameras: 64 bits with up to 32 events each.
 //!
-//! | bits | of 0 `EVT_NEG` and 1 `EVT_POS` | of 8 `EVT_TIME_HIGH` |
+//! | bits | in 0 `EVT_NEG` and 1 `EVT_POS` | in 8 `EVT_TIME_HIGH` |
 //! |---|---|---|
 //! | 63..60 | type | type |
 //! | 59..54 | time bits 5..0 | time bits 33..6 in 59..32 |
 //! | 53..43, 42..32 | first x, y | |
-//! | 31..0 | bit i: an event at x + i | unused |
+//! | 31..0 | bit i set: an event at x + i | unused |
 //!
-//! Other types: A `EXT_TRIGGER`, E `OTHERS`, F `CONTINUED`. [`Order`] tells how a word's bytes come.
+//! Other types: A `EXT_TRIGGER`, E `OTHERS`, F `CONTINUED`. [`Order`] is the order of a word's bytes.
 
 use event_types::{Event, Polarity};
 
-/// Type of a word with the upper bits of time.
+/// Type of the word with the upper bits of time.
 pub const TIME_HIGH: u64 = 8;
-/// Bits of a `EVT_TIME_HIGH`.
+/// Number of time bits in an `EVT_TIME_HIGH`.
 pub const HIGH_BITS: u32 = 28;
-/// Time bits of a word with events.
+/// Number of time bits in a word with events.
 pub const LOW_BITS: u32 = 6;
-/// Place of the type.
+/// Lowest bit of the type.
 pub const TYPE_SHIFT: u32 = 60;
-/// Place of the lower time bits.
+/// Lowest bit of the lower time bits.
 pub const TIME_SHIFT: u32 = 54;
-/// Place of the first column.
+/// Lowest bit of the first column.
 pub const X_SHIFT: u32 = 43;
-/// Place of the row, and of the upper bits of time.
+/// Lowest bit of the row, and of the upper bits of time.
 pub const Y_SHIFT: u32 = 32;
-/// Bits of a column or row.
+/// Mask of a column or row, shifted to bit 0.
 pub const SIDE: u64 = 0x7ff;
-/// Columns of a word.
+/// Number of columns in a word.
 pub const COLUMNS: u16 = 32;
 
-/// How the eight bytes of a word come.
+/// The order of the eight bytes of a word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
-    /// The upper half first, each half little-endian: IMX636 and Gen 4.1.
+    /// The upper half comes first, each half little-endian: IMX636 and Gen 4.1.
     UpperFirst,
-    /// The whole word little-endian: GenX320.
+    /// The whole word is little-endian: GenX320.
     Little,
 }
 
 impl Order {
-    /// A word from its bytes.
+    /// Returns the word that these bytes encode in this order.
     #[inline]
     #[must_use]
     pub const fn word(self, bytes: [u8; 8]) -> u64 {
@@ -51,7 +51,7 @@ impl Order {
         }
     }
 
-    /// The bytes of a word.
+    /// Returns the bytes that encode a word in this order.
     #[inline]
     #[must_use]
     pub const fn bytes(self, word: u64) -> [u8; 8] {
@@ -63,22 +63,24 @@ impl Order {
     }
 }
 
-/// The word of the upper bits of time, below 2^28.
+/// Returns the `EVT_TIME_HIGH` with these upper bits of time, which must be below 2^28.
 #[inline]
 #[must_use]
 pub const fn time_word(high: u64) -> u64 {
     TIME_HIGH << TYPE_SHIFT | high << Y_SHIFT
 }
 
-/// Upper bits of time of a `EVT_TIME_HIGH`.
+/// Returns the upper bits of time in an `EVT_TIME_HIGH`.
 #[inline]
 #[must_use]
 pub const fn time_high(word: u64) -> u64 {
     word >> Y_SHIFT & ((1 << HIGH_BITS) - 1)
 }
 
-/// Number of events at the start of `events` that one word can hold in their order (the same time, row
-/// and polarity, x rising within an aligned group of 32 columns), and that word; (0, 0) of none.
+/// Returns how many events at the start of `events` fit into one word in their order, and that word.
+///
+/// They must have the same time, row and polarity, and x must rise within an aligned group of 32 columns. For no
+/// events, returns (0, 0).
 #[must_use]
 pub fn vector(events: &[Event]) -> (usize, u64) {
     let Some(first) = events.first() else {
@@ -91,7 +93,7 @@ pub fn vector(events: &[Event]) -> (usize, u64) {
     let (mut count, mut columns) = (0, 0_u32);
     for event in events {
         let column = event.x % COLUMNS;
-        // Above all that are there.
+        // Stop at a column that is not above all columns so far.
         if group(event) != group(first) || columns >> column != 0 {
             break;
         }
@@ -110,7 +112,7 @@ pub fn vector(events: &[Event]) -> (usize, u64) {
 mod tests {
     use super::*;
 
-    /// The example of the format's description.
+    /// The example in the format's description.
     #[test]
     fn the_upper_half_comes_first() {
         let word = 0x0102_0304_0506_0708;

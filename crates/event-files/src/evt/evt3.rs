@@ -1,28 +1,26 @@
-//! Prophesee RAW with EVT 3.0 words: 16 bits, little-endian, the type in the upper four.
+//! Prophesee RAW with EVT 3.0 words: 16 bits, little-endian, with the type in the upper four.
 //!
 //! | type | bits 11..0 |
 //! |---|---|
 //! | 0 `ADDR_Y` | 10..0 y |
 //! | 2 `ADDR_X` | 11 polarity, 10..0 x: one event |
 //! | 3 `VECT_BASE_X` | 11 polarity, 10..0 first x of the vectors that follow |
-//! | 4 `VECT_12`, 5 `VECT_8` | bit i: an event at x + i; then x advances by 12 or 8 |
+//! | 4 `VECT_12`, 5 `VECT_8` | bit i set: an event at x + i; then x advances by 12 or 8 |
 //! | 6 `TIME_LOW`, 8 `TIME_HIGH` | time bits 11..0, 23..12 |
 //! | A `EXT_TRIGGER`, 7 and F CONTINUED, E OTHERS | skipped and counted |
 //!
-//! `TIME_HIGH` alone carries the overflow: a `TIME_LOW` may step back by a few microseconds after a
-//! `TIME_HIGH`, and taking that for a wrap stretches a recording. A new `TIME_HIGH` value sets the
-//! low bits to 0 until `TIME_LOW` follows; a repeated one keeps them. The 24 bits of time wrap
-//! every 16.8 s; the wraps are carried. Events before the first `TIME_HIGH` have no time, those
-//! before the first `ADDR_Y` no row, vectors before the first `VECT_BASE_X` no column: they are
-//! counted and skipped.
+//! Only `TIME_HIGH` carries the overflow: a `TIME_LOW` may step back by a few microseconds after a `TIME_HIGH`,
+//! and to take that for a wrap would stretch a recording. A new `TIME_HIGH` value sets the low bits to 0 until a
+//! `TIME_LOW` follows; a repeated one keeps them. The 24 bits of time wrap every 16.8 s; the wraps are counted.
+//! Events before the first `TIME_HIGH` have no time, those before the first `ADDR_Y` no row, and vectors before
+//! the first `VECT_BASE_X` no column: they are counted and skipped.
 //!
-//! It is not sought: the file has no index, a word's row and time stand any number of words before it, and
-//! whether the 24 bits of time have wrapped between two places only the words between them tell.
+//! The reader does not seek. The file has no index, a word's row and time may be stated any number of words before
+//! it, and only the words between two places show whether the 24 bits of time have wrapped between them.
 //!
-//! The crate `evt3` decodes the shared recordings alike, but its column counter overflows
-//! (a panic in debug builds) on a long run of vectors, it gives no offsets, and it drops unknown
-//! words and events without a time uncounted; so this is our own decoder and `evt3` is its peer
-//! in the tests.
+//! The crate `evt3` decodes the shared recordings to the same events, but its column counter overflows (a panic in
+//! debug builds) on a long run of vectors, it returns no offsets, and it drops unknown words and events without a
+//! time uncounted. Hence this decoder, which the tests compare with `evt3`.
 
 use std::hint::select_unpredictable;
 use std::path::Path;
@@ -40,11 +38,11 @@ use crate::word_runs::{NO_EVENT, RUN_WORDS, plain_words};
 use crate::wrapping::Wrapping;
 use crate::{EventWriter, Skipped};
 
-/// Type of a word that tells the row.
+/// Type of a word that states the row.
 pub const ADDR_Y: u16 = 0x0;
-/// Type of a word that is an event.
+/// Type of a word that is one event.
 pub const ADDR_X: u16 = 0x2;
-/// Type of a word that tells the column and the polarity of the vectors after it.
+/// Type of a word that states the first column and the polarity of the vectors after it.
 pub const VECT_BASE_X: u16 = 0x3;
 /// Type of a vector of 12 columns.
 pub const VECT_12: u16 = 0x4;
@@ -54,20 +52,20 @@ pub const VECT_8: u16 = 0x5;
 pub const TIME_LOW: u16 = 0x6;
 /// Type of a word with the upper bits of time.
 pub const TIME_HIGH: u16 = 0x8;
-/// Bits of each part of time.
+/// Number of bits of each part of the time.
 pub const TIME_BITS: u32 = 12;
 
-/// Type of a word of a trigger.
+/// Type of a trigger.
 const TRIGGER: u16 = 0xa;
-/// Type of a word that continues another one, in its lower three bits.
+/// The lower three bits of the two types (7 and F) of words that continue another word.
 const CONTINUED: u16 = 0x7;
-/// Type of a word that begins something of the vendor's.
+/// Type of a word that begins vendor data.
 const OTHER: u16 = 0xe;
 
-/// Events that one word can hold.
+/// Largest number of events that one word can hold.
 pub(crate) const VECTOR_EVENTS: usize = 12;
 
-/// This format in the table of formats.
+/// This format's entry in the table of formats.
 pub const FORMAT: Format = Format {
     name: "evt3",
     title: "Prophesee RAW EVT 3",
@@ -87,14 +85,14 @@ pub const FORMAT: Format = Format {
     create: Some(|path, sensor| Ok(Box::new(Evt3Writer::create(path, sensor)?))),
 };
 
-/// Reader of EVT 3.0 files.
+/// A reader of EVT 3.0 files.
 pub type Evt3Reader = Reader<Evt3Decoder>;
 
 impl Evt3Reader {
-    /// Reads `source`, which messages call `name`; `size` counts where the header names no size.
+    /// Reads `source`, which messages call `name`; `size` is used if the header states no size.
     ///
     /// # Errors
-    /// No EVT 3.0 header, no sensor size.
+    /// There is no EVT 3.0 header, or the sensor's size is unknown.
     pub fn new(source: Box<dyn ReadSeek>, name: &str, size: Option<Sensor>) -> Result<Self> {
         let RawFile {
             input,
@@ -114,7 +112,7 @@ impl Evt3Reader {
     }
 }
 
-/// State between two words.
+/// The decoder of [`Evt3Reader`]: its state between two words.
 pub struct Evt3Decoder {
     input: Input,
     words: Words<2>,
@@ -179,7 +177,7 @@ impl Decode for Evt3Decoder {
                 }
                 taken += 1;
                 if word >> 12 == TIME_HIGH {
-                    // What is plain depends on it.
+                    // Which words are plain depends on the current time.
                     break;
                 }
             }
@@ -190,7 +188,7 @@ impl Decode for Evt3Decoder {
     }
 }
 
-/// Counts those of `words` that are no events and tell nothing about any.
+/// Counts the words that contribute nothing to an event: triggers, continued words and vendor words.
 fn count_skipped(words: &[[u8; 2]], skipped: &mut Skipped) {
     let (mut triggers, mut continued, mut others) = (0_u16, 0_u16, 0_u16);
     for word in words {
@@ -204,27 +202,26 @@ fn count_skipped(words: &[[u8; 2]], skipped: &mut Skipped) {
     skipped.add("other words", others.into());
 }
 
-/// What words have said so far, wherever they come from.
+/// A decoder of EVT 3.0 words from any source: what the words so far have stated.
 #[derive(Debug)]
 pub(crate) struct WordDecoder {
     sensor: Sensor,
-    /// Time bits 12 and up; without a value before the first `TIME_HIGH`.
+    /// Counter of time bits 12 and up; it has no value before the first `TIME_HIGH`.
     high: Wrapping,
     low: u16,
-    /// Added to every time.
+    /// Microseconds added to every time.
     t0_us: u64,
     y: Option<u16>,
-    /// First x of the next vector and its polarity. x may run past the sensor, where a vector
-    /// must be empty.
+    /// First x of the next vector, and its polarity. x may be beyond the sensor; a vector there must be empty.
     base: Option<(u32, Polarity)>,
-    /// Events given so far.
+    /// Number of events returned so far.
     pub events: u64,
-    /// Whether events outside of the sensor are counted instead of refused.
+    /// Whether events outside the sensor are counted instead of refused.
     pub leave_out: bool,
 }
 
 impl WordDecoder {
-    /// Begins in the period of time that holds `start_us`.
+    /// Creates a decoder that starts in the time period that contains `start_us`.
     pub fn new(sensor: Sensor, start_us: u64) -> Self {
         Self {
             sensor,
@@ -238,23 +235,23 @@ impl WordDecoder {
         }
     }
 
-    /// Of the rows and columns.
+    /// Returns the sensor on which rows and columns must lie.
     pub const fn sensor(&self) -> Sensor {
         self.sensor
     }
 
-    /// Time of an event that came next, once a `TIME_HIGH` has come.
+    /// Returns the time that the next event would have, once there has been a `TIME_HIGH`.
     pub fn t_us(&self) -> Option<u64> {
         let high = self.high.last()?;
         Some((high << TIME_BITS | u64::from(self.low)) + self.t0_us)
     }
 
-    /// Adds to every time.
+    /// Adds `t_us` to all times from here on.
     pub fn add_us(&mut self, t_us: u64) {
         self.t0_us += t_us;
     }
 
-    /// Emits the events at `x + i` for every bit i of `bits`.
+    /// Appends the events at `x + i` for every set bit i of `bits`.
     fn emit(
         &mut self,
         x: u32,
@@ -306,10 +303,10 @@ impl WordDecoder {
         self.emit(x, bits, polarity, batch, skipped)
     }
 
-    /// Tells which of the first [`RUN_WORDS`] words are plain: a row or a column of the sensor, lower bits of
-    /// time, or the upper ones that hold now.
+    /// Returns which of the first [`RUN_WORDS`] words are plain: a row or a column on the sensor, lower bits of
+    /// time, the current upper bits of time, or a word that is only counted.
     ///
-    /// The compiler makes eight of them at a time of it.
+    /// The compiler vectorises the loop to eight words at a time.
     fn plain(&self, words: &[[u8; 2]]) -> [bool; RUN_WORDS] {
         let mut plain = [false; RUN_WORDS];
         let high = self
@@ -331,11 +328,11 @@ impl WordDecoder {
         plain
     }
 
-    /// Takes the words up to the first that is not plain, as [`WordDecoder::plain`] has told, or none where
-    /// events have no time or no row in the sensor yet; returns how many. Never more than the batch has room
-    /// for.
+    /// Decodes the words up to the first that is not plain according to [`WordDecoder::plain`], but never more
+    /// than the batch has room for, and returns their number. Decodes none while events have no time, or no row on
+    /// the sensor.
     ///
-    /// Which kind comes next cannot be foretold, so nothing here branches on it.
+    /// The order of the words' types is unpredictable, so nothing here branches on it.
     fn decode_plain(
         &mut self,
         words: &[[u8; 2]],
@@ -357,7 +354,7 @@ impl WordDecoder {
         for word in words {
             let word = u16::from_le_bytes(*word);
             let (kind, coordinate) = (word >> 12, word & 0x7ff);
-            // Stays only where it is an event.
+            // Only an event keeps its slot; the slot of any other word is overwritten.
             if let Some(event) = scratch.get_mut(count) {
                 *event = Event {
                     t_us: high_us + u64::from(low),
@@ -376,8 +373,9 @@ impl WordDecoder {
         words.len()
     }
 
-    /// Takes the next word; the batch must have room for the [`VECTOR_EVENTS`] of a vector.
-    // A call for each word takes half as many instructions again; the reader and bags both have one loop.
+    /// Decodes the next word; the batch must have room for the [`VECTOR_EVENTS`] of a vector.
+    // If this is not inlined, it takes half as many instructions again per word. The file reader and the reader of
+    // bags each call it in one loop only.
     #[inline(always)]
     pub fn decode(
         &mut self,
@@ -389,7 +387,7 @@ impl WordDecoder {
         let polarity = Polarity::from_bool(word & 0x800 != 0);
         match word >> 12 {
             ADDR_X => match (self.high.last(), self.y) {
-                // Most words, without the loop over a vector's bits.
+                // The most frequent case, without the loop over a vector's bits.
                 (Some(high), Some(y)) if self.sensor.contains(coordinate, y) => {
                     batch.push(Event {
                         t_us: (high << TIME_BITS | u64::from(self.low)) + self.t0_us,
@@ -421,11 +419,11 @@ impl WordDecoder {
     }
 }
 
-/// Writer of EVT 3.0 files; runs of three and more events in one row become vectors.
+/// A writer of EVT 3.0 files; runs of at least three events in one row become vectors.
 ///
-/// Holds any times up to 2^60 us, in any order as long as a reader can follow the wraps. Up to
-/// 4,096 wraps from time 0 are written out, for any reader; beyond that the header's
-/// `% time_base_us` carries what exceeds 24 bits, and other readers lose only that.
+/// It holds any times up to 2^60 us, in any order as long as a reader can follow the wraps. Up to 4,096 wraps from
+/// time 0 are written out for every reader. Beyond that, the header's `% time_base_us` carries what exceeds 24
+/// bits, and readers that do not know it lose only that.
 pub struct Evt3Writer {
     raw: RawWriter,
     low: u16,
@@ -433,7 +431,7 @@ pub struct Evt3Writer {
 }
 
 impl Evt3Writer {
-    /// Creates the file.
+    /// Creates the file; the header is written with the first event.
     ///
     /// # Errors
     /// I/O.
@@ -457,11 +455,12 @@ impl EventWriter for Evt3Writer {
         while let Some(first) = rest.first() {
             let (count, bits) = run(rest);
             let (now, later) = rest.split_at(count);
-            // Below 2^12, as the lower bits.
+            // `high` is below 2^12, and so are the lower bits.
             let time = |high: u64| (TIME_HIGH << 12 | high as u16).to_le_bytes();
             let new_high = self.raw.begin(now, time)?;
             let low = (first.t_us & 0xfff) as u16;
-            // Decoders differ in the low bits that follow a new TIME_HIGH: always say them.
+            // Decoders differ in the low bits that they assume after a new `TIME_HIGH`, so they are always
+            // written.
             if new_high || low != self.low {
                 self.word(TIME_LOW, low)?;
                 self.low = low;
@@ -489,8 +488,8 @@ impl EventWriter for Evt3Writer {
     }
 }
 
-/// Number of events at the start of `events` that one `VECT_12` can hold in their order (the same
-/// time, row and polarity, x rising within 12 columns), and the vector's bits.
+/// Returns how many events at the start of `events` one `VECT_12` can hold in their order (the same time, row and
+/// polarity, with x rising within 12 columns), and the vector's bits.
 fn run(events: &[Event]) -> (usize, u16) {
     let Some(first) = events.first() else {
         return (0, 0);
@@ -522,7 +521,8 @@ mod tests {
         height: 48,
     };
 
-    /// Words of every kind; rows, columns and vectors mostly on the sensor, times of small steps.
+    /// Returns words of every type: rows, columns and vectors mostly on the sensor, and times that change in small
+    /// steps.
     fn words() -> impl Strategy<Value = Vec<u16>> {
         let pixel = |side: u16| prop_oneof![9999 => 0..side, 1 => 0..2048_u16];
         let step = prop_oneof![9 => 0..3_u16, 3 => Just(4095_u16), 1 => 0..4096_u16];
@@ -551,7 +551,7 @@ mod tests {
     }
 
     proptest! {
-        /// Also what is skipped, and where it ends.
+        /// Also compares what is skipped, and where an error ends the reading.
         #[test]
         fn runs_are_what_their_words_are(words in words()) {
             let header = b"% evt 3.0\n% geometry 64x48\n% end\n";

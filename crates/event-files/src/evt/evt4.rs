@@ -1,4 +1,4 @@
-//! Prophesee RAW with EVT 4.0 words: 32 bits, little-endian, the type in the upper four.
+//! Prophesee RAW with EVT 4.0 words: 32 bits, little-endian, with the type in the upper four.
 //!
 //! | type | bits 27..22 | 21..11 | 10..0 |
 //! |---|---|---|---|
@@ -7,14 +7,15 @@
 //! | E `EVT_TIME_HIGH` | time bits 33..6 (28 bits) |||
 //! | 9 `EXT_TRIGGER`, 6 `OTHER`, 7 `CONTINUED`, F padding | skipped and counted |||
 //!
-//! A word of type C or D is followed by one of 32 columns and no type: bit i is an event at x + i.
-//! Definition: the decoder and the event types of Prophesee's OpenEB, as there is no document yet. Origin,
-//! polarity and the 34 bits of time are those of [`crate::evt::evt2`]; the wraps are carried. Events before the
-//! first `EVT_TIME_HIGH` have no time: they are skipped and counted.
+//! A word of type C or D is followed by a word of 32 columns without a type: bit i set means an event at x + i.
+//! Source: the decoder and the event types of Prophesee's OpenEB, as there is no document yet. Origin, polarity
+//! and the 34 bits of time are those of [`crate::evt::evt2`]; the wraps are counted. Events before the first
+//! `EVT_TIME_HIGH` have no time: they are skipped and counted.
 //!
-//! OpenEB's robust decoder drops a vector whose 32 columns do not all lie on the sensor, events or not:
-//! the writer begins none behind the last 32. A file cannot be sought, as said of [`crate::evt::evt21`]; besides,
-//! a word of columns looks like any other from the midst of a file.
+//! OpenEB's robust decoder drops a vector whose 32 columns do not all lie on the sensor, even if no event is
+//! outside; the writer therefore starts no vector within the last 31 columns. The reader does not seek, for the
+//! reasons given in [`crate::evt::evt21`]; besides, in the middle of a file a word of columns looks like any
+//! other.
 
 use std::path::Path;
 
@@ -42,13 +43,13 @@ const LOW_SHIFT: u32 = 22;
 const X_SHIFT: u32 = 11;
 const SIDE: u32 = 0x7ff;
 
-/// Events that one vector can hold.
+/// Number of events that one vector can hold.
 const VECTOR_EVENTS: usize = 32;
 
-/// Events from which on a vector, of two words, is shorter than a word for each.
+/// Number of events from which on a vector of two words is shorter than one word per event.
 const VECTOR_MIN: usize = 3;
 
-/// This format in the table of formats.
+/// This format's entry in the table of formats.
 pub const FORMAT: Format = Format {
     name: "evt4",
     title: "Prophesee RAW EVT 4",
@@ -68,14 +69,14 @@ pub const FORMAT: Format = Format {
     create: Some(|path, sensor| Ok(Box::new(Evt4Writer::create(path, sensor)?))),
 };
 
-/// Reader of EVT 4.0 files.
+/// A reader of EVT 4.0 files.
 pub type Evt4Reader = Reader<Evt4Decoder>;
 
 impl Evt4Reader {
-    /// Reads `source`, which messages call `name`; `size` counts where the header names no size.
+    /// Reads `source`, which messages call `name`; `size` is used if the header states no size.
     ///
     /// # Errors
-    /// No EVT 4.0 header, no sensor size.
+    /// There is no EVT 4.0 header, or the sensor's size is unknown.
     pub fn new(source: Box<dyn ReadSeek>, name: &str, size: Option<Sensor>) -> Result<Self> {
         let RawFile {
             input,
@@ -96,14 +97,14 @@ impl Evt4Reader {
     }
 }
 
-/// State between two words.
+/// The decoder of [`Evt4Reader`]: its state between two words.
 pub struct Evt4Decoder {
     input: Input,
     words: Words<4>,
     sensor: Sensor,
     camera: Option<String>,
     t0_us: u64,
-    /// Time bits 6 and up; without a value before the first `EVT_TIME_HIGH`.
+    /// Counter of time bits 6 and up; it has no value before the first `EVT_TIME_HIGH`.
     high: Wrapping,
     events: u64,
     skipped: Skipped,
@@ -115,7 +116,7 @@ impl Evt4Decoder {
         Ok(bytes.map(u32::from_le_bytes))
     }
 
-    /// Emits the events at x + i of `word` for every bit i of `columns`.
+    /// Appends the events at x + i of `word` for every set bit i of `columns`.
     fn emit(&mut self, word: u32, columns: u32, batch: &mut Batch<'_>) -> Result<()> {
         let Some(high) = self.high.last() else {
             let count = u64::from(columns.count_ones());
@@ -124,7 +125,7 @@ impl Evt4Decoder {
         };
         let low = word >> LOW_SHIFT & ((1 << LOW_BITS) - 1);
         let t_us = (high << LOW_BITS | u64::from(low)) + self.t0_us;
-        // The types of ON are odd.
+        // The types of ON events are odd.
         let polarity = Polarity::from_bool(word >> TYPE_SHIFT & 1 == 1);
         let y = (word & SIDE) as u16;
         let x = word >> X_SHIFT & SIDE;
@@ -194,13 +195,13 @@ impl Decode for Evt4Decoder {
     }
 }
 
-/// Writer of EVT 4.0 files; runs of three and more events in one row become vectors.
+/// A writer of EVT 4.0 files; runs of at least three events in one row become vectors.
 ///
-/// Holds what [`crate::evt::evt2::Evt2Writer`] holds.
+/// It can hold the same events as [`crate::evt::evt2::Evt2Writer`].
 pub struct Evt4Writer(RawWriter);
 
 impl Evt4Writer {
-    /// Creates the file.
+    /// Creates the file; the header is written with the first event.
     ///
     /// # Errors
     /// I/O.
@@ -220,7 +221,7 @@ impl EventWriter for Evt4Writer {
         while let Some(first) = rest.first() {
             let run = Run::of(rest, self.0.sensor());
             let (now, later) = rest.split_at(run.count);
-            // Below 2^28.
+            // `high` is below 2^28.
             let time = |high: u64| (TIME_HIGH << TYPE_SHIFT | high as u32).to_le_bytes();
             self.0.begin(now, time)?;
             let on = u32::from(first.polarity == Polarity::On);
@@ -244,7 +245,7 @@ impl EventWriter for Evt4Writer {
     }
 }
 
-/// Events that one vector can hold.
+/// A run of events that one vector can hold.
 #[derive(Debug, PartialEq, Eq)]
 struct Run {
     count: usize,
@@ -254,13 +255,13 @@ struct Run {
 }
 
 impl Run {
-    /// Those at the start of `events`, in their order: of the same time, row and polarity, x rising
-    /// within 32 columns that all lie on the sensor; one at least, if there are any.
+    /// Returns the run at the start of `events`, in their order: the same time, row and polarity, with x rising
+    /// within 32 columns that all lie on the sensor. It has at least one event, if there are any.
     fn of(events: &[Event], sensor: Sensor) -> Self {
         let (mut count, mut columns) = (0, 0_u32);
         let group = |event: &Event| (event.t_us, event.y, event.polarity);
         let first = events.first();
-        // A narrower sensor has no room for a vector: its events go one by one.
+        // A narrower sensor has no room for a vector: its events are written one by one.
         let last_x = sensor.width.checked_sub(VECTOR_EVENTS as u16);
         let Some((first, x)) = first.map(|first| (first, first.x.min(last_x.unwrap_or(first.x))))
         else {
@@ -272,7 +273,7 @@ impl Run {
         };
         for event in events {
             let column = event.x.checked_sub(x).map_or(u32::MAX, u32::from);
-            // Above all that are there.
+            // Stop at a column that is not above all columns so far.
             let is_next = columns.checked_shr(column) == Some(0);
             if group(event) != group(first) || !is_next || (count > 0 && last_x.is_none()) {
                 break;
@@ -280,7 +281,7 @@ impl Run {
             columns |= 1 << column;
             count += 1;
         }
-        // One that lies outside of the sensor, which is refused.
+        // An event outside the sensor fits no run; it is taken alone and refused later.
         count = count.max(1);
         Self { count, x, columns }
     }

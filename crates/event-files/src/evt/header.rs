@@ -1,6 +1,6 @@
 //! Header of Prophesee RAW and DAT files: text lines that begin with `% `.
 //!
-//! A RAW file names its words (`% evt`, `% format`); a DAT file never does, and says what it is by
+//! A RAW file names its word format (`% evt`, `% format`). A DAT file never does; its header has
 //! `% Data file containing` and `% Version`.
 
 use event_types::Sensor;
@@ -9,15 +9,15 @@ use event_types::stream::{ErrorKind, Result};
 use crate::input::{Input, ReadSeek};
 use crate::wrapping::Wrapping;
 
-/// Longest header line and header; real ones stay below 1 KiB.
+/// Largest length of a header line, and of the header, in bytes; real headers stay below 1 KiB.
 const LINE_MAX: usize = 4096;
 const HEADER_MAX: u64 = 1 << 16;
 
-/// Line of our own writers: microseconds to add to the first time. The words of EVT2 and EVT3
+/// Key of a line of this project's writers: microseconds to add to the first time. The words of EVT 2 and EVT 3
 /// hold 34 and 24 bits of time, so the upper bits of an absolute time would be lost without it.
 const TIME_BASE_KEY: &str = "time_base_us";
 
-/// What the words after the header are.
+/// The format of the words after the header.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Words {
     /// 32-bit EVT 2.0.
@@ -33,7 +33,7 @@ pub enum Words {
 impl Words {
     const ALL: [Self; 4] = [Self::Evt2, Self::Evt21, Self::Evt3, Self::Evt4];
 
-    /// Its name in messages.
+    /// Returns the format's name in messages.
     #[must_use]
     pub const fn title(self) -> &'static str {
         match self {
@@ -44,7 +44,7 @@ impl Words {
         }
     }
 
-    /// After `% evt`.
+    /// Returns the version that a header states after `% evt`, such as `3.0`.
     #[must_use]
     pub const fn version(self) -> &'static str {
         match self {
@@ -55,7 +55,7 @@ impl Words {
         }
     }
 
-    /// After `% format`, in capitals.
+    /// Returns the name after `% format`, in capitals.
     const fn format(self) -> &'static str {
         match self {
             Self::Evt2 => "EVT2",
@@ -66,48 +66,47 @@ impl Words {
     }
 }
 
-/// A parsed header; the input stands at the first word.
+/// A parsed header of a RAW or DAT file.
 #[derive(Debug, Clone)]
 pub struct RawHeader {
-    /// Word format, from `% evt 3.0` or `% format EVT3;...`, or the name of another one.
+    /// Word format, from `% evt 3.0` or `% format EVT3;...`; for an unknown one, its name.
     pub words: Result<Words, String>,
-    /// From `% geometry WxH`, `% format EVT3;height=H;width=W`, `% Width W` and `% Height H`, or
-    /// else from the sensor that `% sensor_generation`, `% plugin_name` or `% system_ID` name.
+    /// Sensor size, from `% geometry WxH`, `% format EVT3;height=H;width=W`, or `% Width W` and `% Height H`;
+    /// otherwise that of the sensor named by `% sensor_generation`, `% plugin_name` or `% system_ID`.
     pub sensor: Option<Sensor>,
-    /// From `% time_base_us`, else 0.
+    /// Microseconds from `% time_base_us`, or 0.
     pub time_base_us: u64,
-    /// From `% plugin_name`, else from `% integrator_name`.
+    /// Camera, from `% plugin_name` or else from `% integrator_name`.
     pub camera: Option<String>,
-    /// From `% endianness` or `% format EVT21;endianness=...`, in small letters: the order of a word's
-    /// bytes.
+    /// Order of a word's bytes, from `% endianness` or `% format EVT21;endianness=...`, in lower case.
     pub endianness: Option<String>,
-    /// What `% Data file containing` names: a DAT file.
+    /// What follows `% Data file containing`, which only DAT files have.
     pub data: Option<String>,
-    /// From `% Version`: a DAT file's.
+    /// What follows `% Version`, which only DAT files have.
     pub version: Option<String>,
-    /// After `% T0`, which faery writes: see [`RawHeader::t0_us`].
+    /// What follows `% T0`, which faery writes: see [`RawHeader::t0_us`].
     pub t0: Option<String>,
-    /// Bytes up to the first that is not of the header.
+    /// Length of the header in bytes.
     pub length: u64,
 }
 
-/// A RAW file that has been opened; the input stands at the first word.
+/// An opened RAW file, whose input is positioned at the first word.
 pub struct RawFile {
-    /// Its bytes.
+    /// The file's bytes.
     pub input: Input,
-    /// Its header.
+    /// The file's header.
     pub header: RawHeader,
     /// The sensor's size.
     pub sensor: Sensor,
-    /// To be added to the times of its words.
+    /// Microseconds to add to the times of the words.
     pub t0_us: u64,
 }
 
 impl RawFile {
-    /// Opens `source`, which messages call `name`; `size` counts where the header names no size.
+    /// Opens `source`, which messages call `name`; `size` is used if the header states no size.
     ///
     /// # Errors
-    /// A header that does not announce `words`, no sensor size.
+    /// The header does not announce `words`, or the sensor's size is unknown.
     pub fn open(
         source: Box<dyn ReadSeek>,
         name: &str,
@@ -130,11 +129,11 @@ impl RawFile {
 }
 
 impl RawHeader {
-    /// Reads the header's lines. It ends with `% end` or before the first line that is no text
-    /// after `% `: old files have no `% end`.
+    /// Reads the header, and leaves the input after it. The header ends with `% end`, or before the first line
+    /// that is not text after `% `, since old files have no `% end`.
     ///
     /// # Errors
-    /// I/O, a header over 64 KiB, a size that no [`Sensor`] can have.
+    /// I/O; a header over 64 KiB; a size that no [`Sensor`] can have.
     pub fn read(input: &mut Input) -> Result<Self> {
         let mut fields = Fields::default();
         let mut line = Vec::new();
@@ -157,7 +156,7 @@ impl RawHeader {
         fields.into_header(input)
     }
 
-    /// Text of a header that [`RawHeader::read`] reads back and other readers accept.
+    /// Returns the text of a header that [`RawHeader::read`] and other readers accept.
     pub fn text(words: Words, sensor: Sensor, time_base_us: u64) -> String {
         let Sensor { width, height } = sensor;
         let (evt, format) = (words.version(), words.format());
@@ -175,10 +174,11 @@ impl RawHeader {
         text + "% end\n"
     }
 
-    /// Microseconds that the header has added to every time: what faery takes off when it writes.
+    /// Returns the microseconds to add to every time: faery subtracts them when it writes, and states them as
+    /// `% T0`.
     ///
     /// # Errors
-    /// No number, or one above 2^60: every time would be another, in silence.
+    /// The value is not a number of at most 2^60; to ignore it would silently change every time.
     pub fn t0_us(&self, input: &Input) -> Result<u64> {
         match self.t0.as_deref().map(str::parse) {
             None => Ok(0),
@@ -187,7 +187,7 @@ impl RawHeader {
         }
     }
 
-    /// The sensor's size, or `size` where the header tells none.
+    /// Returns the header's sensor size, or `size` if the header states none.
     ///
     /// # Errors
     /// Neither is known.
@@ -200,7 +200,7 @@ impl RawHeader {
     }
 }
 
-/// The text after `% ` of a header line, or `None` for anything else.
+/// Returns the text after `% ` of a header line, or `None` for anything else.
 fn header_text(line: &[u8]) -> Option<&str> {
     let text = std::str::from_utf8(line)
         .ok()?
@@ -211,8 +211,8 @@ fn header_text(line: &[u8]) -> Option<&str> {
     (printable && (text.is_empty() || text.starts_with(' '))).then(|| text.trim_start())
 }
 
-/// The sensor's size of a camera system, by Prophesee's numbers; cameras of others, such as CenturyArks', have them
-/// too. The first of them wrote no geometry.
+/// Returns the sensor size for one of Prophesee's camera system numbers. Cameras of other makers, such as
+/// CenturyArks, use these numbers too, and the first of them wrote no geometry.
 fn size_of_system(number: &str) -> Option<(u64, u64)> {
     match number.parse::<u32>().ok()? {
         21 | 23 | 25 | 28 | 29 | 33 | 35 => Some((640, 480)),
@@ -228,7 +228,7 @@ struct Fields {
     width: Option<u64>,
     height: Option<u64>,
     named: Option<(u64, u64)>,
-    /// From the number of the camera's system, which says less than a sensor's name.
+    /// Size by the camera's system number, which is less specific than a sensor's name.
     by_system: Option<(u64, u64)>,
     plugin: Option<String>,
     integrator: Option<String>,

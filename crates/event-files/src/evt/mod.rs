@@ -1,4 +1,4 @@
-//! Prophesee's RAW files: EVT 2, 2.1, 3 and 4.
+//! Prophesee's RAW files with EVT 2, 2.1, 3 and 4 words.
 
 pub mod evt2;
 pub mod evt21;

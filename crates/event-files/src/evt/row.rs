@@ -1,36 +1,36 @@
-//! Vectors of Prophesee's words: events of one time, row and polarity, a bit for each column.
+//! The vectors in Prophesee's words: events of one time, row and polarity, with one bit per column.
 
 use event_types::{Event, Polarity, Sensor};
 
 use crate::input::Batch;
 
-/// What the events of a vector have in common.
+/// What all events of a vector have in common.
 #[derive(Debug, Clone, Copy)]
 pub struct Row {
-    /// Their time in microseconds.
+    /// Time of the events in microseconds.
     pub t_us: u64,
-    /// Their row.
+    /// Row of the events.
     pub y: u16,
-    /// Their polarity.
+    /// Polarity of the events.
     pub polarity: Polarity,
 }
 
-/// An event that lies outside of the sensor.
+/// An event that lies outside the sensor.
 #[derive(Debug, Clone, Copy)]
 pub struct Outside {
-    /// Its column.
+    /// Column of the event.
     pub x: u32,
-    /// Its row.
+    /// Row of the event.
     pub y: u16,
-    /// Bits of the vector that come behind it.
+    /// Bits of the vector that have not been handled yet.
     pub left: u32,
 }
 
 impl Row {
-    /// Gives an event at column `x + i` for every bit i of `bits`, and counts it in `events`.
+    /// Appends an event at column `x + i` to `batch` for every set bit i of `bits`, and counts it in `events`.
     ///
     /// # Errors
-    /// The first one outside of the sensor; those before it have been given.
+    /// The first event outside the sensor; the events before it have been appended.
     #[inline]
     pub fn emit(
         self,

@@ -1,4 +1,4 @@
-//! What the writers of Prophesee RAW files share: header, upper bits of time, checks.
+//! What all writers of Prophesee RAW files share: the header, the upper bits of time, checks.
 
 use std::path::Path;
 
@@ -9,24 +9,25 @@ use crate::evt::header::{RawHeader, Words};
 use crate::output::sequential::Output;
 use crate::wrapping::Wrapping;
 
-/// A RAW file being written, in words of which some carry the upper bits of time.
+/// A writer of RAW files whose words include some that carry the upper bits of time.
 ///
-/// Holds any times up to 2^60 us, in any order as long as a reader can follow the wraps. Up to
-/// 4,096 wraps from time 0 are written out, for any reader; beyond that the header's
-/// `% time_base_us` carries what exceeds a word's bits, and other readers lose only that.
+/// It holds any times up to 2^60 us, in any order as long as a reader can follow the wraps. Up to 4,096 wraps from
+/// time 0 are written out for every reader. Beyond that, the header's `% time_base_us` carries what exceeds the
+/// words' time bits, and readers that do not know it lose only that.
 pub struct RawWriter {
     file: Output,
     sensor: Sensor,
     words: Words,
     high_bits: u32,
     low_bits: u32,
-    /// `None` until the first event: the header needs its time.
+    /// Counter of the upper bits of time; `None` until the first event, whose time the header needs.
     high: Option<Wrapping>,
     events: u64,
 }
 
 impl RawWriter {
-    /// Creates the file; a time is `low_bits` bits of an event's word and `high_bits` above them.
+    /// Creates the file. Of a time, the lowest `low_bits` are in an event's word, the `high_bits` above in another
+    /// word.
     ///
     /// # Errors
     /// I/O.
@@ -48,12 +49,12 @@ impl RawWriter {
         })
     }
 
-    /// Size of the sensor.
+    /// Returns the sensor's size.
     pub fn sensor(&self) -> Sensor {
         self.sensor
     }
 
-    /// Writes what comes next.
+    /// Writes the next bytes.
     ///
     /// # Errors
     /// I/O.
@@ -61,12 +62,11 @@ impl RawWriter {
         self.file.put(bytes)
     }
 
-    /// Takes the next events, which are of one time: checks that they lie on the sensor, and writes
-    /// the upper bits of their time, each value by `word`, where they are others than before; returns
-    /// whether they are.
+    /// Prepares to write the next events, which share one time: checks that they lie on the sensor, and writes the
+    /// upper bits of their time, each value encoded by `word`, if they have changed. Returns whether they have.
     ///
     /// # Errors
-    /// I/O, an event outside of the sensor, a time that a reader could not follow.
+    /// I/O; an event outside the sensor; a time that a reader could not follow.
     pub fn begin<const N: usize>(
         &mut self,
         events: &[Event],
@@ -110,7 +110,7 @@ impl RawWriter {
         crate::time_refused(self.file.name(), self.events, t_us, self.words.title())
     }
 
-    /// Writes the header of a file without events, and all that is not on the disk yet.
+    /// Writes the header if there were no events, and flushes everything to the disk.
     ///
     /// # Errors
     /// I/O.

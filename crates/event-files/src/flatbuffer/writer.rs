@@ -1,43 +1,43 @@
-//! Writing of `FlatBuffers` tables, the few that Arrow has, from front to back: a table, then what its
-//! fields lead to.
+//! Writes the few `FlatBuffers` tables that Arrow needs, from front to back: a table, then what its fields refer
+//! to.
 
-/// A field's value, or an element.
+/// The value of a field or of an element.
 pub enum Value {
-    /// The bytes of a number, little-endian.
+    /// A number: its bytes, little-endian.
     Number(Vec<u8>),
-    /// A table: its fields' numbers and values.
+    /// A table: the numbers and values of its fields.
     Table(Vec<(u16, Self)>),
-    /// Text.
+    /// A string.
     Text(String),
-    /// Tables or texts.
+    /// A vector of tables or strings.
     Vector(Vec<Self>),
-    /// Structs of 8-byte parts: how many, and their bytes.
+    /// A vector of structs with 8-byte members: the number of structs, and their bytes.
     Structs(u32, Vec<u8>),
 }
 
 impl Value {
-    /// A byte, or a bool.
+    /// Returns a one-byte number or a bool.
     pub fn u8(value: u8) -> Self {
         Self::Number(vec![value])
     }
 
-    /// A number of two bytes.
+    /// Returns a two-byte number.
     pub fn i16(value: i16) -> Self {
         Self::Number(value.to_le_bytes().to_vec())
     }
 
-    /// A number of four bytes.
+    /// Returns a four-byte number.
     pub fn i32(value: i32) -> Self {
         Self::Number(value.to_le_bytes().to_vec())
     }
 
-    /// A number of eight bytes.
+    /// Returns an eight-byte number.
     pub fn i64(value: i64) -> Self {
         Self::Number(value.to_le_bytes().to_vec())
     }
 }
 
-/// A buffer whose root is the table of these fields, padded to 8 bytes.
+/// Returns a buffer whose root is the table `root`, padded to a multiple of 8 bytes.
 pub fn buffer(root: &Value) -> Vec<u8> {
     let mut out = vec![0; 4];
     let position = append(&mut out, root);
@@ -46,20 +46,20 @@ pub fn buffer(root: &Value) -> Vec<u8> {
     out
 }
 
-/// Lets the four bytes at `from` lead to `to`.
+/// Makes the four bytes at `from` an offset that leads to `to`.
 fn set_offset(out: &mut [u8], from: usize, to: usize) {
     if let Some(slot) = out.get_mut(from..).and_then(<[u8]>::first_chunk_mut::<4>) {
         *slot = ((to - from) as u32).to_le_bytes();
     }
 }
 
-/// Appends zeros up to a position `after` bytes behind a multiple of 8.
+/// Appends zeros up to a position `after` bytes past a multiple of 8.
 fn align(out: &mut Vec<u8>, after: usize) {
     let length = (out.len() + 8 - after).next_multiple_of(8) - 8 + after;
     out.resize(length, 0);
 }
 
-/// Appends what an offset leads to, and returns its position.
+/// Appends the target of an offset, and returns its position.
 fn append(out: &mut Vec<u8>, value: &Value) -> usize {
     match value {
         Value::Number(bytes) => {
@@ -75,7 +75,7 @@ fn append(out: &mut Vec<u8>, value: &Value) -> usize {
             position
         }
         Value::Structs(count, bytes) => {
-            // The elements are aligned, behind the four bytes of their number.
+            // The elements are aligned; they follow the four bytes of their number.
             align(out, 4);
             let position = out.len();
             out.extend(count.to_le_bytes());
@@ -98,7 +98,7 @@ fn append(out: &mut Vec<u8>, value: &Value) -> usize {
 }
 
 fn append_table(out: &mut Vec<u8>, fields: &[(u16, Value)]) -> usize {
-    // Where the fields are in the table, behind the four bytes that lead back to the list of them.
+    // Positions of the fields in the table, after the four bytes that lead back to the vtable.
     let mut places = Vec::with_capacity(fields.len());
     let mut size = 4_usize;
     for (_, value) in fields {

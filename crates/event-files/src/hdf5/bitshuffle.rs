@@ -1,9 +1,10 @@
-//! Chunks of HDF5 files packed by bitshuffle (filter 32008).
+//! Unpacks chunks of HDF5 files packed by bitshuffle (filter 32008).
 //!
-//! The filter's values are its two versions, the bytes of an element, the elements of a block (0: as many as make
-//! 8 KiB), and what packs the blocks: 0 nothing, 2 LZ4, 3 Zstandard. Packed chunks begin with the bytes unpacked
-//! (u64) and those of a block (u32), and have u32 bytes packed before each block, all big-endian. The last block is
-//! shorter, a multiple of 8 elements; the elements behind it, fewer than 8, are stored as they are.
+//! The filter's values are its major and minor version, the element size in bytes, the number of elements in a
+//! block (0: as many as fit into 8 KiB), and the codec that packs the blocks: 0 none, 2 LZ4, 3 Zstandard. A packed
+//! chunk begins with its unpacked size in bytes (u64) and the block size in bytes (u32); each block follows its
+//! packed size in bytes (u32). All these numbers are big-endian. The last block may be shorter, a multiple of 8
+//! elements; the remaining elements, fewer than 8, are stored unpacked after it.
 
 use super::filters::CHUNK_BYTES;
 use super::shuffle::unshuffle_bits;
@@ -12,19 +13,19 @@ use crate::unpack;
 const LZ4: u32 = 2;
 const ZSTANDARD: u32 = 3;
 
-/// Elements of a block are a multiple of this many.
+/// The number of elements in a block is a multiple of this.
 const EIGHT: usize = 8;
 
-/// Bytes of a block whose size is not stated, and its fewest elements.
+/// Size in bytes of a block whose size is not stated, and the smallest number of elements in such a block.
 const BLOCK_BYTES: usize = 8192;
 const BLOCK_ELEMENTS_MIN: usize = 128;
 
 const DAMAGED: &str = "damaged data";
 
-/// Unpacks a chunk, of a filter with these values.
+/// Unpacks a chunk; `values` are the values of its filter.
 ///
 /// # Errors
-/// A damaged chunk, one above [`CHUNK_BYTES`], values that are not known.
+/// The chunk is damaged or larger than [`CHUNK_BYTES`], or the codec or the element size is not supported.
 pub fn unpack(chunk: &[u8], values: &[u32]) -> Result<Vec<u8>, String> {
     let value = |index| values.get(index).copied().unwrap_or(0);
     let element = usize::try_from(value(2)).map_err(|_| DAMAGED)?;
@@ -41,7 +42,7 @@ pub fn unpack(chunk: &[u8], values: &[u32]) -> Result<Vec<u8>, String> {
     }
 }
 
-/// Puts the blocks of a chunk together that nothing packs.
+/// Unshuffles the blocks of a chunk that no codec has packed.
 fn stored(chunk: &[u8], element: usize, elements: usize) -> Result<Vec<u8>, String> {
     if chunk.len() > CHUNK_BYTES {
         return Err(format!("{} bytes, above {CHUNK_BYTES}", chunk.len()));
@@ -53,13 +54,13 @@ fn stored(chunk: &[u8], element: usize, elements: usize) -> Result<Vec<u8>, Stri
     let block = elements.saturating_mul(element);
     let mut out = vec![0; chunk.len()];
     for (from, to) in chunk.chunks(block).zip(out.chunks_mut(block)) {
-        // What is beyond the last eight elements stays as it is.
+        // Elements after the last group of eight are not shuffled.
         unshuffle_bits(from, element, to);
     }
     Ok(out)
 }
 
-/// Unpacks the blocks of a chunk by `unpack`, which tells how many bytes it has written.
+/// Unpacks the blocks of a chunk with `unpack`, which returns the number of bytes written.
 fn packed(
     chunk: &[u8],
     element: usize,
@@ -77,7 +78,7 @@ fn packed(
         return Err(DAMAGED.to_owned());
     }
     let whole = size / eight * eight;
-    // Before memory is asked for: every block has its length.
+    // Checked before memory is allocated: every block has a length of 4 bytes.
     if whole.div_ceil(block) > rest.len() / 4 {
         return Err(DAMAGED.to_owned());
     }
@@ -127,14 +128,14 @@ mod tests {
         }
         assert!(unpack(&[0; 16], &[0, 4, 2, 0, 9]).is_err());
         assert!(unpack(&[0; 16], &[]).is_err());
-        // Fewer elements than eight are stored.
+        // Fewer than eight elements are stored unpacked.
         let few = [header(3, 64), b"abc".to_vec()].concat();
         assert_eq!(unpack(&few, &[0, 4, 1, 0, LZ4]), Ok(b"abc".to_vec()));
         assert_eq!(unpack(b"abc", &[0, 4, 1, 0, 0]), Ok(b"abc".to_vec()));
     }
 
     proptest! {
-        /// An error, or no more bytes than a chunk may have.
+        /// Any bytes give an error or at most as many bytes as a chunk may have.
         #[test]
         fn any_bytes_are_an_error_or_a_chunk(
             size in 0..5000_u64, block in 0..64_u32, element in 0..20_u32, elements in 0..300_u32,

@@ -1,18 +1,20 @@
-//! Buffers packed by Blosc 1, as chunks of DSEC's HDF5 files are.
+//! Unpacks buffers packed by Blosc 1, such as the chunks of DSEC's HDF5 files.
 //!
 //! All numbers are little-endian (README_CHUNK_FORMAT.rst of c-blosc 1.21):
 //!
-//! | byte | what |
+//! | byte | content |
 //! |---|---|
-//! | 0, 1 | version of the format (2; later ones are [`super::blosc2`]'s), of the codec's format |
-//! | 2 | bit 0 bytes shuffled, 1 stored, 2 bits shuffled, 4 blocks not split; 5 to 7 the codec: 0 blosclz, 1 LZ4, 2 Snappy, 3 zlib, 4 Zstandard |
-//! | 3 | bytes of an element |
-//! | 4, 8, 12 | u32: bytes unpacked, bytes of a block, bytes of all this |
-//! | 16 | u32 for every block: where it begins |
+//! | 0, 1 | version of the buffer format (2; [`super::blosc2`] handles later ones), version of the codec's format |
+//! | 2, bits 0 to 4 | bit 0 bytes shuffled, 1 stored, 2 bits shuffled, 4 blocks not split |
+//! | 2, bits 5 to 7 | codec: 0 blosclz, 1 LZ4, 2 Snappy, 3 zlib, 4 Zstandard |
+//! | 3 | element size in bytes |
+//! | 4, 8, 12 | u32: unpacked size, block size, size of the whole buffer, in bytes |
+//! | 16 | u32 for each block: its offset in the buffer |
 //!
-//! A block is one stream, or as many as an element has bytes (at most 16, of at least 128 bytes each, and
-//! never in a shorter last block): i32 bytes, and these; as many as unpacked are stored. Bits of a block
-//! whose number of elements is no multiple of 8 are not shuffled.
+//! A block is one stream, or one stream for each byte of an element (at most 16 streams, of at least 128 bytes
+//! each; a shorter last block is never split). A stream is its packed size (i32) followed by that number of bytes;
+//! it is stored if the packed size equals the unpacked size. The bits of a block are not shuffled if its number of
+//! elements is not a multiple of 8.
 
 use super::shuffle::{unshuffle_bits, unshuffle_bytes};
 use super::{blosc2, copies};
@@ -25,19 +27,19 @@ const STORED: u8 = 2;
 const BITS_SHUFFLED: u8 = 4;
 const NOT_SPLIT: u8 = 0x10;
 
-/// Format of Blosc 1; later ones are Blosc 2's.
+/// Format version of Blosc 1; later versions are Blosc 2's.
 const VERSION: u8 = 2;
 
-/// Most streams of a block, and fewest bytes of one of several.
+/// Largest number of streams in a block, and smallest size in bytes of a stream of a split block.
 const STREAMS_MAX: usize = 16;
 const STREAM_BYTES_MIN: usize = 128;
 
 const DAMAGED: &str = "damaged Blosc buffer";
 
-/// Unpacks a buffer of at most `most` bytes.
+/// Unpacks a buffer whose unpacked size is at most `most` bytes.
 ///
 /// # Errors
-/// A damaged buffer, one of a codec that is not known, one that is larger.
+/// The buffer is damaged, its codec is unknown, or its unpacked size is above `most`.
 pub fn unpack(packed: &[u8], most: usize) -> Result<Vec<u8>, String> {
     let header: &[u8; HEADER_BYTES] = packed.first_chunk().ok_or(DAMAGED)?;
     let [version, _, flags, element, ..] = *header;
@@ -64,7 +66,7 @@ pub fn unpack(packed: &[u8], most: usize) -> Result<Vec<u8>, String> {
     if element == 0 || block == 0 {
         return Err(DAMAGED.to_owned());
     }
-    // Before memory is asked for: every block has its place in the list and bytes of its own.
+    // Checked before memory is allocated: every block has an offset and at least a size of its own.
     if size.div_ceil(block) > packed.len() / 8 {
         return Err(DAMAGED.to_owned());
     }
@@ -87,14 +89,14 @@ pub fn unpack(packed: &[u8], most: usize) -> Result<Vec<u8>, String> {
     Ok(out)
 }
 
-/// The number of 4 bytes that stands at this place.
+/// Returns the little-endian u32 at byte `at`.
 pub fn number(bytes: &[u8], at: usize) -> Result<usize, String> {
     let four = bytes.get(at..).and_then(<[u8]>::first_chunk);
     let four = four.ok_or(DAMAGED)?;
     usize::try_from(u32::from_le_bytes(*four)).map_err(|error| error.to_string())
 }
 
-/// The streams of a block, one behind the other.
+/// Unpacks a block's streams, which follow one another.
 fn unpack_block(
     mut packed: &[u8],
     block: &mut [u8],
@@ -124,10 +126,10 @@ fn unpack_block(
     Ok(())
 }
 
-/// Unpacks a stream of a codec to fill `out`.
+/// Unpacks a stream, which must fill `out` exactly.
 ///
 /// # Errors
-/// Damage, a codec that is not known.
+/// The stream is damaged, or its codec is unknown.
 pub fn unpack_stream(packed: &[u8], out: &mut [u8], codec: u8) -> Result<(), String> {
     let size = out.len();
     let filled = match codec {

@@ -1,29 +1,36 @@
-//! Chunks of HDF5 files packed by Blosc 2 (filter 32026): a frame of one buffer or several, or a buffer alone.
+//! Unpacks chunks of HDF5 files packed by Blosc 2 (filter 32026): a frame of one or more buffers, or a single
+//! buffer without a frame.
 //!
-//! Numbers of a frame are big-endian (README_CFRAME_FORMAT.rst of c-blosc2):
+//! The numbers of a frame are big-endian (README_CFRAME_FORMAT.rst of c-blosc2):
 //!
-//! | byte | what |
+//! | byte | content |
 //! |---|---|
 //! | 2 | `b2frame` and 0 |
-//! | 11 | u32: bytes of this header, behind which the buffers begin |
-//! | 25 | bits 6 and 7 buffers, or their blocks, of any length; the kind of frame, in bits 0 to 3 (0: all in one) |
-//! | 30, 39 | u64: bytes unpacked, bytes of the buffers |
-//! | 48, 58 | u32: bytes of an element, bytes of a buffer unpacked |
-//! | 87 | what else is said of the data, by name: `b2nd` if they have several dimensions |
+//! | 11 | u32: header size in bytes; the buffers follow the header |
+//! | 25 | flags; bits 6 and 7: buffers or blocks of variable length |
+//! | 26 | bits 0 to 3: kind of frame (0: all in one piece) |
+//! | 30, 39 | u64: unpacked size, size of the buffers, in bytes |
+//! | 48, 58 | u32: element size, unpacked size of a buffer, in bytes |
+//! | 87 | named metadata: `b2nd` if the data has several dimensions |
 //!
-//! Behind the buffers, another has an i64 for each, little-endian: where it begins; or, if it is negative, what the
-//! buffer is full of, in bits 56 to 62.
+//! An index buffer follows the data buffers. It has a little-endian i64 for each of them: its offset from the end
+//! of the header or, if negative, the kind of value that fills the buffer, in bits 56 to 62.
 //!
-//! Numbers of a buffer are little-endian (README_CHUNK_FORMAT.rst). It begins as Blosc 1's ([`super::blosc`]); if
-//! bits 0 and 2 of byte 2 are set, 16 bytes more follow:
+//! The numbers of a buffer are little-endian (README_CHUNK_FORMAT.rst). A buffer begins as in Blosc 1
+//! ([`super::blosc`]); if bits 0 and 2 of byte 2 are both set, another 16 bytes of header follow:
 //!
-//! | byte | what |
+//! | byte | content |
 //! |---|---|
-//! | 16, 24 | six filters, in the order in which they were applied, and a value for each: 0 none, 1 bytes shuffled (the value: bytes of an element), 2 bits shuffled, 3 differences, 4 bits cut off |
-//! | 31 | bit 0 has a dictionary, bit 3 is only a part, bits 4 to 6 what all is full of (1 zeros, 2 NaN, 3 the value that follows, 4 anything), bit 7 no data |
+//! | 16, 24 | six filters, in the order in which they were applied, and a value for each (see below) |
+//! | 31, bits 0, 3, 7 | has a dictionary; is only a part; has no data |
+//! | 31, bits 4 to 6 | kind of value that fills the buffer: 1 zeros, 2 NaN, 3 the value that follows, 4 undefined |
 //!
-//! Blocks are as Blosc 1's, but any length but the last's is split as bit 4 of byte 2 says; a stream of no bytes is
-//! zeros, and one of -n bytes, behind which a byte has bit 0 set, is all n.
+//! The filters are 0 none, 1 byte shuffle (value: element size), 2 bit shuffle, 3 differences, 4 truncated
+//! precision.
+//!
+//! Blocks are as in Blosc 1, except that bit 4 of byte 2 alone decides whether they are split; a shorter last block
+//! never is. A stream of size 0 is all zeros; a stream of size -n, followed by a byte with bit 0 set, consists of
+//! bytes n.
 
 use super::blosc;
 use super::shuffle::{unshuffle_bits, unshuffle_bytes};
@@ -31,10 +38,10 @@ use super::shuffle::{unshuffle_bits, unshuffle_bytes};
 const FRAME: &[u8; 8] = b"b2frame\0";
 const FRAME_AT: usize = 2;
 
-/// Flags of a frame: of buffers or blocks that are not all of one length.
+/// Flags of a frame whose buffers or blocks vary in length.
 const ANY_LENGTH: u8 = 0xc0;
 
-/// What a buffer is full of.
+// Kinds of value that fill a buffer.
 const ZEROS: u8 = 1;
 const NANS: u8 = 2;
 const VALUE: u8 = 3;
@@ -44,10 +51,11 @@ const HEADER_BYTES: usize = 16;
 const EXTENDED_BYTES: usize = 32;
 const FILTERS: usize = 6;
 
-/// The format of buffers that is known.
+/// Latest buffer format that is supported.
 const VERSION: u8 = 5;
 
-/// Formats up to Blosc 1's last shuffle no bits of a block whose number of elements is no multiple of 8.
+/// Up to this format, Blosc 1's last, the bits of a block are not shuffled if its number of elements is not a
+/// multiple of 8.
 const VERSION_1: u8 = 2;
 
 const BYTES_SHUFFLED: u8 = 1;
@@ -58,13 +66,13 @@ const NOT_SPLIT: u8 = 0x10;
 
 const DAMAGED: &str = "damaged Blosc 2 data";
 
-/// Most dimensions of an array.
+/// Largest number of dimensions of an array.
 const DIMENSIONS_MAX: usize = 8;
 
-/// Unpacks a frame or a buffer of at most `most` bytes.
+/// Unpacks a frame or a buffer whose unpacked size is at most `most` bytes.
 ///
 /// # Errors
-/// Damage, what is larger, and what is not read.
+/// The data is damaged, larger than `most`, or of a kind that is not supported.
 pub fn unpack(packed: &[u8], most: usize) -> Result<Vec<u8>, String> {
     if packed
         .get(FRAME_AT..)
@@ -137,10 +145,11 @@ fn frame(packed: &[u8], most: usize) -> Result<Vec<u8>, String> {
     }
 }
 
-/// `bytes` bytes of one value; `rest` is what follows the buffer's header.
+/// Returns `bytes` bytes filled with one value of this kind; `rest` follows the buffer's header and begins with the
+/// value, if the kind is [`VALUE`].
 fn full(kind: u8, rest: &[u8], element: usize, bytes: usize) -> Result<Vec<u8>, String> {
     let value = match (kind, element) {
-        // Elements that were never written are zeros elsewhere in HDF5's files.
+        // Elements that were never written are read as zeros, as elsewhere in HDF5 files.
         (ZEROS | ANYTHING, _) => return Ok(vec![0; bytes]),
         (NANS, 4) => &f32::NAN.to_le_bytes()[..],
         (NANS, 8) => &f64::NAN.to_le_bytes(),
@@ -161,7 +170,7 @@ struct Buffer<'a> {
     size: usize,
     block: usize,
     header: usize,
-    /// Filters and their values.
+    /// The filters and their values.
     filters: [(u8, u8); FILTERS],
 }
 
@@ -208,7 +217,7 @@ fn buffer(packed: &[u8], most: usize) -> Result<Vec<u8>, String> {
             *place = (*filter, *value);
         }
     } else {
-        // In the order in which Blosc 1 applied them.
+        // The last two filters, in the order in which Blosc 1 applied them.
         buffer.filters[4] = (if flags & DIFFERENCES != 0 { 3 } else { 0 }, 0);
         buffer.filters[5] = match flags {
             _ if flags & BYTES_SHUFFLED != 0 => (1, 0),
@@ -231,7 +240,7 @@ impl Buffer<'_> {
         if self.element == 0 || self.block == 0 {
             return Err(DAMAGED.to_owned());
         }
-        // Before memory is asked for: every block has its place in the list.
+        // Checked before memory is allocated: every block has an offset of 4 bytes.
         let blocks = self.size.div_ceil(self.block);
         if blocks > (self.packed.len() - self.header) / 4 {
             return Err(DAMAGED.to_owned());
@@ -257,7 +266,7 @@ impl Buffer<'_> {
         Ok(out)
     }
 
-    /// The streams of a block.
+    /// Unpacks the streams of a block.
     fn unpack_block(&self, mut packed: &[u8], block: &mut [u8]) -> Result<(), String> {
         let is_split = self.flags & NOT_SPLIT == 0 && block.len() == self.block;
         let each = if is_split {
@@ -299,7 +308,7 @@ impl Buffer<'_> {
         Ok(())
     }
 
-    /// Undoes the filters of `block`, the last first; `before` is what has been unpacked of the buffer.
+    /// Undoes the filters of `block`, the last one first; `before` holds the blocks of the buffer unpacked so far.
     fn undo_filters(
         &self,
         block: &mut [u8],
@@ -308,7 +317,7 @@ impl Buffer<'_> {
     ) -> Result<(), String> {
         for (filter, value) in self.filters.into_iter().rev() {
             match filter {
-                // Bits that were cut off are zeros.
+                // Truncated bits are zeros.
                 0 | 4 => {}
                 1 => {
                     let element = if value == 0 {
@@ -334,8 +343,8 @@ impl Buffer<'_> {
     }
 }
 
-/// Undoes differences, which are exclusive ors: of the first block from element to element, of others from the first
-/// block. Bytes behind the last whole element are as they were.
+/// Undoes the differences, which are exclusive ors: in the first block with the previous element, in later blocks
+/// with the first block. Bytes after the last whole element are unchanged.
 fn add_differences(block: &mut [u8], before: &[u8], element: usize) {
     let element = match element {
         1 | 2 | 4 | 8 => element,
@@ -359,16 +368,16 @@ fn add_differences(block: &mut [u8], before: &[u8], element: usize) {
     }
 }
 
-/// An array of several dimensions in one buffer, of which each block is a part: `b2nd`.
+/// The `b2nd` layout of an array of several dimensions: one buffer, stored block by block.
 struct Array {
     shape: Vec<usize>,
-    /// Of the buffer, and of a block.
+    /// Shape of the buffer, rounded up to whole blocks, and of a block.
     whole: Vec<usize>,
     block: Vec<usize>,
 }
 
 impl Array {
-    /// What a frame says of its dimensions, if it does.
+    /// Reads the layout from a frame's header; `None` if the frame has none.
     fn of(frame: &[u8]) -> Result<Option<Self>, String> {
         let mut rest = Msgpack(frame.get(91..).ok_or(DAMAGED)?);
         let count = rest.counted(0xde)?;
@@ -384,7 +393,7 @@ impl Array {
         let Some(place) = found else {
             return Ok(None);
         };
-        // Behind the mark of a string of bytes and its length.
+        // The offset leads to the mark and length of a byte string.
         let start = place.checked_add(5).ok_or(DAMAGED)?;
         let mut rest = Msgpack(frame.get(start..).ok_or(DAMAGED)?);
         let _ = (rest.byte()?, rest.byte()?);
@@ -412,7 +421,7 @@ impl Array {
         }))
     }
 
-    /// The elements of the array, row after row, of blocks that stand one behind the other.
+    /// Returns the array's elements in row order; in `blocks` the blocks follow one another.
     fn in_rows(&self, blocks: &[u8], element: usize) -> Result<Vec<u8>, String> {
         let product = |sides: &[usize]| {
             let mut sides = sides.iter();
@@ -426,7 +435,7 @@ impl Array {
         ) else {
             return Err(DAMAGED.to_owned());
         };
-        // No side of a block is 0.
+        // No side of a block may be 0.
         if all != blocks.len() || bytes > all || block == 0 {
             return Err(DAMAGED.to_owned());
         }
@@ -440,7 +449,7 @@ impl Array {
             .zip(&self.block)
             .map(|(a, b)| a / b)
             .collect();
-        // A row is what is side by side in the last dimension of a block.
+        // A row here is a run of elements along the last dimension of a block.
         for (index, row) in blocks.chunks_exact(last * element).enumerate() {
             let (mut of_block, mut of_row) = (index / (block / (last * element)), index);
             let (mut place, mut step, mut width) = (0, element, 0);
@@ -473,7 +482,7 @@ impl Array {
     }
 }
 
-/// The few kinds of msgpack that a frame's header has.
+/// A reader of the few kinds of msgpack values in a frame's header.
 struct Msgpack<'a>(&'a [u8]);
 
 impl<'a> Msgpack<'a> {
@@ -489,7 +498,7 @@ impl<'a> Msgpack<'a> {
         Ok(taken)
     }
 
-    /// A number of things behind this mark.
+    /// Reads a 16-bit count after this mark.
     fn counted(&mut self, mark: u8) -> Result<u16, String> {
         let is_so = self.byte()? == mark;
         let bytes = self.take(2)?.first_chunk().ok_or(DAMAGED)?;
@@ -498,7 +507,7 @@ impl<'a> Msgpack<'a> {
             .ok_or_else(|| DAMAGED.to_owned())
     }
 
-    /// A number of 4 or 8 bytes that is not negative.
+    /// Reads a non-negative number of 4 or 8 bytes.
     fn number(&mut self) -> Result<usize, String> {
         match self.byte()? {
             0xd2 => small(self.take(4)?, 0),
@@ -514,7 +523,7 @@ mod tests {
 
     const MOST: usize = 1 << 16;
 
-    /// A buffer of format 5 with 32 bytes of header.
+    /// Returns a buffer of format 5 with a header of 32 bytes.
     fn extended(flags: u8, element: u8, lengths: [u32; 3], kind: u8, rest: &[u8]) -> Vec<u8> {
         let mut bytes = vec![VERSION, 1, flags | 5, element];
         bytes.extend(lengths.map(u32::to_le_bytes).concat());
@@ -546,7 +555,7 @@ mod tests {
 
     #[test]
     fn streams_of_one_byte() {
-        // Two elements of two bytes, a stream for each: zeros, and 7s.
+        // Two elements of two bytes, with one stream for each byte: zeros, and 7s.
         let streams = [
             &36_u32.to_le_bytes()[..],
             &[0; 4],
@@ -557,10 +566,10 @@ mod tests {
         let all = 32 + streams.len() as u32;
         let mut bytes = extended(1 << 5, 2, [4, 4, all], 0, &streams);
         assert_eq!(unpack(&bytes, MOST), Ok(vec![0, 0, 7, 7]));
-        // With their bytes shuffled.
+        // The same with shuffled bytes.
         bytes[21] = 1;
         assert_eq!(unpack(&bytes, MOST), Ok(vec![0, 7, 0, 7]));
-        // A filter and a token that are not known.
+        // An unknown filter and an unknown token.
         bytes[21] = 35;
         assert!(unpack(&bytes, MOST).is_err_and(|what| what.contains("filter 35")));
         bytes[21] = 0;
@@ -570,7 +579,7 @@ mod tests {
 
     #[test]
     fn arrays_of_blocks_go_to_rows() {
-        // 3 x 5 in blocks of 2 x 2, of which some reach beyond.
+        // 3 x 5 elements in blocks of 2 x 2, some of which extend beyond the array.
         let array = Array {
             shape: vec![3, 5],
             whole: vec![4, 6],
@@ -609,7 +618,8 @@ mod tests {
         }
     }
 
-    /// Every byte of real frames changed in some ways, and every length: an error, or no more bytes than may be.
+    /// Real frames with each byte changed in several ways, or cut to each length, give an error or at most the
+    /// permitted number of bytes.
     #[test]
     fn damage_anywhere() {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../fuzz/seeds/read_hdf5");

@@ -1,5 +1,5 @@
-//! Where the chunks of a dataset are, found once. The library looks every chunk up from the root of the index on,
-//! and a B-tree of version 1 as a whole: in long recordings that takes longer than their events.
+//! Finds all chunks of a dataset at once. The library looks up each chunk from the root of the index, and collects
+//! a whole version 1 B-tree for each; in long recordings that takes longer than reading the events.
 
 use std::sync::Arc;
 
@@ -17,22 +17,22 @@ use hdf5_reader::{
 use super::file::Source;
 use super::filters;
 
-/// A chunk: its first row, and where its bytes are.
+/// A chunk: its first row, and the place of its bytes in the file.
 struct Chunk {
     first: u64,
     address: u64,
     bytes: usize,
 }
 
-/// The chunks of a dataset of one dimension that one filter packs, in order.
+/// The chunks of a one-dimensional dataset that a single filter packs, in order.
 pub struct Chunks {
     source: Arc<Source>,
     chunks: Vec<Chunk>,
 }
 
 impl Chunks {
-    /// Finds the chunks of a dataset that go through the filter of this number, and through no other; `None`
-    /// where that is not so, or the index is damaged, which reading by the library tells.
+    /// Finds the chunks of a dataset that only the filter with this number packs. Returns `None` if the dataset is
+    /// not of this kind or its index is damaged; reading with the library then reports the damage.
     pub fn find(
         file: &Hdf5File,
         source: &Arc<Source>,
@@ -59,13 +59,13 @@ impl Chunks {
         for entry in entries(file, dataset, layout?, *rows).ok()? {
             let first = *entry.offsets.first()?;
             let bytes = usize::try_from(entry.size).ok()?;
-            // One that the filter has left as it was, or a size that is not stated.
+            // The filter has left this chunk unpacked, or its size is not stated.
             if entry.filter_mask != 0 || !(1..=filters::CHUNK_BYTES).contains(&bytes) {
                 continue;
             }
             chunks.push(Chunk {
                 first,
-                // Addresses count from behind a user block.
+                // Addresses count from the end of a user block.
                 address: file.superblock().base_address.checked_add(entry.address)?,
                 bytes,
             });
@@ -78,7 +78,8 @@ impl Chunks {
         })
     }
 
-    /// Reads the chunk that begins at this row into `bytes`, as it is in the file; `None` where there is none.
+    /// Reads the chunk that begins at this row into `bytes`, still packed; `None` if there is no such chunk or it
+    /// cannot be read.
     pub fn read(&self, first: u64, bytes: &mut Vec<u8>) -> Option<()> {
         let found = self
             .chunks
@@ -88,7 +89,7 @@ impl Chunks {
     }
 }
 
-/// What the index of a dataset's chunks has, of `rows` rows each.
+/// Returns the entries of the index of a dataset's chunks, which have `rows` rows each.
 fn entries(
     file: &Hdf5File,
     dataset: &Dataset,
@@ -135,12 +136,12 @@ fn entries(
                 None,
             )
         }
-        // Of chunks that no filter packs.
+        // Used only for chunks without filters.
         Some(ChunkIndexing::Implicit) => Ok(Vec::new()),
     }
 }
 
-/// The leaves of a B-tree of version 1.
+/// Returns the leaves of a version 1 B-tree.
 fn tree(
     storage: &dyn Storage,
     root: u64,

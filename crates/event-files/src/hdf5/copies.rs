@@ -1,10 +1,10 @@
-//! Byte strings packed as literals and copies of what was unpacked before: blosclz, which is Blosc's own
-//! codec, and LZF, which h5py brings.
+//! Unpacks byte strings that consist of literals and copies of earlier output: blosclz, Blosc's own codec, and LZF,
+//! which comes with h5py.
 
-/// Largest near distance of blosclz; farther copies carry two more bytes.
+/// Largest near distance of blosclz; larger distances take two more bytes.
 const BLOSCLZ_NEAR_MAX: usize = 8191;
 
-/// Bytes that are still to be read.
+/// The bytes that are still to be read.
 struct Packed<'a>(&'a [u8]);
 
 impl<'a> Packed<'a> {
@@ -21,7 +21,8 @@ impl<'a> Packed<'a> {
     }
 }
 
-/// Appends `count` bytes that stand `distance` back, which may reach into what is being appended.
+/// Appends `count` bytes, copied from `distance` bytes back; the copy may overlap its own output. `None` if the
+/// distance is invalid or the result would be longer than `most`.
 fn copy(out: &mut Vec<u8>, distance: usize, count: usize, most: usize) -> Option<()> {
     let start = out.len().checked_sub(distance)?;
     if distance == 0 || count > most.checked_sub(out.len())? {
@@ -29,7 +30,7 @@ fn copy(out: &mut Vec<u8>, distance: usize, count: usize, most: usize) -> Option
     }
     let mut left = count;
     while left > 0 {
-        // What a round appends doubles what the next may take.
+        // Each round doubles the number of bytes that the next one may copy.
         let part = left.min(out.len() - start);
         out.extend_from_within(start..start + part);
         left -= part;
@@ -37,16 +38,16 @@ fn copy(out: &mut Vec<u8>, distance: usize, count: usize, most: usize) -> Option
     Some(())
 }
 
-/// Unpacks blosclz to exactly `size` bytes; `None` where the bytes are damaged.
+/// Unpacks blosclz to exactly `size` bytes; `None` if the bytes are damaged.
 ///
-/// A byte below 32 is followed by so many literals and one. Else its upper 3 bits are a length, of which 7
-/// goes on in further bytes up to the first that is not 255, and its lower 5 bits with the byte behind are
-/// the distance less one; if all 13 bits are set, two bytes, big-endian, follow that are added to 8,191.
-/// A copy has 2 bytes more than its length says.
+/// A control byte c below 32 is followed by c + 1 literals. Any other control byte is a copy: its upper 3 bits are
+/// the length, to which, if it is 7, further bytes are added up to and including the first that is not 255. Its
+/// lower 5 bits and the next byte are the distance less 1; if all 13 bits are set, a big-endian u16 follows that is
+/// added to 8,191. The number of bytes copied is the length plus 2.
 pub fn blosclz(packed: &[u8], size: usize) -> Option<Vec<u8>> {
     let mut packed = Packed(packed);
     let mut out = Vec::with_capacity(size);
-    // The upper bits of the first byte are the codec's mark.
+    // The upper bits of the first byte identify the codec.
     let mut next = packed.byte().map(|control| control & 31);
     while let Some(control) = next {
         let control = usize::from(control);
@@ -79,11 +80,11 @@ pub fn blosclz(packed: &[u8], size: usize) -> Option<Vec<u8>> {
     (out.len() == size).then_some(out)
 }
 
-/// Unpacks LZF to at most `most` bytes; `None` where the bytes are damaged.
+/// Unpacks LZF to at most `most` bytes; `None` if the bytes are damaged.
 ///
-/// A byte below 32 is followed by so many literals and one. Else its upper 3 bits are a length, to which 7
-/// adds the byte behind, and its lower 5 bits with one more byte are the distance less one. A copy has 2
-/// bytes more than its length says.
+/// A control byte c below 32 is followed by c + 1 literals. Any other control byte is a copy: its upper 3 bits are
+/// the length, to which, if it is 7, the next byte is added. Its lower 5 bits and one more byte are the distance
+/// less 1. The number of bytes copied is the length plus 2.
 pub fn lzf(packed: &[u8], most: usize) -> Option<Vec<u8>> {
     let mut packed = Packed(packed);
     let mut out = Vec::new();
@@ -113,11 +114,11 @@ mod tests {
 
     #[test]
     fn copies_reach_into_themselves() {
-        // Two literals, a copy of 5 from a distance of 2.
+        // Two literals, then a copy of 5 bytes from distance 2.
         let packed = [1, b'a', b'b', 3 << 5, 1];
         assert_eq!(lzf(&packed, 7).as_deref(), Some(&b"abababa"[..]));
         assert_eq!(blosclz(&packed, 7).as_deref(), Some(&b"abababa"[..]));
-        // One byte more than there is room for, and a distance beyond the start.
+        // One byte too many for the room, one byte too few, and a distance beyond the start.
         assert_eq!(lzf(&packed, 6), None);
         assert_eq!(blosclz(&packed, 8), None);
         assert_eq!(lzf(&[0, b'a', 3 << 5, 1], 9), None);
@@ -133,7 +134,7 @@ mod tests {
             packed.extend(&part);
             want.extend(part);
         }
-        // 9 + 255 + 3 bytes from a distance of 8,192 + 258.
+        // A copy of 9 + 255 + 3 bytes from distance 8,192 + 258.
         packed.extend([0xff, 255, 3, 255, 1, 2]);
         let start = want.len() - (8191 + 258 + 1);
         want.extend_from_within(start..start + 9 + 255 + 3);

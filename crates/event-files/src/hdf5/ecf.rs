@@ -1,49 +1,49 @@
-//! Chunks of events packed by Prophesee's codec ECF (filter 0x8ECF), as their `.hdf5` files hold them.
+//! Unpacks chunks of events packed by Prophesee's codec ECF (filter 0x8ECF), as in Prophesee's `.hdf5` files.
 //!
-//! A chunk is at most 65,535 events, each column apart. All numbers are little-endian; bit 0 is the lowest.
+//! A chunk has at most 65,535 events, stored column by column. All numbers are little-endian; bit 0 is the lowest.
 //!
-//! | part | what |
+//! | part | content |
 //! |---|---|
-//! | header | u32: bits 2.. the number of events, bit 1 whether y, x and p are packed, bit 0 whether x and p are |
-//! | t | u64, the time to count from, then bytes: bits 4..7 a step, bits 0..3 the number of events behind it |
+//! | header | u32: bits 2.. number of events, bit 1 set: y, x and p are packed, bit 0 set: x and p are packed |
+//! | t | u64, the start time; then bytes: bits 4..7 a time step, bits 0..3 the number of events after it |
 //! | y, x, p packed | 3 u32 for every 4 events, the upper bits first: y of 12 bits (the highest 0), x of 11, p of 1 |
 //! | y | u16: bits 5..15 y, bits 0..4 the number of events |
 //! | x, p packed | 3 u16 for every 4 events, the upper bits first: x of 11 bits, p of 1 |
-//! | x | u16: bits 5..15 x, bit 4 whether an event at x + 1 follows, bit 3 one at x + 2, and so on to x + 5 |
+//! | x | u16: bits 5..15 x; bit 4 set: an event at x + 1 follows, bit 3: one at x + 2, and so on to x + 5 |
 //! | p | bytes: bit 7 p, bits 0..6 the number of events |
 //!
-//! A number of events with all bits set stands for the u16 that follows it. A step of 15 is none: it and
-//! the bytes with this step behind it hold the bits of one longer step, four in each, the lowest first.
-//! Bits of x behind the last event, and packed events behind it, have no meaning.
+//! A number of events with all its bits set is replaced by the u16 that follows. A step of 15 marks a part of a
+//! longer step: each byte of a run with this step contributes its four lower bits, the lowest first. Bits of x
+//! after the last event, and packed events after it, have no meaning.
 
 use std::cell::{Cell, RefCell};
 use std::ops::Range;
 
 use event_types::{Event, Polarity, Sensor};
 
-/// Most events of a chunk.
+/// Largest number of events in a chunk.
 pub const EVENTS_MAX: usize = 65_535;
 
-/// Bytes of an unpacked event: x and y (u16), p (i16), two that mean nothing, t (i64).
+/// Size in bytes of an unpacked event: x and y (u16), p (i16), two unused bytes, t (i64).
 pub const RECORD_BYTES: usize = 16;
 
-/// What stands in a chunk for an event that was not packed: no event has such numbers.
+/// Record that stands for an event missing from a short chunk; no event has these numbers.
 pub const NO_EVENT: [u8; RECORD_BYTES] = [0xff; RECORD_BYTES];
 
 const PACKED_YXP: u32 = 2;
 const PACKED_XP: u32 = 1;
 
-/// Step that stands for four bits of a longer one, and most of these.
+/// Step that marks four bits of a longer step, and the largest number of bits of a longer step.
 const LONG_STEP: u8 = 15;
 const LONG_STEP_BITS: u32 = 64;
 
-/// Numbers that are written at once, as far as they are needed or not: short runs take no loop.
+/// Number of values written at once, whether or not all are needed, so that short runs take no loop.
 const RUN: usize = 8;
 
-/// What each column has behind its last event, for [`RUN`] numbers that begin at it.
+/// Number of values that each column has after its last event, so that [`RUN`] values can be written there.
 const SLACK: usize = 8;
 
-/// For the 32 sets of bits of an x, the events: the distances from it, and how many these are; whether something is wrong.
+/// For each value of the five lower bits of an x: its events' distances from x, and the number of these events.
 const MASKS: [([u16; 8], u8); 32] = masks();
 
 const fn masks() -> [([u16; 8], u8); 32] {
@@ -69,8 +69,8 @@ thread_local! {
     static COLUMNS: RefCell<Columns> = RefCell::new(Columns::default());
 }
 
-/// Calls `read`, which unpacks chunks of `bytes` bytes: shorter ones, as the last of a file may be, are
-/// filled up with [`NO_EVENT`].
+/// Calls `read`, which unpacks chunks of `bytes` bytes. Shorter chunks, such as the last of a file, are filled up
+/// with [`NO_EVENT`].
 pub fn in_chunks_of<T>(bytes: usize, read: impl FnOnce() -> T) -> T {
     let before = CHUNK_BYTES.replace(bytes);
     let result = read();
@@ -81,7 +81,7 @@ pub fn in_chunks_of<T>(bytes: usize, read: impl FnOnce() -> T) -> T {
 /// Unpacks a chunk to records of [`RECORD_BYTES`].
 ///
 /// # Errors
-/// The chunk is damaged: what is wrong at which of its bytes.
+/// The chunk is damaged; the error states the byte and the cause.
 pub fn unpack(packed: &[u8]) -> Result<Vec<u8>, String> {
     COLUMNS.with_borrow_mut(|columns| {
         let count = columns.read(packed)?;
@@ -99,10 +99,10 @@ pub struct Columns {
 }
 
 impl Columns {
-    /// Reads a chunk, and returns its number of events.
+    /// Reads a chunk and returns its number of events.
     ///
     /// # Errors
-    /// The chunk is damaged: what is wrong at which of its bytes.
+    /// The chunk is damaged; the error states the byte and the cause.
     pub fn read(&mut self, packed: &[u8]) -> Result<usize, String> {
         let mut rest = Rest {
             bytes: packed,
@@ -110,7 +110,7 @@ impl Columns {
         };
         let header = u32::from_le_bytes(rest.array()?);
         let count = usize::try_from(header >> 2).unwrap_or(usize::MAX);
-        // Two bytes hold six events at the most.
+        // Two bytes of x hold at most six events.
         if count > EVENTS_MAX || count.div_ceil(6) > packed.len() / 2 {
             return Err(rest.damage(&format!("it has not the {count} events that it claims")));
         }
@@ -141,7 +141,7 @@ impl Columns {
             rest.take(used)?;
             return Ok(());
         }
-        // What is wrong, and where.
+        // Read again with checks, to report the cause and its place.
         self.read_each_time(rest, count)
     }
 
@@ -165,9 +165,10 @@ impl Columns {
         Ok(())
     }
 
-    /// As [`Columns::read_each_time`], but a longer step and the byte behind it at once: which bytes are of one
-    /// cannot be guessed, and wrong guesses take longer than all the rest. Returns the number of bytes read; `None`
-    /// where something is wrong, or steps are of more than 28 bits, or few bytes follow.
+    /// Reads times like [`Columns::read_each_time`], but a longer step together with the byte after it: the
+    /// processor cannot predict which bytes belong to one, and mispredicted branches would take most of the time.
+    /// Returns the number of bytes read; `None` if the data is damaged, a longer step has more than 28 bits, or too
+    /// few bytes follow.
     fn read_plain_times(&mut self, packed: &[u8], count: usize) -> Option<usize> {
         const STEPS: u64 = 0xf0f0_f0f0_f0f0_f0f0;
         let (start, mut rest) = packed.split_first_chunk()?;
@@ -175,10 +176,10 @@ impl Columns {
         let mut at = 0;
         while at < count {
             let eight = u64::from_le_bytes(*rest.first_chunk()?);
-            // Bytes of a longer step: all bits of their upper half are set.
+            // Number of bytes of a longer step: all bits of their upper halves are set.
             let bytes = (!eight & STEPS).trailing_zeros() / 8;
             let byte = eight.checked_shr(8 * bytes)?;
-            // Their lower halves, moved together.
+            // Their lower halves, joined.
             let mut long = eight & !STEPS & !(u64::MAX << (8 * bytes));
             long = (long | long >> 4) & 0x00ff_00ff_00ff_00ff;
             long = (long | long >> 8) & 0x0000_ffff_0000_ffff;
@@ -282,21 +283,21 @@ impl Columns {
         Ok(())
     }
 
-    /// Whether the events at these places are on the sensor, at times that are not negative where they are
-    /// signed.
+    /// Returns whether the events in this range are on the sensor and their times are not negative as signed
+    /// numbers.
     pub fn are_events(&self, places: Range<usize>, sensor: Sensor) -> bool {
-        // All are looked at, without a branch: that is quicker than to stop at the first that is not.
+        // All events are checked without a branch, which is faster than to stop at the first bad one.
         let most = |numbers: &[u16]| {
             let numbers = numbers.get(places.clone()).unwrap_or_default();
             numbers.iter().fold(0, |most, number| most.max(*number))
         };
-        // The times ascend.
+        // Times ascend, so the last is the largest.
         let last = self.t.get(places.clone()).and_then(<[u64]>::last);
         last.is_none_or(|last| i64::try_from(*last).is_ok())
             && sensor.contains(most(&self.x), most(&self.y))
     }
 
-    /// The events at these places.
+    /// Returns the events in this range.
     pub fn events(&self, places: Range<usize>) -> impl ExactSizeIterator<Item = Event> {
         let t = self.t.get(places.clone()).unwrap_or_default();
         let x = self.x.get(places.clone()).unwrap_or_default();
@@ -311,7 +312,7 @@ impl Columns {
         })
     }
 
-    /// The records of `count` events, and [`NO_EVENT`] up to `bytes` bytes.
+    /// Returns the records of `count` events, filled up with [`NO_EVENT`] to `bytes` bytes.
     fn records(&self, count: usize, bytes: usize) -> Vec<u8> {
         let mut records = Vec::with_capacity(bytes.max(count * RECORD_BYTES));
         let places = self.t.iter().zip(&self.x).zip(self.y.iter().zip(&self.p));
@@ -330,8 +331,7 @@ impl Columns {
     }
 }
 
-/// Writes `value` for `run` events from `at` on, and returns where the next one's is; `None` where they
-/// are more than `count`.
+/// Writes `value` for `run` events from `at` on, and returns the position after them; `None` if it is above `count`.
 #[inline]
 fn fill<T: Copy>(column: &mut [T], at: usize, run: usize, count: usize, value: T) -> Option<usize> {
     let end = at + run;
@@ -347,7 +347,7 @@ fn fill<T: Copy>(column: &mut [T], at: usize, run: usize, count: usize, value: T
     Some(end)
 }
 
-/// What is still to be read of a chunk.
+/// The rest of a chunk.
 struct Rest<'a> {
     bytes: &'a [u8],
     all: usize,
@@ -375,12 +375,12 @@ impl<'a> Rest<'a> {
         }
     }
 
-    /// A number of events that has not fitted into its bits.
+    /// Reads a number of events that did not fit into its bits.
     fn run(&mut self) -> Result<usize, String> {
         Ok(usize::from(u16::from_le_bytes(self.array()?)))
     }
 
-    /// The step that begins with the byte `first`.
+    /// Reads the rest of the longer step that begins with the byte `first`.
     fn long_step(&mut self, first: u8) -> Result<u64, String> {
         let mut long = u64::from(first & 15);
         let mut bits = 4;
@@ -432,7 +432,7 @@ mod tests {
 
     const FORMS: [Form; 3] = [Form::Yxp, Form::Xp, Form::Runs];
 
-    /// Runs of equal numbers of any length, neighbours, and steps of every size.
+    /// Generates runs of equal numbers of any length, neighbouring pixels, and steps of every size.
     fn events() -> impl Strategy<Value = Vec<Numbers>> {
         let step = prop_oneof![
             4 => Just(0_u64), 4 => 1..20_u64, 1 => 14..17_u64, 1 => 0..1_u64 << 40
@@ -471,13 +471,13 @@ mod tests {
 
     #[test]
     fn bytes_as_the_format_has_them() {
-        // 3 events: t = 10, 10, 42; y = 3, x = 7, 8 and 11, p = 1, 1, 0.
+        // 3 events: t = 10, 10, 42; y = 3; x = 7, 8, 11; p = 1, 1, 0.
         let times = [10, 0, 0, 0, 0, 0, 0, 0, 0x02, 0xf0, 0xf2, 0x01];
         let runs = [0x63, 0, 0xf2, 0, 0x82, 0x01];
         let packed = [&[12, 0, 0, 0][..], &times, &runs].concat();
         let events = [(10, 7, 3, 1), (10, 8, 3, 1), (42, 11, 3, 0)];
         assert_eq!(unpack(&packed), Ok(records(&events)));
-        // A bit of x behind the last event has no meaning.
+        // A bit of x after the last event has no meaning.
         let mut more = packed.clone();
         more[18] |= 1;
         assert_eq!(unpack(&more), Ok(records(&events)));
@@ -527,7 +527,7 @@ mod tests {
             }
         }
 
-        /// What is read quickly is what is read with care.
+        /// The fast path reads the same times as the checked one.
         #[test]
         fn plain_times_are_times(
             start in any::<u64>(), count in 0..60_usize,
@@ -547,7 +547,7 @@ mod tests {
             }
         }
 
-        /// An error or other events, of which there are no more than the bytes can hold.
+        /// Damaged bytes give an error or at most as many events as they can hold.
         #[test]
         fn any_bytes_are_an_error_or_events(
             events in events(), run in 1..200_usize, random in prop::collection::vec(any::<u8>(), 0..200),

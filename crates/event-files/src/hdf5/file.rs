@@ -1,4 +1,4 @@
-//! The datasets of an HDF5 file, read some rows at a time.
+//! Reads the datasets of an HDF5 file, some rows at a time.
 
 use std::io::SeekFrom;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -20,41 +20,42 @@ use crate::table::event_numbers::{Row, find_names};
 use crate::table::stated_size::StatedSize;
 use crate::table::{stated_size, time_unit};
 
-/// First bytes of a file, or what follows a user block of 512 bytes times a power of two.
+/// Signature of HDF5, at the start of a file or after a user block of 512 bytes times a power of two.
 pub const MAGIC: &[u8; 8] = b"\x89HDF\r\n\x1a\n";
 
-/// First bytes of MATLAB's files of `-v7.3`, in front of HDF5's own.
+/// First bytes of MATLAB's `-v7.3` files, whose HDF5 signature follows a user block.
 const MATLAB: &[u8; 10] = b"MATLAB 7.3";
 
 /// Attributes that state the unit of the times.
 const UNIT_KEYS: [&str; 4] = ["units", "unit", "time_unit", "t_unit"];
 
-/// Bytes read at once where the file's own structures are, and how many such pieces are kept.
+/// Number of bytes read at once from the file's own structures, and number of these blocks that are cached.
 const BLOCK_BYTES: usize = 1 << 16;
 const BLOCKS: usize = 64;
 
-/// Largest piece of a dataset read at once; a batch of events is 2 MB.
+/// Largest part of a dataset read at once; a batch of events has 2 MB.
 const READ_BYTES: usize = 64 << 20;
 
-/// Largest description of a dataset or group.
+/// Largest header of a dataset or group, in bytes.
 const HEADER_BYTES: usize = 1 << 20;
 
-/// How deep below the root datasets are listed, how many, and how many a message names.
+/// Depth below the root to which datasets are listed, largest number listed, and largest number that a message
+/// names.
 const LIST_DEPTH: usize = 4;
 const LIST_MAX: usize = 500;
 const DESCRIBE_MAX: usize = 24;
 
-/// The source as storage that any thread may read from.
+/// The source, as storage that any thread may read from.
 pub struct Source {
     source: Mutex<Box<dyn ReadSeek>>,
     length: u64,
 }
 
 impl Source {
-    /// Reads `len` bytes from `offset` on into `bytes`, in place of what it has.
+    /// Reads `len` bytes from `offset` on into `bytes`, replacing its content.
     pub fn read(&self, offset: u64, len: usize, bytes: &mut Vec<u8>) -> Result<(), Error> {
         let end = offset.checked_add(len as u64);
-        // Before memory is asked for: lengths come from the file.
+        // Checked before memory is allocated, since lengths come from the file.
         if end.is_none_or(|end| end > self.length) {
             return Err(Error::UnexpectedEof {
                 offset,
@@ -62,9 +63,9 @@ impl Source {
                 available: self.length.saturating_sub(offset),
             });
         }
-        // What is there already is not written twice.
+        // Keeps the old bytes rather than zero them, since all are overwritten.
         bytes.resize(len, 0);
-        // A thread that panicked while it read has left no state but the position, which is set here.
+        // A thread that panicked while reading has only left the position undefined, and it is set here.
         let mut source = self.source.lock().unwrap_or_else(PoisonError::into_inner);
         source.seek(SeekFrom::Start(offset))?;
         source.read_exact(bytes)?;
@@ -84,8 +85,8 @@ impl Storage for Source {
     }
 }
 
-/// Storage that keeps the pieces where the file's own structures are, and not those of the data, which are read
-/// once.
+/// Storage that caches blocks with the file's own structures. Larger reads are of data, which is read only once,
+/// and bypass the cache.
 struct Pieces {
     source: Arc<Source>,
     kept: BlockCacheStorage,
@@ -148,7 +149,7 @@ impl Hdf5 {
         let mut bytes = source.source.lock().unwrap_or_else(PoisonError::into_inner);
         for base in [0, superblock.base_address] {
             let end = superblock.eof_address.saturating_add(base);
-            // Of a file that its writer has not closed, the end is no place.
+            // If the writer has not closed the file, the stated end may lie outside it.
             if end >= length {
                 continue;
             }
@@ -173,15 +174,15 @@ impl Hdf5 {
         })
     }
 
-    /// Name for messages.
+    /// Returns the name for messages.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// The dataset at `path`, if there is one.
+    /// Returns the dataset at `path`; `None` if there is no dataset of this path.
     ///
     /// # Errors
-    /// What is there, or on the way to it, is damaged.
+    /// The dataset, or a group on the way to it, is damaged.
     pub fn dataset(&self, path: &str) -> Result<Option<Dataset>> {
         match self.file.dataset(path) {
             Ok(dataset) => Ok(Some(dataset)),
@@ -193,7 +194,7 @@ impl Hdf5 {
         }
     }
 
-    /// The names of what the group at `path` holds: groups, datasets.
+    /// Returns the names of the members of the group at `path`: groups, then datasets.
     pub fn members(&self, path: &str) -> (Vec<String>, Vec<String>) {
         let group = if path.is_empty() {
             self.file.root_group()
@@ -204,7 +205,7 @@ impl Hdf5 {
         names.unwrap_or_default()
     }
 
-    /// The paths of the datasets, the first [`LIST_MAX`] of them.
+    /// Returns the paths of the datasets, at most [`LIST_MAX`].
     pub fn datasets(&self) -> Vec<String> {
         let mut found = Vec::new();
         self.list("", 0, &mut found);
@@ -215,7 +216,7 @@ impl Hdf5 {
         let (groups, datasets) = self.members(path);
         let room = LIST_MAX.saturating_sub(found.len());
         found.extend(datasets.iter().take(room).map(|name| join(path, name)));
-        // Groups may hold one another.
+        // The depth is limited because groups may contain one another.
         if depth < LIST_DEPTH {
             for name in groups.iter().take(LIST_MAX) {
                 self.list(&join(path, name), depth + 1, found);
@@ -223,7 +224,7 @@ impl Hdf5 {
         }
     }
 
-    /// What a message says where no layout fits: the datasets and their shapes.
+    /// Lists the datasets and their shapes, for the message that no layout fits.
     pub fn describe(&self) -> String {
         let datasets = self.datasets();
         let named = |path: &String| {
@@ -240,8 +241,8 @@ impl Hdf5 {
         }
     }
 
-    /// Size that attributes or small datasets state beside the events, whose dataset or group is at `place`, or
-    /// in the root; and how many datasets state it.
+    /// Returns the sensor size that attributes or small datasets state, at `place`, the events' dataset or group,
+    /// in the group above it, or in the root; and the number of datasets that state it.
     pub fn stated_size(&self, place: &str) -> (Option<Sensor>, usize) {
         let mut size = StatedSize::default();
         let mut used = 0;
@@ -279,7 +280,7 @@ impl Hdf5 {
         (size.sensor(), used)
     }
 
-    /// The numbers of a dataset of three of them at most.
+    /// Returns the numbers of a dataset that has at most three.
     fn few(&self, path: &str) -> Option<Vec<f64>> {
         let dataset = self.dataset(path).ok()??;
         let count = dataset
@@ -293,7 +294,7 @@ impl Hdf5 {
         Some(numbers.into_iter().flatten().map(Number::float).collect())
     }
 
-    /// Attributes of the dataset or group at `path`.
+    /// Returns the attributes of the dataset or group at `path`.
     fn attributes(&self, path: &str) -> Vec<Attribute> {
         if path.is_empty() {
             let root = self.file.root_group().and_then(|root| root.attributes());
@@ -308,29 +309,29 @@ impl Hdf5 {
         }
     }
 
-    /// The unit that an attribute `units` of one of these states.
+    /// Returns the unit that an attribute such as `units` of one of these paths states.
     pub fn stated_unit(&self, paths: &[&str]) -> Option<TimeUnit> {
         let all = paths.iter().flat_map(|path| self.attributes(path));
         let mut units = all.filter(|attribute| UNIT_KEYS.contains(&attribute.name.as_str()));
         units.find_map(|attribute| time_unit::named(&attribute.read_string().ok()?))
     }
 
-    /// Whether MATLAB wrote the file.
+    /// Returns whether MATLAB wrote the file.
     pub fn is_matlab(&self) -> bool {
         self.is_matlab
     }
 
-    /// Bytes of the file.
+    /// Returns the file's length in bytes.
     pub fn length(&self) -> u64 {
         self.length
     }
 
-    /// The chunks of a dataset of one dimension that this filter alone packs, see [`Chunks::find`].
+    /// Returns the chunks of a one-dimensional dataset that only this filter packs; see [`Chunks::find`].
     pub fn chunks(&self, dataset: &Dataset, filter: u16) -> Option<Chunks> {
         Chunks::find(&self.file, &self.source, dataset, filter)
     }
 
-    /// Error about a dataset, at the byte where its description begins.
+    /// Returns an error about a dataset, at the byte where its header begins.
     pub fn error(
         &self,
         dataset: &Dataset,
@@ -346,7 +347,7 @@ impl Hdf5 {
     }
 }
 
-/// The path of `name` in the group at `path`.
+/// Returns the path of `name` in the group at `path`.
 pub fn join(path: &str, name: &str) -> String {
     if path.is_empty() {
         name.to_owned()
@@ -355,7 +356,7 @@ pub fn join(path: &str, name: &str) -> String {
     }
 }
 
-/// Whether an error says that there is no such dataset.
+/// Returns whether an error means that there is no dataset of this path.
 fn is_absence(error: &Error) -> bool {
     match error {
         Error::DatasetNotFound(_) | Error::GroupNotFound(_) => true,
@@ -369,7 +370,7 @@ fn shape(sides: &[u64]) -> String {
     format!("({})", sides.join(" x "))
 }
 
-/// The error in one line, and what to do where it is a filter.
+/// Formats the error in one line, with advice if a filter is not supported.
 pub fn plain(error: &Error) -> String {
     let text = error.to_string().replace('\n', " ");
     match error {
@@ -378,7 +379,7 @@ pub fn plain(error: &Error) -> String {
     }
 }
 
-/// The type of a dataset's numbers, as that of an array; `None` if they are none.
+/// Returns the type of a dataset's numbers as an array's type; `None` if they are not numbers.
 pub fn number_type(datatype: &Datatype) -> Option<Dtype> {
     let big_endian = |order| order == hdf5_reader::ByteOrder::BigEndian;
     let (kind, order, bytes) = match datatype {
@@ -389,7 +390,7 @@ pub fn number_type(datatype: &Datatype) -> Option<Dtype> {
         } => (if *signed { b'i' } else { b'u' }, *byte_order, *size),
         Datatype::FloatingPoint { size, byte_order } => (b'f', *byte_order, *size),
         Datatype::Bitfield { size, byte_order } => (b'u', *byte_order, *size),
-        // Python's bool.
+        // Python's bool is stored as an enumeration.
         Datatype::Enum { base, .. } => return number_type(base),
         _ => return None,
     };
@@ -399,8 +400,8 @@ pub fn number_type(datatype: &Datatype) -> Option<Dtype> {
 /// Offset and type of a field of a compound.
 pub type Field = (usize, Dtype);
 
-/// The places and types of t, x, y and p in a compound, of their usual names or of those that were given, and
-/// the unit that the name of t states; `None` where one of them is missing.
+/// Returns the offsets and types of t, x, y and p in a compound, found by their usual names or those given, and the
+/// unit that the name of t states; `None` if one of them is missing.
 pub fn fields(
     datatype: &Datatype,
     given: Option<&[String; 4]>,
@@ -418,7 +419,7 @@ pub fn fields(
     Some(([t?, x?, y?, p?], found.unit))
 }
 
-/// A number of a dataset, of whatever type it is there.
+/// A number of a dataset, of any type.
 #[derive(Clone)]
 struct Cell(Option<Number>);
 
@@ -454,7 +455,7 @@ impl H5Type for Cell {
     }
 }
 
-/// A record of a dataset: t, x, y and p of a compound.
+/// A record of a dataset of compounds: its t, x, y and p.
 #[derive(Clone)]
 struct Record(Row);
 
@@ -504,7 +505,7 @@ impl H5Type for Record {
     }
 }
 
-/// A record as its bytes, whose fields are named by the caller.
+/// A record as bytes, for compounds whose fields the caller names.
 #[derive(Clone)]
 struct Bytes(Vec<u8>);
 
@@ -534,7 +535,7 @@ fn rows(start: u64, count: u64) -> SliceInfoElem {
     }
 }
 
-/// `count` numbers of a dataset of one dimension, whose other dimensions may be of length 1.
+/// Reads `count` numbers from row `start` on of a column: a dataset with at most one side that is not 1.
 pub fn read_column(
     dataset: &Dataset,
     start: u64,
@@ -558,7 +559,8 @@ pub fn read_column(
     Ok(cells.into_iter().map(|Cell(number)| number).collect())
 }
 
-/// `count` rows of a dataset of shape (N, columns) or, turned, (columns, N): the columns at `order`.
+/// Reads `count` rows from row `start` on of a dataset of shape (N, columns) or, if turned, (columns, N): the
+/// columns at `order`.
 pub fn read_table(
     dataset: &Dataset,
     start: u64,
@@ -582,7 +584,8 @@ pub fn read_table(
     Ok((0..found).map(row).collect())
 }
 
-/// t, x, y, p of `count` records of a dataset of compounds, whose fields may have been named by the caller.
+/// Reads t, x, y and p of `count` records from row `start` on of a dataset of compounds; the caller may have named
+/// the fields.
 pub fn read_records(
     dataset: &Dataset,
     start: u64,
@@ -601,7 +604,7 @@ pub fn read_records(
         .collect())
 }
 
-/// `count` elements of a dataset of one dimension.
+/// Reads `count` elements from row `start` on of a one-dimensional dataset.
 pub fn read_rows<T: H5Type>(dataset: &Dataset, start: u64, count: u64) -> Result<Vec<T>, Error> {
     let selections = vec![rows(start, count)];
     let side = chunk_rows(dataset).unwrap_or(0);
@@ -613,7 +616,7 @@ pub fn read_rows<T: H5Type>(dataset: &Dataset, start: u64, count: u64) -> Result
     Ok(array.into_raw_vec_and_offset().0)
 }
 
-/// Rows of a chunk, of a dataset that has chunks.
+/// Returns the number of rows in a chunk; `None` if the dataset is not chunked.
 pub fn chunk_rows(dataset: &Dataset) -> Option<u64> {
     dataset.chunks()?.first().copied().map(u64::from)
 }

@@ -1,12 +1,12 @@
-//! What unpacks chunks of HDF5 files, beside the filters that the library itself has: the registered
-//! numbers are those of HDF5's list of plugins.
+//! Registers the functions that unpack chunks of HDF5 files, in addition to the library's own filters. The filters'
+//! numbers are those of HDF5's list of registered plugins.
 
 use hdf5_reader::{FilterRegistry, error::Error};
 
 use super::{bitshuffle, blosc, blosc2, copies, ecf};
 use crate::unpack;
 
-/// Largest chunk, unpacked: HDF5's library writes some MB at the most unless told otherwise.
+/// Largest unpacked size of a chunk; HDF5's library writes at most a few MB unless configured otherwise.
 pub const CHUNK_BYTES: usize = 64 << 20;
 
 const LZF: u16 = 32000;
@@ -17,17 +17,17 @@ const ZSTANDARD: u16 = 32015;
 const BLOSC2: u16 = 32026;
 pub const ECF: u16 = 36559;
 
-/// Names of filters that compress and are not read: the filter's number, what it is called.
+/// Compression filters that are not supported: number and name.
 const NOT_READ: [(&str, &str); 3] = [("307", "bzip2"), ("32013", "ZFP"), ("32022", "SZ3")];
 
-/// What the user can do about a filter that is not read.
+/// Returns what the user can do about a filter that is not supported.
 pub fn advice(what: &str) -> String {
     let known = NOT_READ.iter().find(|(number, _)| what.ends_with(number));
     let called = known.map_or(String::new(), |(_, name)| format!(" ({name})"));
     format!("{called}: rewrite it with gzip: h5repack -f GZIP=4 IN OUT")
 }
 
-/// Every filter that is read.
+/// Returns the registry of all supported filters.
 pub fn registry() -> FilterRegistry {
     let mut registry = FilterRegistry::new();
     let mut add = |number, name: &'static str, unpack: fn(&[u8]) -> Result<Vec<u8>, String>| {
@@ -61,8 +61,8 @@ fn damaged(unpacked: Option<Vec<u8>>) -> Result<Vec<u8>, String> {
     unpacked.ok_or_else(|| "damaged data".to_owned())
 }
 
-/// HDF5's framing of LZ4, big-endian: u64 bytes unpacked, u32 bytes of a block; for every block u32 bytes
-/// and these, which are stored if they are as many as unpacked.
+/// Unpacks HDF5's framing of LZ4. Its big-endian numbers are the unpacked size in bytes (u64) and the block size in
+/// bytes (u32); each block follows its packed size in bytes (u32) and is stored if that equals its unpacked size.
 fn lz4(bytes: &[u8]) -> Option<Vec<u8>> {
     let (size, rest) = bytes.split_first_chunk()?;
     let (block, mut rest) = rest.split_first_chunk()?;

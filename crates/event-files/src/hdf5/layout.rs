@@ -1,4 +1,4 @@
-//! Where the events are in an HDF5 file: the layouts of the data sets that are published so.
+//! Finds the events in an HDF5 file by the layouts of published data sets.
 
 use event_types::stream::{Context, ErrorKind, Result};
 use event_types::{Sensor, bail, error};
@@ -16,7 +16,7 @@ use crate::table::row_events::{Base, Extent, RowEvents, Scale, Times};
 use crate::table::time_unit::SAMPLE_TIMES;
 use crate::{Assumption, BATCH_EVENTS};
 
-/// Where events are looked for, in this order: tables and compounds, or groups of columns.
+/// Places where events are looked for, in this order: tables and compounds, or groups of columns.
 const PLACES: [&str; 8] = [
     "TD",
     "davis/left/events",
@@ -32,52 +32,53 @@ const PLACES: [&str; 8] = [
 const MVSEC: &str = "davis/";
 const MVSEC_ORDER: [usize; 4] = [2, 0, 1, 3];
 
-/// Where DDD17 and DDD20 have their packets.
+/// Place of DDD17's and DDD20's packets.
 const DDD: &str = "dvs/data";
 
-/// MVSEC's cameras, mDAVIS-346B: the files do not tell.
+/// Sensor of MVSEC's cameras, mDAVIS-346B, which the files do not state.
 const MVSEC_SENSOR: Sensor = Sensor {
     width: 346,
     height: 260,
 };
 
-/// Most bytes of a dataset for a byte of the file: deflate packs no more than 1,032 into one.
+/// Largest number of dataset bytes for each byte of the file: deflate expands by at most 1,032.
 const EXPANSION_MAX: u64 = 1100;
 
-/// The datasets of the events.
+/// The datasets that hold the events.
 enum Source {
-    /// t, x, y, p, a dataset each.
+    /// t, x, y and p, each in a dataset of its own.
     Columns(Box<[Dataset; 4]>),
-    /// Shape (N, columns), or turned; the columns that hold t, x, y, p.
+    /// A table of shape (N, columns), or turned: its number of columns and whether it is turned, and the columns
+    /// that hold t, x, y and p.
     Table(Box<Dataset>, (usize, bool), [usize; 4]),
-    /// Compounds with fields of these names, or of those that the caller gave.
+    /// Compounds with fields of the usual names, or of those that the caller gave.
     Records(Box<Dataset>, Option<Box<[String; 4]>>),
-    /// snnTorch's times, and x, y, p of shape (N, 3).
+    /// snnTorch's layout: the times, and x, y, p of shape (N, 3).
     Addresses(Box<[Dataset; 2]>),
 }
 
-/// Where the numbers of the events are.
+/// The place and the meaning of the events' numbers.
 pub struct Plan {
     source: Source,
     /// Number of events.
     pub events: u64,
-    /// Where they are.
+    /// The dataset or group that holds them.
     pub place: String,
-    /// What the times are.
+    /// Unit, type and offset of the times.
     pub times: Times,
-    /// How the columns were found, where that may be wrong.
+    /// How the columns were found, if that may be wrong.
     pub assumption: Option<Assumption>,
-    /// DSEC's `ms_to_idx`: the first event of every millisecond after the offset.
+    /// DSEC's `ms_to_idx`: for each millisecond after the offset, the index of the first event at or after it.
     milliseconds: Option<Box<Dataset>>,
-    /// Size that the data set's cameras have.
+    /// Sensor of the data set's cameras, if known.
     pub sensor: Option<Sensor>,
     /// Number of datasets that are read.
     pub used: usize,
 }
 
 impl Plan {
-    /// Finds the events: at `place` if the user named one, else at the first of [`PLACES`] where
-    /// there are some; `size` helps to tell the columns of a table apart.
+    /// Finds the events: at `place` if the user named one, otherwise at the first of [`PLACES`] that holds events;
+    /// `reading.size` helps to tell the columns of a table apart.
     pub fn find(file: &Hdf5, place: Option<&str>, reading: &Reading) -> Result<Self> {
         if let Some(place) = place {
             let plan = match Self::at(file, place, reading)? {
@@ -111,7 +112,7 @@ impl Plan {
         )
     }
 
-    /// The events at `place`, if there are some.
+    /// Returns the events at `place`; `None` if there are none.
     fn at(file: &Hdf5, place: &str, reading: &Reading) -> Result<Option<Self>> {
         let dataset = if place.is_empty() {
             None
@@ -159,7 +160,7 @@ impl Plan {
         Ok(Some(plan))
     }
 
-    /// A table or compounds.
+    /// Finds the events of a dataset that is a table or holds compounds.
     fn whole(file: &Hdf5, place: &str, dataset: Dataset, reading: &Reading) -> Result<Found> {
         let given = given_names(reading);
         if let Datatype::Compound { .. } = dataset.dtype() {
@@ -185,7 +186,7 @@ impl Plan {
             Some(Columns::Places { columns, .. }) => *columns,
             _ => 4,
         };
-        // MATLAB's matrices lie turned, and may be square.
+        // MATLAB's matrices are transposed in the file; one of 4 x 4 is too.
         let turned = |[a, b]: [u64; 2]| {
             let wanted = wanted as u64;
             if a == wanted && (b != wanted || file.is_matlab()) {
@@ -234,7 +235,7 @@ impl Plan {
         Ok(table(dataset, order, taken))
     }
 
-    /// Refuses a dataset that the file is too short for: one without data stands for zeros.
+    /// Returns an error if the file is too short for a dataset: one without data would be read as zeros.
     fn check_size(&self, file: &Hdf5) -> Result<()> {
         let most = file.length().saturating_mul(EXPANSION_MAX);
         for dataset in self.datasets() {
@@ -250,7 +251,7 @@ impl Plan {
         Ok(())
     }
 
-    /// What is read, t first where there are several.
+    /// Returns the datasets that are read, t first if there are several.
     fn datasets(&self) -> &[Dataset] {
         match &self.source {
             Source::Columns(columns) => columns.as_slice(),
@@ -261,13 +262,13 @@ impl Plan {
         }
     }
 
-    /// The dataset that holds t, x, y or p, for messages.
+    /// Returns the dataset that holds t, x, y or p, for messages.
     pub fn dataset(&self, which: usize) -> Option<&Dataset> {
         let all = self.datasets();
         all.get(which).or(all.first())
     }
 
-    /// Prophesee's compounds, if the events are such.
+    /// Returns the dataset if the events are Prophesee's compounds.
     pub fn compounds(&self) -> Option<&Dataset> {
         match &self.source {
             Source::Records(dataset, given)
@@ -279,7 +280,7 @@ impl Plan {
         }
     }
 
-    /// The type of the times.
+    /// Returns the type of the times.
     fn time_type(&self) -> Option<Dtype> {
         match &self.source {
             Source::Records(dataset, given) => {
@@ -291,7 +292,7 @@ impl Plan {
         }
     }
 
-    /// The unit that an attribute states: of the times, of the events' dataset or group, of the root.
+    /// Returns the unit that an attribute states: of the times, of the events' dataset or group, or of the root.
     fn stated_unit(&self, file: &Hdf5) -> Option<TimeUnit> {
         let mut paths = Vec::new();
         if let (Source::Columns(_) | Source::Addresses(_), Some(t)) =
@@ -307,10 +308,11 @@ impl Plan {
         file.stated_unit(&paths)
     }
 
-    /// The first rows; of compounds that are `packed`, from the chunk that is read next anyway.
+    /// Returns the first rows, or those before the first damage; for compounds in `packed`, from the chunk that is
+    /// read next anyway.
     ///
     /// # Errors
-    /// The first of them is damaged.
+    /// The first row is damaged.
     pub fn sample(&self, file: &Hdf5, packed: Option<&mut Packed>) -> Result<Vec<Row>> {
         let count = self.events.min(SAMPLE_TIMES as u64);
         if let Some(packed) = packed
@@ -322,7 +324,7 @@ impl Plan {
             .map_err(|error| self.error(file, 0, &error))
     }
 
-    /// DSEC's `t_offset`, in us, of integer times in columns.
+    /// Adds DSEC's `t_offset`, in us, and index, if the times are integers in a column.
     fn add_offset(&mut self, file: &Hdf5) -> Result<()> {
         let (Source::Columns(_), false) = (&self.source, self.times.is_float) else {
             return Ok(());
@@ -347,7 +349,7 @@ impl Plan {
         Ok(())
     }
 
-    /// Rows of `count` events.
+    /// Reads the rows of `count` events from event `start` on.
     pub fn read(&self, start: u64, count: u64) -> Result<Vec<Row>, Error> {
         match &self.source {
             Source::Columns(columns) => {
@@ -373,17 +375,18 @@ impl Plan {
         }
     }
 
-    /// As [`Plan::read`], fewer rows where the rest is damaged.
+    /// Reads rows like [`Plan::read`], but fewer if the rest is damaged.
     pub fn read_whole(&self, start: u64, count: u64) -> Result<Vec<Row>, Error> {
         before_damage(count, |count| self.read(start, count))
     }
 
-    /// The first event of `t_us` or later, or one that is not long before it, if the times ascend.
+    /// Returns the index of the first event at or after `t_us`, or of one shortly before it, provided that times
+    /// ascend.
     ///
-    /// `None` where times wrap, which bisecting them does not see.
+    /// Returns `None` if times wrap, since bisection would not notice that.
     pub fn find_time(&self, t_us: u64, rows: &RowEvents) -> Result<Option<u64>, Error> {
         if let Some(event) = self.indexed(t_us) {
-            // The index is believed where the event before it is earlier indeed.
+            // The index is trusted only if the event before is indeed earlier.
             if event == 0
                 || self
                     .time(event - 1, rows)?
@@ -407,7 +410,7 @@ impl Plan {
         Ok(Some(first))
     }
 
-    /// Whether the last time is before the first.
+    /// Returns whether the last time is before the first.
     fn has_wrapped(&self) -> Result<bool, Error> {
         let time = |event| -> Result<Option<f64>, Error> {
             let row = self.read(event, 1)?.first().and_then(|row| row[T]);
@@ -420,7 +423,7 @@ impl Plan {
         Ok(last < first)
     }
 
-    /// The event that `ms_to_idx` names.
+    /// Returns the index of the event that `ms_to_idx` states for this time.
     fn indexed(&self, t_us: u64) -> Option<u64> {
         let index = self.milliseconds.as_ref()?;
         let offset_us = u64::try_from(self.times.offset_us).unwrap_or(0);
@@ -430,7 +433,7 @@ impl Plan {
         (event <= self.events).then_some(event)
     }
 
-    /// Time of an event, in us; `None` where it is none.
+    /// Returns the time of an event in us; `None` if it has no valid time.
     fn time(&self, event: u64, rows: &RowEvents) -> Result<Option<u64>, Error> {
         let time = match &self.source {
             Source::Columns(columns) => {
@@ -442,7 +445,7 @@ impl Plan {
         Ok(rows.t_us(time))
     }
 
-    /// x and y of `count` events.
+    /// Reads x and y of `count` events from event `start` on.
     fn read_pixels(&self, start: u64, count: u64) -> Result<Vec<[Option<Number>; 2]>, Error> {
         if let Source::Columns(columns) = &self.source {
             let [_, x, y, _] = columns.as_ref();
@@ -453,7 +456,7 @@ impl Plan {
         Ok(rows.iter().map(|row| [row[X], row[Y]]).collect())
     }
 
-    /// Size that holds every event before the first that is damaged.
+    /// Returns the smallest sensor that holds every event before the first damage.
     pub fn largest(&self, file: &Hdf5, reading: &Reading, base: Base) -> Result<Sensor> {
         let mut extent = Extent::new(reading);
         let mut start = 0;
@@ -461,7 +464,7 @@ impl Plan {
             let count = (self.events - start).min(BATCH_EVENTS as u64);
             let pixels = match self.read_pixels(start, count) {
                 Ok(pixels) => pixels,
-                // Damage further on is for the reader, which returns the events before it.
+                // The reader reports later damage, after it has returned the events before it.
                 Err(_) if start > 0 => break,
                 Err(error) => return Err(self.error(file, start, &error)),
             };
@@ -476,13 +479,13 @@ impl Plan {
         extent.sensor(file.name())
     }
 
-    /// What MATLAB's files count from.
+    /// Returns the numbers from which MATLAB's files count pixels and polarities; 0 for all other files.
     pub fn base(&self, file: &Hdf5, reading: &Reading, stated: Option<Sensor>) -> Result<Base> {
         let mut range = Range::default();
         let mut start = 0;
         while file.is_matlab() && start < self.events {
             let count = (self.events - start).min(BATCH_EVENTS as u64);
-            // Damage is for the reader.
+            // The reader reports damage.
             let Ok(rows) = self.read(start, count) else {
                 break;
             };
@@ -494,7 +497,7 @@ impl Plan {
         Ok(range.base(stated, false))
     }
 
-    /// Error of reading event number `event`.
+    /// Returns an error of reading event number `event`.
     pub fn error(&self, file: &Hdf5, event: u64, error: &Error) -> event_types::stream::Error {
         let what = format!("event {event}: {}", plain(error));
         match self.dataset(P).or(self.dataset(T)) {
@@ -504,14 +507,15 @@ impl Plan {
     }
 }
 
-/// DSEC's index of milliseconds, if there is one: what else has its name does not matter.
+/// Returns DSEC's index of milliseconds; anything else with its name is ignored.
 fn index(file: &Hdf5) -> Option<Box<Dataset>> {
     let index = file.dataset("ms_to_idx").ok().flatten()?;
     let is_one = index.shape().len() == 1 && number_type(index.dtype()).is_some();
     is_one.then(|| Box::new(index))
 }
 
-/// What `read` gives for `count` rows, or for fewer: the rows before a damaged chunk are whole.
+/// Returns what `read` yields for `count` rows or, if that fails, for half as many, and so on, since the rows
+/// before a damaged chunk are intact.
 fn before_damage<T>(
     mut count: u64,
     read: impl Fn(u64) -> Result<Vec<T>, Error>,
@@ -524,20 +528,20 @@ fn before_damage<T>(
     }
 }
 
-/// Length of a dataset of one dimension, or of the only one that is not 1.
+/// Returns the length of a dataset along its only dimension that is not 1.
 fn count(dataset: &Dataset) -> u64 {
     let shape = dataset.shape();
     let long = shape.iter().find(|side| **side != 1);
     long.or(shape.first()).copied().unwrap_or(0)
 }
 
-/// Whether all sides but one are 1.
+/// Returns whether all sides but at most one are 1.
 fn is_column(dataset: &Dataset) -> bool {
     let long = dataset.shape().iter().filter(|side| **side != 1);
     !dataset.shape().is_empty() && long.count() <= 1
 }
 
-/// The number less what is counted from.
+/// Returns the number less `base`, the number from which it is counted.
 fn less(number: Option<Number>, base: i64) -> Option<Number> {
     match number? {
         Number::Whole(value) => Some(Number::Whole(value.saturating_sub(base))),
@@ -545,7 +549,7 @@ fn less(number: Option<Number>, base: i64) -> Option<Number> {
     }
 }
 
-/// Events that were found.
+/// The events that were found.
 struct Found {
     source: Source,
     /// The unit that the name of the times states.
@@ -553,7 +557,7 @@ struct Found {
     assumption: Option<Assumption>,
 }
 
-/// snnTorch's columns of the group at `place`, if both are there.
+/// Finds snnTorch's columns in the group at `place`; `None` if one is missing.
 fn addresses(file: &Hdf5, place: &str) -> Result<Option<Found>> {
     let (_, names) = file.members(place);
     let has = |name: &str| names.iter().any(|other| other == name);
@@ -586,7 +590,7 @@ fn addresses(file: &Hdf5, place: &str) -> Result<Option<Found>> {
     }))
 }
 
-/// The columns t, x, y, p of the group at `place`, if all are there.
+/// Finds the columns t, x, y, p in the group at `place`; `None` if one is missing.
 fn columns(file: &Hdf5, place: &str, reading: &Reading) -> Result<Option<Found>> {
     let (_, names) = file.members(place);
     let given = given_names(reading);

@@ -1,31 +1,30 @@
-//! Events in HDF5 files (`.h5`, `.hdf5`), as data sets of event cameras are published.
+//! Reads events from HDF5 files (`.h5`, `.hdf5`) in the layouts of published data sets, and writes DSEC's.
 //!
-//! * MVSEC: `davis/left/events`, of shape (N, 4), columns x, y, t in seconds, p = 1 or -1; the
-//!   sensor is 346 x 260.
-//! * DSEC: `events/x`, `y`, `t` in us, `p`; `t_offset`, where it is there, is added to every time, and
-//!   `ms_to_idx`, the first event of every millisecond after it, tells where to go on. Without such an
-//!   index, times are taken to ascend and are bisected.
-//! * Prophesee: compounds x, y, p, t in us at `CD/events`; their triggers are not read.
-//! * Columns of these or longer names (xs, ts, timestamp, polarity, ...) in the root, `events`,
-//!   `CD/events`, `prophesee/left` or `davis/left/events`; compounds with such fields, or a table of
-//!   shape (N, 4), in `events`. EHPT-XC's layout is not published: docs/datasets.md says what is known.
-//! * Any other place, and a second camera, is named behind the file's name, as h5ls does:
+//! * MVSEC: `davis/left/events`, of shape (N, 4), columns x, y, t in seconds, p = 1 or -1; the sensor is 346 x 260.
+//! * DSEC: `events/x`, `y`, `t` in us, `p`. `t_offset`, if present, is added to every time. Seeking uses
+//!   `ms_to_idx`, the index of the first event of every millisecond after the offset. Without such an index, times
+//!   are assumed to ascend and are bisected.
+//! * Prophesee: compounds x, y, p, t in us at `CD/events`; the triggers are not read.
+//! * Columns with these or longer names (xs, ts, timestamp, polarity, ...) in the root, `events`, `CD/events`,
+//!   `prophesee/left` or `davis/left/events`; compounds with these fields, or a table of shape (N, 4), in `events`.
+//!   EHPT-XC's layout is not published: docs/datasets.md says what is known.
+//! * The path of any other place, or of a second camera, is appended to the file's name, as for h5ls:
 //!   `indoor_flying1_data.hdf5/davis/right/events`.
-//!
-//! * MATLAB's files of `-v7.3`: a structure `TD`, or vectors, of 1 x N or N x 1, which count as MATLAB's other
-//!   files do (see [`crate::mat`]); a matrix of N rows is 4 x N here.
-//! * snnTorch: a group with `times` and `addrs` of shape (N, 3), columns x, y, p, named behind the file.
-//! * DDD17's and DDD20's `dvs/data`, raw packets of cAER, are named in the error.
+//! * MATLAB's `-v7.3` files: a structure `TD`, or vectors, of 1 x N or N x 1; pixels and polarities are counted as
+//!   in MATLAB's other files (see [`crate::mat`]). A matrix of N rows is 4 x N here.
+//! * snnTorch: a group with `times` and `addrs` of shape (N, 3), columns x, y, p; its path is appended to the
+//!   file's name.
+//! * DDD17's and DDD20's `dvs/data`, raw packets of cAER, are not read; the error names them.
 //!
 //! Types, the unit of times and polarities are as in npz files; an attribute `units` of the times, their group or
-//! the root states the unit. The sensor's size is that of `width` and `height`, `sensor_resolution`, Prophesee's
-//! `geometry` and the like, among the root's or the events' attributes or beside the events; else the caller's; else that of the data
-//! set's cameras; else the largest x and y plus one. Datasets may be contiguous or in chunks, packed by
-//! gzip, Blosc, Blosc 2, bitshuffle, LZF, LZ4 or Zstandard, with or without shuffle, or by Prophesee's ECF; other
-//! filters are named in the error. The reader holds one batch, some chunks, pieces of the file's structures, and
-//! where the chunks of ECF are. It does not follow links to other files.
+//! the root states the unit. The sensor's size is, in this order: what `width` and `height`, `sensor_resolution`,
+//! Prophesee's `geometry` and the like state, as attributes of the root or the events or as datasets beside the
+//! events; the caller's; that of the data set's cameras; the largest x and y plus one.
 //!
-//! Files are written in DSEC's layout.
+//! Datasets may be contiguous or chunked, packed by gzip, Blosc, Blosc 2, bitshuffle, LZF, LZ4 or Zstandard, with
+//! or without shuffle, or by Prophesee's ECF; the error names any other filter. The reader holds one batch, some
+//! chunks, blocks of the file's structures, and the places of all ECF chunks. It does not follow links to other
+//! files.
 
 mod bitshuffle;
 mod blosc;
@@ -73,12 +72,12 @@ pub const FORMAT: Format = Format {
     is_table: true,
     grows: false,
     streams: false,
-    // And 38 hours from the first event to the last, which no limit of a single event tells.
+    // The writer's limit of 38 hours from the first event to the last is not one of single events.
     limits: Limits::NONE,
     create: Some(|path, sensor| Ok(Box::new(Hdf5Writer::create(path, sensor)?))),
 };
 
-/// Whether a file begins with HDF5's signature, behind a user block if there is one.
+/// Returns whether a file begins with HDF5's signature, possibly after a user block.
 fn is_hdf5(start: &Start) -> bool {
     [0, 512, 1024, 2048].iter().any(|at| {
         let rest = start.bytes.get(*at..);
@@ -86,16 +85,17 @@ fn is_hdf5(start: &Start) -> bool {
     })
 }
 
-/// Reader of HDF5 files.
+/// A reader of HDF5 files.
 pub type Hdf5Reader = Reader<Hdf5Decoder>;
 
 impl Hdf5Reader {
-    /// Reads `source`, which messages call `name`; `place` is the dataset or group of the events, if
-    /// not one that is known; `reading` says what the file does not: its size counts before what the data set's
-    /// cameras have.
+    /// Reads `source`, which messages call `name`. `place` is the dataset or group of the events; `None` looks at
+    /// the known places. `reading` states what the file does not; its size takes precedence over that of the data
+    /// set's cameras.
     ///
     /// # Errors
-    /// No HDF5 file, no events of a known layout, no size and no event.
+    /// The file is not HDF5 or is damaged; it has no events of a known layout; the columns, the unit or the size
+    /// cannot be determined.
     pub fn new(
         source: Box<dyn ReadSeek>,
         name: &str,
@@ -140,28 +140,28 @@ impl Hdf5Reader {
     }
 }
 
-/// State between two batches.
+/// The decoder of [`Hdf5Reader`]: its state between two batches.
 pub struct Hdf5Decoder {
     file: Hdf5,
     plan: Plan,
     rows: RowEvents,
-    /// Nothing is to be corrected: records may be taken as they stand.
+    /// Whether the caller corrects nothing, so that records may be taken unchanged.
     is_plain: bool,
-    /// Compounds packed by ECF, if the events are such.
+    /// The compounds packed by ECF, if the events are stored so.
     packed: Option<Packed>,
     events: u64,
 }
 
 impl Hdf5Decoder {
-    /// Appends events of Prophesee's compounds, up to the batch's end or the first piece that is not so
-    /// plain.
+    /// Appends events of Prophesee's compounds, up to the end of the batch or the first part that needs the general
+    /// path.
     fn decode_compounds(&mut self, batch: &mut Batch<'_>) {
         let Some(dataset) = self.plan.compounds().filter(|_| self.is_plain) else {
             return;
         };
         let chunk = file::chunk_rows(dataset).unwrap_or(BATCH_EVENTS as u64);
         while batch.room() > 0 && self.events < self.plan.events {
-            // A chunk at a time, which is still in the processor's cache when it is looked at.
+            // One chunk at a time, so that it is still in the processor's cache when its events are checked.
             let to_end = chunk - self.events.checked_rem(chunk).unwrap_or(0);
             let count = (self.plan.events - self.events)
                 .min(batch.room() as u64)
@@ -208,7 +208,7 @@ impl Decode for Hdf5Decoder {
     }
 
     fn seek(&mut self, t_us: u64) -> Result<bool> {
-        // Where a probe meets damage, reading on does too, and tells where.
+        // If a probe meets damage, so does reading on, which then reports its place.
         let Ok(Some(event)) = self.plan.find_time(t_us, &self.rows) else {
             return Ok(false);
         };
@@ -230,7 +230,7 @@ impl Decode for Hdf5Decoder {
                 }
                 self.events += 1;
             }
-            // None of a batch may have been an event.
+            // All rows of a batch may have been left out.
             if !batch.is_empty() || rows.is_empty() {
                 return Ok(());
             }

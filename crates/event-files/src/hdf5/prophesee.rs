@@ -1,5 +1,5 @@
-//! Events in Prophesee's compounds: x and y (u16), p (i16), two bytes that mean nothing, t (i64, us), all
-//! little-endian, which are taken as they stand, without a number of any type between.
+//! Reads events straight from the bytes of Prophesee's compounds, without converting each number by its type: x and
+//! y (u16), p (i16), two unused bytes, t (i64, us), all little-endian.
 
 use event_types::{Event, Polarity, Sensor};
 use hdf5_reader::{ByteOrder, Dataset, Datatype, H5Type, error::Error};
@@ -12,7 +12,7 @@ use crate::input::Batch;
 use crate::numpy::npy_header::Number;
 use crate::table::event_numbers::Row;
 
-/// A compound as it stands in the file.
+/// A compound as stored in the file.
 #[derive(Clone)]
 struct Record([u8; RECORD_BYTES]);
 
@@ -71,7 +71,7 @@ impl H5Type for Record {
     }
 }
 
-/// Whether compounds are Prophesee's.
+/// Returns whether compounds of this type are Prophesee's.
 pub fn is_known(datatype: &Datatype) -> bool {
     let Datatype::Compound { size, fields } = datatype else {
         return false;
@@ -95,18 +95,18 @@ pub fn is_known(datatype: &Datatype) -> bool {
     u64::from(*size) == RECORD_BYTES as u64 && places.into_iter().all(is_all)
 }
 
-/// Compounds packed by ECF, and the chunk of them that is being read: its columns, of which the library would make
-/// records in memory of their own for every chunk.
+/// Compounds packed by ECF, with the columns of the current chunk. The columns are used directly, whereas the
+/// library would unpack every chunk to records in newly allocated memory.
 pub struct Packed {
     chunks: Chunks,
     bytes: Vec<u8>,
     columns: Columns,
-    /// The first row of the chunk that was read last, and the number of its events: none where it is damaged.
+    /// The first row of the chunk read last, and its number of events, or `None` if it is damaged.
     held: Option<(u64, Option<usize>)>,
 }
 
 impl Packed {
-    /// The compounds of a dataset, if they are packed so.
+    /// Returns the compounds of a dataset, if ECF packs them.
     pub fn find(file: &Hdf5, dataset: &Dataset) -> Option<Self> {
         Some(Self {
             chunks: file.chunks(dataset, filters::ECF)?,
@@ -116,7 +116,7 @@ impl Packed {
         })
     }
 
-    /// Reads the chunk that begins at row `first`, unless it is held already; the number of its events.
+    /// Reads the chunk that begins at row `first`, unless it is the current one, and returns its number of events.
     fn hold(&mut self, first: u64) -> Option<usize> {
         if let Some((held, events)) = self.held
             && held == first
@@ -129,7 +129,7 @@ impl Packed {
         events
     }
 
-    /// t, x, y and p of the first `count` events, if they are of one chunk that is not damaged.
+    /// Returns t, x, y and p of the first `count` events, if the first chunk holds them all and is not damaged.
     pub fn first_rows(&mut self, count: usize) -> Option<Vec<Row>> {
         let events = self.hold(0)?;
         if count > events {
@@ -146,8 +146,8 @@ impl Packed {
         )
     }
 
-    /// Appends the `count` events from row `start` on, of the chunk that begins at row `first`, to `batch`;
-    /// `false` where they are not all there and on the sensor.
+    /// Appends the `count` events from row `start` on, all in the chunk that begins at row `first`, to `batch`.
+    /// Returns `false` and appends none if one of them is missing or outside the sensor.
     pub fn read(
         &mut self,
         (first, start, count): (u64, u64, usize),
@@ -167,8 +167,8 @@ impl Packed {
     }
 }
 
-/// Appends the events of `count` compounds from `start` on to `batch`; `false` where they are not all
-/// events on the sensor, which whoever reads them one number after the other can tell more about.
+/// Appends the events of `count` compounds from `start` on to `batch`. Returns `false` and appends none if one of
+/// them is not an event on the sensor; reading them number by number then shows the cause.
 pub fn read(
     dataset: &Dataset,
     start: u64,

@@ -1,10 +1,11 @@
-//! Bytes and bits of elements put together again that stand in a plane for each, as Blosc and bitshuffle have
-//! them.
+//! Undoes the byte and bit shuffles of Blosc and bitshuffle, which store each byte or bit of the elements in a
+//! plane of its own.
 
-/// Elements whose bits are in one byte of a plane.
+/// Number of elements whose bits share one byte of a plane.
 const EIGHT: usize = 8;
 
-/// Puts the bytes of elements together: plane 0 has the first byte of each, and so on; what is left stays behind.
+/// Undoes a byte shuffle: plane k holds byte k of each element. Bytes after the last whole element are copied as
+/// they are. `out` must be as long as `shuffled`.
 pub fn unshuffle_bytes(shuffled: &[u8], element: usize, out: &mut [u8]) {
     let count = shuffled.len().checked_div(element).unwrap_or(0);
     out.copy_from_slice(shuffled);
@@ -22,8 +23,9 @@ pub fn unshuffle_bytes(shuffled: &[u8], element: usize, out: &mut [u8]) {
     }
 }
 
-/// As [`unshuffle_bytes`] for bits: a plane for bit 0 of byte 0, for bit 1 and so on; the bits of elements 0 to 7
-/// are in its first byte, the lowest first. Elements beyond the last eight stay behind as they are.
+/// Undoes a bit shuffle: like [`unshuffle_bytes`], with a plane for bit 0 of byte 0, one for bit 1, and so on. The
+/// first byte of a plane holds the bits of elements 0 to 7, the lowest first. Elements after the last group of
+/// eight are copied as they are.
 pub fn unshuffle_bits(shuffled: &[u8], element: usize, out: &mut [u8]) {
     let count = shuffled.len().checked_div(element).unwrap_or(0) / EIGHT * EIGHT;
     out.copy_from_slice(shuffled);
@@ -50,7 +52,8 @@ pub fn unshuffle_bits(shuffled: &[u8], element: usize, out: &mut [u8]) {
     }
 }
 
-/// Bit i of byte j where bit j of byte i was: squares of 1, 2 and 4 bits change places across the diagonal.
+/// Transposes an 8 x 8 bit matrix: bit i of byte j becomes bit j of byte i. Squares of 1, 2 and 4 bits are swapped
+/// across the diagonal.
 fn turned(bytes: [u8; EIGHT]) -> [u8; EIGHT] {
     let mut all = u64::from_le_bytes(bytes);
     for (mask, shift) in [

@@ -1,6 +1,6 @@
-//! The few structures that an HDF5 file of columns has: superblock and object headers of versions 0 and 1,
-//! symbol tables, B-trees of version 1, which every release of HDF5's library reads (HDF5 File Format
-//! Specification, version 3). Columns grow by chunks, so that they can be written side by side.
+//! Writes the few structures of an HDF5 file of columns: superblock version 0, object headers version 1, symbol
+//! tables, and version 1 B-trees, which every release of HDF5's library reads (HDF5 File Format Specification,
+//! version 3). Columns grow by chunks, so that several can be written side by side.
 
 use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
@@ -10,26 +10,27 @@ use flate2::write::ZlibEncoder;
 
 use super::file::MAGIC;
 
-/// An address that leads nowhere.
+/// Address that leads nowhere.
 const UNDEFINED: u64 = u64::MAX;
 
-/// Bytes of the superblock, with the root's entry.
+/// Size in bytes of the superblock, including the root's entry.
 const SUPERBLOCK_BYTES: usize = 96;
 
-/// Entries of nodes: of a group's tree, of a tree of chunks, where the superblock says nothing else.
+/// Largest numbers of entries in a node of a group's tree, which the superblock states, and in a node of a chunk
+/// tree, where this default holds.
 const GROUP_ENTRIES: usize = 32;
 const CHUNK_ENTRIES: usize = 64;
 
-/// Members of a group, at the most: one node of symbols.
+/// Largest number of members of a group: one node of symbols.
 const MEMBERS_MAX: usize = 8;
 
-/// Rows of a chunk: 512 kB of times, half of what HDF5 keeps of a dataset by default.
+/// Rows of a chunk: 512 kB of times, half of the cache that HDF5 has by default for a dataset.
 const CHUNK_ROWS: usize = 1 << 16;
 
-/// Fast, and close to what h5py's default makes of event columns.
+/// Fast; event columns become about as small as with h5py's default level.
 const DEFLATE_LEVEL: u32 = 3;
 
-/// Kinds of messages in object headers.
+// Kinds of messages in object headers.
 const DATASPACE: u16 = 1;
 const DATATYPE: u16 = 3;
 const FILL_VALUE: u16 = 5;
@@ -38,16 +39,16 @@ const PIPELINE: u16 = 11;
 const ATTRIBUTE: u16 = 12;
 const SYMBOL_TABLE: u16 = 17;
 
-/// Numbers of filters.
+// Numbers of filters.
 const DEFLATE: u16 = 1;
 const SHUFFLE: u16 = 2;
 
-/// Type of a column's numbers, little-endian.
+/// The type of a column's numbers, little-endian.
 #[derive(Debug, Clone, Copy)]
 pub struct Integer {
-    /// 1, 2, 4 or 8.
+    /// Size in bytes: 1, 2, 4 or 8.
     pub bytes: u8,
-    /// Whether there are numbers below 0.
+    /// Whether numbers may be negative.
     pub signed: bool,
 }
 
@@ -55,7 +56,7 @@ impl Integer {
     fn message(self) -> Vec<u8> {
         let mut message = vec![0x10, u8::from(self.signed) << 3, 0, 0];
         message.extend(u32::from(self.bytes).to_le_bytes());
-        // Offset and number of bits.
+        // Bit offset and number of bits.
         message.extend([0, 0, self.bytes * 8, 0]);
         message
     }
@@ -68,7 +69,7 @@ pub struct Growing {
 }
 
 impl Growing {
-    /// Leaves room for the superblock.
+    /// Creates the file with room for the superblock.
     pub fn new(mut file: BufWriter<File>) -> std::io::Result<Self> {
         file.write_all(&[0; SUPERBLOCK_BYTES])?;
         let position = SUPERBLOCK_BYTES as u64;
@@ -86,7 +87,7 @@ impl Growing {
         Ok(address)
     }
 
-    /// An object header of these messages: kind, content.
+    /// Writes an object header with these messages, each a kind and a content; returns its address.
     fn header(&mut self, messages: &[(u16, Vec<u8>)]) -> std::io::Result<u64> {
         let mut body = Vec::new();
         for (kind, message) in messages {
@@ -98,14 +99,14 @@ impl Growing {
         }
         let mut header = vec![1, 0];
         header.extend((messages.len() as u16).to_le_bytes());
-        // One reference to it.
+        // The reference count is 1.
         header.extend([1, body.len() as u32].map(u32::to_le_bytes).concat());
         header.extend([0; 4]);
         header.extend(body);
         self.append(&header)
     }
 
-    /// A group of these members, at most [`MEMBERS_MAX`], with attributes; returns its address.
+    /// Writes a group with these members, at most [`MEMBERS_MAX`], and attributes; returns its address.
     pub fn group(
         &mut self,
         members: &[(&str, u64)],
@@ -128,7 +129,7 @@ impl Growing {
         symbols.resize(8 + 40 * MEMBERS_MAX, 0);
         let names_at = self.append(&names)?;
         let mut heap = b"HEAP\0\0\0\0".to_vec();
-        // 1: the heap has no free place.
+        // The offset of the heap's free list; 1 if there is none.
         let fields = [names.len() as u64, 1, names_at];
         heap.extend(fields.map(u64::to_le_bytes).concat());
         let heap = self.append(&heap)?;
@@ -146,7 +147,7 @@ impl Growing {
         self.header(&messages)
     }
 
-    /// A dataset of one number of 8 bytes; returns its address.
+    /// Writes a dataset of a single i64; returns its address.
     pub fn scalar(&mut self, value: i64) -> std::io::Result<u64> {
         let data = self.append(&value.to_le_bytes())?;
         let mut layout = vec![3, 1];
@@ -159,11 +160,11 @@ impl Growing {
         ])
     }
 
-    /// Writes the superblock, which leads to the group at `root`.
+    /// Writes the superblock, whose root is the group at `root`, and flushes the file.
     pub fn finish(mut self, root: u64) -> std::io::Result<()> {
         let mut bytes = MAGIC.to_vec();
         bytes.extend([0, 0, 0, 0, 0, 8, 8, 0]);
-        // Half of the entries of a node of symbols and of a group's tree.
+        // Half of the largest numbers of entries in a node of symbols and in a node of a group's tree.
         bytes.extend([4, 0, GROUP_ENTRIES as u8 / 2, 0, 0, 0, 0, 0]);
         let end = self.position;
         let fields = [0, UNDEFINED, end, UNDEFINED, 0, root, 0, 0, 0];
@@ -179,10 +180,11 @@ const I64: Integer = Integer {
     signed: true,
 };
 
-/// The dataspace of one number.
+/// Dataspace of a single number.
 const SCALAR: [u8; 8] = [1, 0, 0, 0, 0, 0, 0, 0];
 
-/// Zero; space is had late (2) or by chunks (3).
+/// Returns the message of a fill value of zero; `allocation` is when space is allocated: late (2) or chunk by chunk
+/// (3).
 fn fill_value(allocation: u8) -> Vec<u8> {
     vec![2, allocation, 2, 1, 0, 0, 0, 0]
 }
@@ -200,18 +202,18 @@ fn attribute(name: &str, value: i64) -> Vec<u8> {
     message
 }
 
-/// A dataset of one dimension being written, shuffled and deflated. It holds one chunk, and 12 bytes for
+/// A one-dimensional dataset that is being written, shuffled and deflated. It holds one chunk, and 12 bytes for
 /// every chunk written.
 pub struct Column {
     of: Integer,
     rows: u64,
     pending: Vec<u8>,
-    /// Address and bytes of the chunks.
+    /// Address and stored size in bytes of each chunk.
     chunks: Vec<(u64, u32)>,
 }
 
 impl Column {
-    /// An empty column.
+    /// Creates an empty column.
     pub fn new(of: Integer) -> Self {
         Self {
             of,
@@ -221,7 +223,7 @@ impl Column {
         }
     }
 
-    /// Appends a number: the bytes of its type.
+    /// Appends a number, given as the bytes of its type.
     pub fn push(&mut self, file: &mut Growing, number: &[u8]) -> std::io::Result<()> {
         debug_assert_eq!(number.len(), usize::from(self.of.bytes));
         self.pending.extend_from_slice(number);
@@ -234,7 +236,7 @@ impl Column {
 
     fn write_chunk(&mut self, file: &mut Growing) -> std::io::Result<()> {
         let size = usize::from(self.of.bytes);
-        // Chunks are whole: what is behind the last row is not part of the dataset.
+        // Chunks have full length; rows after the last are not part of the dataset.
         self.pending.resize(CHUNK_ROWS * size, 0);
         let mut encoder = ZlibEncoder::new(Vec::new(), Compression::new(DEFLATE_LEVEL));
         let mut plane = Vec::with_capacity(CHUNK_ROWS);
@@ -250,13 +252,13 @@ impl Column {
         Ok(())
     }
 
-    /// Writes the last chunk, the index and the header; returns the dataset's address.
+    /// Writes the last chunk, the chunk index and the header; returns the dataset's address.
     pub fn finish(mut self, file: &mut Growing) -> std::io::Result<u64> {
         if !self.pending.is_empty() {
             self.write_chunk(file)?;
         }
         let size = u16::from(self.of.bytes);
-        // One dimension without limit.
+        // One dimension of unlimited size.
         let mut space = vec![1, 1, 1, 0, 0, 0, 0, 0];
         space.extend([self.rows, UNDEFINED].map(u64::to_le_bytes).concat());
         let mut layout = vec![3, 2, 2];
@@ -265,7 +267,7 @@ impl Column {
         layout.extend(sides.map(u32::to_le_bytes).concat());
         let mut pipeline = vec![1, 2, 0, 0, 0, 0, 0, 0];
         for (filter, value) in [(SHUFFLE, size), (DEFLATE, DEFLATE_LEVEL as u16)] {
-            // Number, no name, optional, one value and two bytes that make it even.
+            // Number, no name, optional, one value of 32 bits, and 32 bits of padding after an odd number of values.
             let fields = [filter, 0, 1, 1, value, 0, 0, 0];
             pipeline.extend(fields.map(u16::to_le_bytes).concat());
         }
@@ -278,7 +280,7 @@ impl Column {
         ])
     }
 
-    /// The tree of the chunks, its leaves first; returns the root's address.
+    /// Writes the tree of the chunks, leaves first; returns the root's address.
     fn write_tree(&self, file: &mut Growing) -> std::io::Result<u64> {
         let key = |chunk: usize, stored: u32| {
             let row = (chunk * CHUNK_ROWS) as u64;
@@ -294,7 +296,7 @@ impl Column {
         let node_bytes = 24 + CHUNK_ENTRIES * (8 + end.len()) + end.len();
         let mut level = 0;
         loop {
-            // Where the first node will stand; the others of the level stand side by side behind it.
+            // Address of the level's first node; the others follow side by side.
             let first = file.position.next_multiple_of(8);
             let nodes = entries.len().div_ceil(CHUNK_ENTRIES);
             let at = |node: usize| first + (node * node_bytes) as u64;

@@ -1,8 +1,8 @@
-//! Writer of HDF5 files in DSEC's layout: `events/t` (int64, us after `t_offset`), `x`, `y` (uint16), `p`
-//! (uint8, 0 or 1), `t_offset` (int64, us), `ms_to_idx` (uint64: the first event of every millisecond after
-//! the offset or later), and the root's attributes `width` and `height`.
+//! Writes HDF5 files in DSEC's layout: `events/t` (int64, us after `t_offset`), `x`, `y` (uint16), `p` (uint8, 0 or
+//! 1), `t_offset` (int64, us), `ms_to_idx` (uint64: for each millisecond after the offset, the index of the first
+//! event at or after it), and the root's attributes `width` and `height`.
 //!
-//! DSEC has times of 32 bits, which end after 71 minutes; its readers take both. The offset is the first
+//! DSEC's own files have 32-bit times, which end after 71 minutes; its readers accept both. The offset is the first
 //! event's time, so that the index begins with the recording.
 
 use std::path::Path;
@@ -15,10 +15,10 @@ use crate::{EventWriter, create_file};
 
 const MILLISECOND_US: i64 = 1000;
 
-/// Longest recording, some 38 hours: the index has a number for every millisecond.
+/// Longest recording, about 38 hours: the index has an entry for every millisecond.
 const SPAN_MAX_US: i64 = 1 << 37;
 
-/// Writer of HDF5 files. It holds a chunk of every column, 65,536 numbers.
+/// A writer of HDF5 files. It holds one chunk of every column, 65,536 numbers.
 pub struct Hdf5Writer {
     file: Growing,
     name: String,
@@ -28,7 +28,7 @@ pub struct Hdf5Writer {
     y: Column,
     p: Column,
     milliseconds: Column,
-    /// Start of the first millisecond that is not in the index, after the offset.
+    /// Start of the first millisecond after the offset that is not yet in the index.
     next_us: i64,
     /// Time of the first event.
     offset_us: Option<i64>,
@@ -39,7 +39,7 @@ impl Hdf5Writer {
     /// Creates the file.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be created or written.
     pub fn create(path: &Path, sensor: Sensor) -> Result<Self> {
         let (file, name) = create_file(path)?;
         let file = Growing::new(file).with_context(|| format!("{name}: cannot be written"))?;
@@ -59,7 +59,7 @@ impl Hdf5Writer {
         })
     }
 
-    /// The event's time after the offset.
+    /// Returns the event's time after the offset, which is the first event's time.
     fn relative_us(&mut self, t_us: u64) -> Result<i64> {
         let (name, index) = (&self.name, self.events);
         let t = crate::signed_us(name, index, t_us)?;

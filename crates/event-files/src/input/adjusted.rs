@@ -1,18 +1,18 @@
-//! What is done to every format's reader after it was opened, by what the caller asked for.
+//! Applies to an opened reader what the caller asked for, whatever the format.
 //!
-//! Tables (text, arrays, HDF5 and the like) have times before 0, values that are missing, units and columns of
-//! their own, and see to all of it themselves. The times of other formats are unsigned: an offset is added here to
-//! what they give. An option that can have no effect is refused; a size that the file states otherwise is said.
+//! Readers of tables (text, arrays, HDF5 and the like) handle times before 0, missing values, units and columns
+//! themselves. The other formats' times are unsigned; an offset is added to them here. An option that can have no
+//! effect is refused, and a size that the file states differently is reported.
 
 use event_types::stream::Result;
 use event_types::{Event, Sensor, ensure, error};
 
 use crate::{Assumption, BadEvents, EventReader, Format, Pause, Reading, Skipped};
 
-/// What events are counted as that an offset moves out of what a time can be.
+/// Kind under which events are counted whose time an offset moves below 0 or above 2^63 us.
 const BEFORE_ZERO: &str = "events before time 0";
 
-/// Refuses what `reading` asks of a format that it can have no effect on.
+/// Returns an error if `reading` asks something of a format that can have no effect on it.
 pub fn check(format: &Format, name: &str, reading: &Reading) -> Result<()> {
     let is_table = format.is_table;
     ensure!(
@@ -30,7 +30,7 @@ pub fn check(format: &Format, name: &str, reading: &Reading) -> Result<()> {
     Ok(())
 }
 
-/// The reader of a file of `format`, as `reading` asks.
+/// Wraps the reader of a file of `format` as `reading` asks, or returns it as it is if nothing is to be done.
 pub fn adjusted(
     mut reader: Box<dyn EventReader>,
     format: &Format,
@@ -70,16 +70,16 @@ pub fn adjusted(
     }))
 }
 
-/// What a reader took to be so, and one thing more.
+/// A reader's assumptions and at most one more.
 pub struct With {
-    /// Those of the reader behind the added one.
+    /// The added assumption, followed by those of the reader.
     all: Vec<Assumption>,
-    /// How many are added.
+    /// Number of added assumptions, 0 or 1.
     added: usize,
 }
 
 impl With {
-    /// What `reader` took so far, and `added`.
+    /// Collects what `reader` has assumed so far, and `added`.
     pub fn new(reader: &dyn EventReader, added: Option<Assumption>) -> Self {
         let mut with = Self {
             added: usize::from(added.is_some()),
@@ -89,31 +89,31 @@ impl With {
         with
     }
 
-    /// Takes over what the reader found on its way.
+    /// Appends what the reader has assumed since.
     pub fn update(&mut self, reader: &dyn EventReader) {
         let known = self.all.len() - self.added;
         let found = reader.assumptions().iter().skip(known);
         self.all.extend(found.cloned());
     }
 
-    /// All of it.
+    /// Returns all assumptions.
     pub fn all(&self) -> &[Assumption] {
         &self.all
     }
 }
 
-/// A reader whose times are moved, and which says more than the reader itself knows.
+/// A reader that shifts another reader's times and adds to its assumptions.
 struct Adjusted {
     reader: Box<dyn EventReader>,
     name: String,
     assumptions: With,
     offset_us: i64,
     leaves_out: bool,
-    /// Events read, those that were left out included.
+    /// Number of events read, including those that were left out.
     events: u64,
     before_zero: u64,
     skipped: Skipped,
-    /// Held back until the events before it are out.
+    /// An error that is held back until the events before it have been returned.
     failure: Option<event_types::stream::Error>,
 }
 
@@ -123,7 +123,8 @@ impl Adjusted {
         i64::try_from(moved).is_ok().then_some(moved)
     }
 
-    /// Moves the events from `start` on; keeps those before the first that cannot be moved, or all that can.
+    /// Shifts the events from `start` on. Events that cannot be shifted are left out, or else the first of them
+    /// ends the batch with an error.
     fn move_events(&mut self, events: &mut Vec<Event>, start: usize) {
         if self.offset_us == 0 {
             return;

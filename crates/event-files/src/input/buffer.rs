@@ -1,30 +1,30 @@
-//! A buffer over a source that knows which of the source's bytes it holds.
+//! A buffer over a source, which knows the offsets of the bytes that it holds.
 //!
-//! [`Input`](crate::input::Input) moves by setting an offset; the source itself is moved only where bytes are read
-//! that the buffer doesn't hold. So whatever reads past the buffer, no later move can land in bytes of another
-//! place.
+//! [`Input`](crate::input::Input) seeks by setting an offset; the source itself seeks only when bytes are read
+//! that the buffer does not hold. Reads that bypass the buffer therefore cannot make a later seek use bytes of
+//! another place.
 
 use std::io::{self, BufRead, ErrorKind, Read, SeekFrom};
 
 use crate::input::ReadSeek;
 
-/// Bytes read from the source at once.
+/// Number of bytes read from the source at once.
 pub const BUFFER_BYTES: usize = 1 << 16;
 
-/// A source, its next byte's offset, and some of its bytes.
+/// A source, the offset of its next byte, and some of its bytes.
 pub struct InputBuffer {
     source: Box<dyn ReadSeek>,
-    /// Where the source itself stands, where that is known.
+    /// The source's own position, if it is known.
     source_at: Option<u64>,
     bytes: Vec<u8>,
-    /// Bytes of the buffer in use, and the offset of the first.
+    /// Number of bytes of the buffer in use, and the offset of the first.
     filled: usize,
     bytes_at: u64,
     offset: u64,
 }
 
 impl InputBuffer {
-    /// Begins at byte 0 of `source`, wherever that stands.
+    /// Creates a buffer that starts at byte 0 of `source`, whatever the source's position.
     pub fn new(source: Box<dyn ReadSeek>) -> Self {
         Self {
             source,
@@ -36,22 +36,22 @@ impl InputBuffer {
         }
     }
 
-    /// Gives the source back, at any position.
+    /// Returns the source, whose position is then undefined.
     pub fn into_source(self) -> Box<dyn ReadSeek> {
         self.source
     }
 
-    /// Offset of the next byte.
+    /// Returns the offset of the next byte.
     pub fn offset(&self) -> u64 {
         self.offset
     }
 
-    /// Goes on at byte `offset`; nothing is read.
+    /// Continues at byte `offset`, without reading.
     pub fn seek(&mut self, offset: u64) {
         self.offset = offset;
     }
 
-    /// Where the source ends now; the next byte stays the same.
+    /// Returns the source's current end; the offset of the next byte does not change.
     pub fn end(&mut self) -> io::Result<u64> {
         self.source_at = None;
         let end = self.source.seek(SeekFrom::End(0))?;
@@ -59,7 +59,7 @@ impl InputBuffer {
         Ok(end)
     }
 
-    /// The next bytes as far as the buffer holds them.
+    /// Returns those of the next bytes that the buffer holds.
     fn held(&self) -> &[u8] {
         let held = self.bytes.get(..self.filled).unwrap_or_default();
         let passed = self.offset.checked_sub(self.bytes_at);
@@ -69,9 +69,11 @@ impl InputBuffer {
             .unwrap_or_default()
     }
 
-    /// Reads into `bytes` what the buffer holds of the next bytes, else what the source gives at once; 0 at the end.
+    /// Reads the next bytes into `bytes`: those that the buffer holds, or else those of one read from the source.
+    /// Returns their number, 0 at the end.
     ///
-    /// `past` says whether to read past the buffer, which copies once and reads no more than `bytes`.
+    /// `past` requests a read that bypasses the buffer, so that it copies only once and reads no more than
+    /// `bytes`.
     pub fn read_some(&mut self, bytes: &mut [u8], past: bool) -> io::Result<usize> {
         let read = if past && self.held().is_empty() {
             let Self {
@@ -122,7 +124,7 @@ impl BufRead for InputBuffer {
     }
 }
 
-/// Reads from byte `offset` of `source`, which stands at `source_at`; an interrupted read is repeated.
+/// Reads from byte `offset` of `source`, whose position is `source_at`; an interrupted read is repeated.
 fn read_at(
     source: &mut dyn ReadSeek,
     source_at: &mut Option<u64>,
@@ -158,7 +160,7 @@ mod tests {
     use super::*;
     use crate::input::{Input, Words};
 
-    /// A source that gives less than it is asked for, as pipes and disks do.
+    /// A source that returns less than it is asked for, as pipes and disks do.
     struct Dribble(Cursor<Vec<u8>>, usize);
 
     impl Read for Dribble {
@@ -186,7 +188,7 @@ mod tests {
         AtEnd,
     }
 
-    /// Lengths below, at and above the buffer's, and short ones.
+    /// Returns lengths below, at and above the buffer's, and short ones.
     fn length() -> impl Strategy<Value = usize> {
         let buffer = BUFFER_BYTES;
         prop_oneof![
@@ -283,7 +285,7 @@ mod tests {
             }
         }
 
-        /// Words looked at ahead of the reader, as detection does, then sought back over.
+        /// Words that detection looked at are read again after a seek back.
         #[test]
         fn words_after_a_look_ahead_are_those_of_the_source(
             header in prop_oneof![1..2_000_usize, BUFFER_BYTES - 20..BUFFER_BYTES + 20],

@@ -1,21 +1,21 @@
-//! Files that were put one behind the other, as `cat` puts them.
+//! Detects files that were concatenated, as by `cat`.
 //!
-//! Formats that are found from their end (zip, Parquet) or that tell their own length (HDF5, Arrow) read such a file as
-//! one of the recordings, and as the first by the directory of the last where both are alike. The other would be
-//! lost in silence.
+//! Formats that are read from their end (zip, Parquet) or that state their own length (HDF5, Arrow) would read
+//! such a file as only one of the recordings, or read the first by the directory of the last if both are alike.
+//! The other recording would be lost silently.
 
 use std::io::{self, Read, Seek, SeekFrom};
 
-/// What is said where another recording begins.
+/// Message for the place where another recording begins.
 pub const ANOTHER: &str = "another recording begins here: take the files apart";
 
-/// Bytes that are searched: more than a footer of some 100,000 row groups.
+/// Number of bytes that are searched: more than a footer of some 100,000 row groups.
 pub const SEARCHED_BYTES: u64 = 1 << 24;
 
-/// Bytes read at once.
+/// Number of bytes read at once.
 const BLOCK_BYTES: usize = 1 << 16;
 
-/// Where `mark` stands behind byte `from`, within the bytes that a footer may take.
+/// Returns the first offset of `mark` from byte `from` on, within the [`SEARCHED_BYTES`] that a footer may take.
 ///
 /// # Errors
 /// I/O.
@@ -40,17 +40,17 @@ pub fn find(
         if read == 0 {
             return Ok(None);
         }
-        // A mark may lie across two blocks.
+        // A mark may straddle two blocks.
         let passed = block.len().saturating_sub(mark.len() - 1);
         block.drain(..passed);
         start += passed as u64;
     }
 }
 
-/// Whether `mark` stands at byte `at`.
+/// Returns whether `mark` is at byte `at`.
 ///
 /// # Errors
-/// I/O, but for the end of the file.
+/// I/O; the end of the file is not an error.
 pub fn is_at(source: &mut (impl Read + Seek + ?Sized), at: u64, mark: &[u8]) -> io::Result<bool> {
     source.seek(SeekFrom::Start(at))?;
     let mut bytes = Vec::new();

@@ -1,4 +1,4 @@
-//! A recording that is still being written: the end of its file is waited for.
+//! Reads a recording that is still being written: at the end of its file it waits for more.
 
 use std::fs::File;
 use std::io::{Read, Result as IoResult, Seek, SeekFrom};
@@ -15,20 +15,20 @@ use crate::format::has_size;
 use crate::input::piped::is_stream;
 use crate::{EventReader, FORMATS, Reading, open, open_source};
 
-/// Time between two looks at a file that had no more.
+/// Time between two checks of a file that had no more bytes.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// How long a growing file is followed.
+/// How long to follow a growing file.
 #[derive(Debug, Clone)]
 pub struct Follow {
-    /// The file has ended when it has not grown for so long; never, if none.
+    /// The file is considered complete when it has not grown for this long; `None` waits for ever.
     pub idle: Option<Duration>,
-    /// Set by whoever wants it to end here.
+    /// Set to true by another thread to end the reading here.
     pub stop: Arc<AtomicBool>,
 }
 
 impl Follow {
-    /// Waits for more of a file that last grew at `grown`; whether it is still worth it.
+    /// Waits before the next check of a file that last grew at `grown`; returns false if following is to end.
     fn wait(&self, grown: Instant) -> bool {
         let idle = self.idle.is_some_and(|idle| grown.elapsed() >= idle);
         if idle || self.stop.load(Ordering::Relaxed) {
@@ -39,26 +39,26 @@ impl Follow {
     }
 }
 
-/// Opens a recording as [`open`] does, and gives what is appended to it as well, until `follow` ends it.
+/// Opens a recording as [`open`] does, and also returns what is appended to it, until `follow` ends.
 ///
-/// Events come in whole batches of [`crate::BATCH_EVENTS`] until the end. A file that does not tell the
-/// sensor's size needs that of `reading`.
+/// Until then, events are returned in whole batches of [`crate::BATCH_EVENTS`]. If the file does not state the
+/// sensor's size, `reading` must.
 ///
 /// # Errors
-/// As [`open`], when the file has not become a recording in time; a format whose files can be
-/// read only when they are whole; no size.
+/// Those of [`open`], if the file does not become a recording in time; the format's files can be read only when
+/// they are complete; `path` is not a plain file; the sensor's size is unknown.
 pub fn open_growing(
     path: &Path,
     reading: &Reading,
     follow: &Follow,
 ) -> Result<Box<dyn EventReader>> {
-    // It grows until it ends.
+    // A pipe blocks until more arrives, and ends when it is closed.
     if is_stream(path) {
         return open(path, reading);
     }
     let name = path.display().to_string();
     let grown = Instant::now();
-    // Its header may still be on the way.
+    // The header may still be incomplete.
     let reader = loop {
         match open(path, reading) {
             Ok(reader) => break reader,
@@ -81,7 +81,7 @@ pub fn open_growing(
         Refused,
         "{name}: only a file can be followed, not a folder nor a place in a file: name the bag's last file"
     );
-    // Without it, the largest pixel of the whole file would be looked for.
+    // Without a stated size, the whole file would be searched for its largest pixel.
     let sensor = reader.sensor();
     if reading.size.is_none() && !has_size(|reading| open(path, reading), reading, sensor) {
         bail!(
@@ -103,7 +103,7 @@ pub fn open_growing(
     open_source(Box::new(growing), &name, reading)
 }
 
-/// A file whose end is where it has not grown for long enough.
+/// A file that ends only where it has not grown for long enough.
 struct Growing {
     file: File,
     follow: Follow,
@@ -185,7 +185,7 @@ mod tests {
             let mut file = File::create(&path).unwrap();
             let written = path.clone();
             let writing = thread::spawn(move || {
-                // The first piece ends within the header, others within words and packets.
+                // The first piece ends within the header, the others within words and packets.
                 let mut rest = bytes.as_slice();
                 for piece in [20, 7000, 33_333, usize::MAX] {
                     let (now, later) = rest.split_at(piece.min(rest.len()));
@@ -205,7 +205,7 @@ mod tests {
     #[test]
     fn an_aedat4_file_ends_with_its_table_or_where_it_stops() {
         let mut bytes = bytes("a.aedat4");
-        // As it is until its writer closes it.
+        // The table's offset is -1 until the file's writer closes it.
         bytes[54..62].copy_from_slice(&(-1_i64).to_le_bytes());
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.aedat4");
@@ -214,14 +214,14 @@ mod tests {
             std::fs::write(&path, &bytes[..900]).unwrap();
             thread::spawn(move || {
                 let mut file = File::options().append(true).open(path).unwrap();
-                // Between packets, and within them.
+                // Pieces end between packets and within them.
                 for piece in bytes[900..].chunks(30_011) {
                     sleep(Duration::from_millis(20));
                     file.write_all(piece).unwrap();
                 }
             })
         };
-        // Nobody stops it: the table does.
+        // No time limit: reading ends at the table.
         let endless = Follow {
             idle: None,
             stop: Arc::default(),
@@ -232,7 +232,7 @@ mod tests {
         while reader.read(&mut events).unwrap() > 0 {}
         writer.join().unwrap();
         assert!(events == some_events());
-        // Cut within its last packet.
+        // A file cut within its last packet.
         let writer = writing(bytes.len() - 5000);
         let mut reader = open_growing(&path, &Reading::default(), &follow(300)).unwrap();
         events.clear();

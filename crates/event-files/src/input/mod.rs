@@ -1,4 +1,4 @@
-//! Byte source of every reader: a file or memory, its name and its position.
+//! The byte source of every reader: a file or memory, with its name and the current position.
 
 pub(crate) mod adjusted;
 pub(crate) mod buffer;
@@ -17,15 +17,15 @@ use event_types::{Event, Sensor, ensure, error};
 use crate::input::buffer::{BUFFER_BYTES, InputBuffer};
 use crate::{Assumption, BATCH_EVENTS, BadEvents, EventReader, Skipped};
 
-/// What a reader can read from: a file, or bytes in memory (`std::io::Cursor`).
+/// A source that readers read from: a file, or bytes in memory (`std::io::Cursor`).
 pub trait ReadSeek: Read + Seek + Send {}
 
 impl<T: Read + Seek + Send> ReadSeek for T {}
 
-/// What events outside of the sensor are counted as where they are left out.
+/// Kind under which [`Skipped`] counts events outside the sensor that are left out.
 pub const OUTSIDE: &str = "events outside of the sensor";
 
-/// A source with the name and the position that error messages carry.
+/// A buffered source, with the name and the position that error messages state.
 pub struct Input {
     buffer: InputBuffer,
     name: String,
@@ -34,10 +34,10 @@ pub struct Input {
 }
 
 impl Input {
-    /// Opens a file.
+    /// Opens a file for reading from byte 0; messages call it by its path.
     ///
     /// # Errors
-    /// The file cannot be opened.
+    /// The path cannot be opened, or is a directory.
     pub fn open(path: &Path) -> Result<Self> {
         let name = path.display().to_string();
         let file = File::open(path).with_context(|| format!("{name}: cannot be opened"))?;
@@ -50,10 +50,10 @@ impl Input {
         Self::new(Box::new(file), &name)
     }
 
-    /// Reads from `source`, which error messages call `name`.
+    /// Reads from `source`, which messages call `name`.
     ///
     /// # Errors
-    /// The source cannot be sought.
+    /// The source cannot seek.
     pub fn new(mut source: Box<dyn ReadSeek>, name: &str) -> Result<Self> {
         let length = source
             .seek(SeekFrom::End(0))
@@ -66,31 +66,31 @@ impl Input {
         })
     }
 
-    /// Gives the source back, at any position.
+    /// Returns the source, whose position is then undefined.
     #[must_use]
     pub fn into_source(self) -> Box<dyn ReadSeek> {
         self.buffer.into_source()
     }
 
-    /// Name for messages.
+    /// Returns the source's name, with which messages begin.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Position of the next byte.
+    /// Returns the offset of the next byte.
     #[must_use]
     pub fn offset(&self) -> u64 {
         self.buffer.offset()
     }
 
-    /// Bytes from the start to the end.
+    /// Returns the source's length in bytes, as known when it was opened or by [`Input::reaches`].
     #[must_use]
     pub fn length(&self) -> u64 {
         self.length
     }
 
-    /// Whether no byte follows. Of a file that is still being written, one is waited for.
+    /// Returns whether no byte follows. In a file that is still being written, it waits for a byte.
     ///
     /// # Errors
     /// I/O.
@@ -102,7 +102,7 @@ impl Input {
         }
     }
 
-    /// Goes to the end and returns its position; unlike [`Input::length`], that of a file that has grown.
+    /// Moves to the current end and returns its offset; unlike [`Input::length`], it sees that a file has grown.
     ///
     /// # Errors
     /// I/O.
@@ -113,10 +113,10 @@ impl Input {
         Ok(end)
     }
 
-    /// Continues at byte `offset`.
+    /// Sets the offset of the next byte to read.
     ///
     /// # Errors
-    /// An offset above 2^63, which no file has.
+    /// `offset` is 2^63 or more, which no file has.
     pub fn seek(&mut self, offset: u64) -> Result<()> {
         ensure!(
             i64::try_from(offset).is_ok(),
@@ -128,7 +128,7 @@ impl Input {
         Ok(())
     }
 
-    /// Whether the source has as many bytes as `end`; waits for them where a recording is still being written.
+    /// Returns whether the source has at least `end` bytes; waits for them if a recording is still being written.
     ///
     /// # Errors
     /// I/O.
@@ -148,18 +148,21 @@ impl Input {
         Ok(is_there)
     }
 
-    /// Fills `bytes`, or as much of it as the source still has; returns how much.
+    /// Fills `bytes`, or as much of it as the source still has, and returns the number of bytes.
     ///
     /// # Errors
     /// I/O.
     pub fn fill(&mut self, bytes: &mut [u8]) -> Result<usize> {
-        // As much as the buffer holds is read past it, and copied only once.
+        // A read as large as the buffer bypasses it, so that the bytes are copied only once.
         let past = bytes.len() >= BUFFER_BYTES;
         self.read_all(bytes, past)
     }
 
-    /// Fills `bytes` from byte `offset` on, or as much of it as the source has there; returns how much. Reads
-    /// no more than that, as is good for a few bytes here and there, and goes on behind them.
+    /// Fills `bytes` from byte `offset` on, or as much of it as the source has there, and returns the number of
+    /// bytes.
+    ///
+    /// It reads no more than that, which suits a few bytes at scattered places, and leaves the position after
+    /// them.
     ///
     /// # Errors
     /// I/O.
@@ -184,8 +187,8 @@ impl Input {
         Ok(filled)
     }
 
-    /// Appends the next line with its line feed, at most `cap` bytes, to `line`; returns how many
-    /// bytes (0 at the end).
+    /// Appends the next line with its line feed, at most `cap` bytes, to `line`; returns the number of bytes, 0 at
+    /// the end.
     ///
     /// # Errors
     /// I/O.
@@ -203,7 +206,7 @@ impl Input {
         Ok(read)
     }
 
-    /// Refuses an end before the one that was there when the source was opened.
+    /// Returns an error if the source ends before the length that it had when it was opened.
     fn check_length(&self, offset: u64) -> Result<()> {
         ensure!(
             offset >= self.length,
@@ -215,12 +218,12 @@ impl Input {
         Ok(())
     }
 
-    /// Error at the present position: name, offset and `what`.
+    /// Returns an error at the current position: name, offset and `what`.
     pub fn error(&self, what: impl std::fmt::Display) -> event_types::stream::Error {
         self.error_at(self.offset(), what)
     }
 
-    /// Error at byte `offset`.
+    /// Returns an error at byte `offset`: name, offset and `what`.
     pub fn error_at(
         &self,
         offset: u64,
@@ -237,93 +240,93 @@ impl Input {
 
 /// The decoder of one format; [`Reader`] turns it into an [`EventReader`].
 pub trait Decode: Send {
-    /// As [`EventReader::format`].
+    /// Implements [`EventReader::format`].
     fn format(&self) -> &'static str;
 
-    /// As [`EventReader::sensor`].
+    /// Implements [`EventReader::sensor`].
     fn sensor(&self) -> Sensor;
 
-    /// As [`EventReader::camera`].
+    /// Implements [`EventReader::camera`].
     fn camera(&self) -> Option<&str> {
         None
     }
 
-    /// As [`EventReader::assumptions`].
+    /// Implements [`EventReader::assumptions`].
     fn assumptions(&self) -> &[Assumption] {
         &[]
     }
 
-    /// As [`EventReader::skipped`].
+    /// Implements [`EventReader::skipped`].
     fn skipped(&self) -> &Skipped;
 
-    /// As [`EventReader::leave_out_bad_events`].
+    /// Implements [`EventReader::leave_out_bad_events`].
     fn leave_out_bad_events(&mut self) -> bool {
         false
     }
 
-    /// As [`EventReader::seek`].
+    /// Implements [`EventReader::seek`].
     ///
     /// # Errors
-    /// As [`EventReader::seek`].
+    /// Those of [`EventReader::seek`].
     fn seek(&mut self, t_us: u64) -> Result<bool> {
         let _ = t_us;
         Ok(false)
     }
 
-    /// Appends events until the batch has no more room.
+    /// Appends events until the batch has no room left, or the recording ends.
     ///
-    /// Appending none means the end. Events appended before an error are valid.
+    /// If it appends none, the recording has ended. Events appended before an error are valid.
     ///
     /// # Errors
-    /// As [`EventReader::read`].
+    /// Those of [`EventReader::read`].
     fn decode(&mut self, batch: &mut Batch<'_>) -> Result<()>;
 }
 
-/// The events of one call of [`EventReader::read`].
+/// The events that one call of [`EventReader::read`] returns.
 pub struct Batch<'a> {
     events: &'a mut Vec<Event>,
     start: usize,
 }
 
 impl<'a> Batch<'a> {
-    /// A batch that is appended to `events`.
+    /// Creates a batch that is appended to `events`.
     #[must_use]
     pub const fn new(events: &'a mut Vec<Event>) -> Self {
         let start = events.len();
         Self { events, start }
     }
 
-    /// How many more events fit.
+    /// Returns how many more events fit.
     #[must_use]
     pub fn room(&self) -> usize {
         (self.start + BATCH_EVENTS).saturating_sub(self.events.len())
     }
 
-    /// Whether no event has been appended yet.
+    /// Returns whether no event has been appended yet.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Events appended so far.
+    /// Returns the number of events appended so far.
     #[must_use]
     pub fn len(&self) -> usize {
         self.events.len() - self.start
     }
 
-    /// Appends events: no more than there is room for.
+    /// Appends events, which must not be more than there is room for.
     #[inline]
     pub fn extend(&mut self, events: impl ExactSizeIterator<Item = Event>) {
         self.events.extend(events);
     }
 
-    /// Appends an event.
+    /// Appends one event, for which there must be room.
     pub fn push(&mut self, event: Event) {
         self.events.push(event);
     }
 }
 
-/// An [`EventReader`] around a decoder: holds an error back until the events before it are out.
+/// An [`EventReader`] around a decoder: it holds an error back until the events before it have been returned.
 pub struct Reader<D> {
     pub(super) decoder: D,
     held: Option<event_types::stream::Error>,
@@ -380,7 +383,7 @@ impl<D: Decode> EventReader for Reader<D> {
 
     fn seek(&mut self, t_us: u64) -> Result<bool> {
         let sought = self.held.is_none() && self.decoder.seek(t_us)?;
-        // The end may have been reached before.
+        // The end may have been reached before the seek.
         self.ended &= !sought;
         Ok(sought)
     }
@@ -402,7 +405,7 @@ pub struct Words<const N: usize> {
 }
 
 impl<const N: usize> Default for Words<N> {
-    /// No block read yet.
+    /// Returns an empty block buffer of a whole number of words.
     fn default() -> Self {
         let whole_words = BUFFER_BYTES - BUFFER_BYTES % N;
         Self {
@@ -414,11 +417,11 @@ impl<const N: usize> Default for Words<N> {
 }
 
 impl<const N: usize> Words<N> {
-    /// The next word, or `None` at the end.
+    /// Returns the next word, or `None` at the end.
     ///
     /// # Errors
-    /// I/O, or bytes after the last whole word. A single line feed is no error: old recorders
-    /// closed files with one.
+    /// I/O, or bytes after the last whole word. A single line feed there is allowed: old recorders ended files
+    /// with one.
     #[inline]
     pub fn next(&mut self, input: &mut Input) -> Result<Option<[u8; N]>> {
         loop {
@@ -433,10 +436,10 @@ impl<const N: usize> Words<N> {
         }
     }
 
-    /// The offset of the next words, and `most` of them or fewer; none at the end.
+    /// Returns the offset of the next words and at most `most` of them; none at the end.
     ///
     /// # Errors
-    /// As [`Words::next`].
+    /// Those of [`Words::next`].
     pub fn run(&mut self, input: &mut Input, most: usize) -> Result<(u64, &[[u8; N]])> {
         if self.filled - self.next < N && !self.refill(input)? {
             return Ok((input.offset(), &[]));
@@ -449,15 +452,15 @@ impl<const N: usize> Words<N> {
         Ok((offset, words))
     }
 
-    /// Goes back by `words`, of those that [`Words::run`] gave last.
+    /// Goes back by `words` of the words that [`Words::run`] returned last.
     pub const fn back(&mut self, words: usize) {
         self.next = self.next.saturating_sub(words * N);
     }
 
-    /// Reads the next block when there is no whole word left; false at the end.
+    /// Reads the next block when no whole word is left; returns false at the end.
     #[cold]
     fn refill(&mut self, input: &mut Input) -> Result<bool> {
-        // A block is only shorter than whole words at the end of the file.
+        // A block ends within a word only at the end of the file.
         let mut rest = self.filled - self.next;
         let mut first = self.bytes.get(self.next).copied();
         if rest == 0 {
@@ -478,7 +481,7 @@ impl<const N: usize> Words<N> {
         ))
     }
 
-    /// Offset of the word that [`Words::next`] returned last.
+    /// Returns the offset of the word that [`Words::next`] returned last.
     #[must_use]
     pub fn offset(&self, input: &Input) -> u64 {
         input.offset() - (self.filled - self.next) as u64 - N as u64
@@ -486,15 +489,15 @@ impl<const N: usize> Words<N> {
 }
 
 impl Input {
-    /// From here on, [`Input::outside`] is no error.
+    /// Makes [`Input::outside`] count events from here on instead of returning an error.
     pub fn leave_out_bad_events(&mut self) {
         self.bad_events = BadEvents::LeaveOut;
     }
 
-    /// Refuses event number `index` at byte `offset`, which lies outside of the sensor at (x, y), or counts it.
+    /// Refuses or counts event number `index` at byte `offset`, which lies outside the sensor at (x, y).
     ///
     /// # Errors
-    /// Always, but after [`Input::leave_out_bad_events`].
+    /// Always, unless [`Input::leave_out_bad_events`] was called.
     pub fn outside(
         &self,
         offset: u64,

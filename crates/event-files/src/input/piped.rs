@@ -1,4 +1,4 @@
-//! A recording that comes through a pipe, which gives each byte once.
+//! Reads a recording from a pipe, which delivers each byte only once.
 
 use std::fs::File;
 use std::io::{self, Error, ErrorKind, Read, Result as IoResult, Seek, SeekFrom};
@@ -9,16 +9,18 @@ use event_types::stream::{Context, Result};
 
 use crate::output::is_dash;
 
-/// Bytes of the front that stay until as many again have come, and of what came last, for who reads them again.
+/// At least this many of the latest bytes are kept for reading again; the first bytes are dropped once twice as
+/// many are kept.
 const KEPT_BYTES: usize = 1 << 20;
 
-/// Bytes asked of the pipe at a time.
+/// Number of bytes requested from the pipe at a time.
 const READ_BYTES: usize = 1 << 16;
 
-/// What messages call stdin.
+/// Name of stdin in messages.
 pub const STDIN: &str = "stdin";
 
-/// Whether a path leads to what gives each byte once: stdin by the name `-`, a named pipe, a terminal.
+/// Returns whether a path leads to a source that delivers each byte only once: stdin under the name `-`, a named
+/// pipe, a terminal.
 #[must_use]
 pub fn is_stream(path: &Path) -> bool {
     let is_special = |path: &Path| {
@@ -28,7 +30,7 @@ pub fn is_stream(path: &Path) -> bool {
     is_dash(path) || is_special(path)
 }
 
-/// What messages call a path.
+/// Returns a path's name in messages.
 #[must_use]
 pub fn name_of(path: &Path) -> String {
     if is_dash(path) {
@@ -37,10 +39,10 @@ pub fn name_of(path: &Path) -> String {
     path.display().to_string()
 }
 
-/// Opens a file or a pipe, or stdin by the name `-`.
+/// Opens a file or a pipe, or stdin under the name `-`.
 ///
 /// # Errors
-/// It cannot be opened, or is a folder.
+/// The path cannot be opened, or is a folder.
 pub fn open_bytes(path: &Path) -> Result<File> {
     let name = name_of(path);
     let file = if is_dash(path) {
@@ -66,27 +68,27 @@ fn stdin() -> IoResult<File> {
     Ok(File::from(io::stdin().as_handle().try_clone_to_owned()?))
 }
 
-/// A pipe that is read as a file is, as long as who reads goes forward: memory holds its latest 1 to 2 MiB,
-/// and behind them nothing can be read again.
+/// A pipe that can be read like a file as long as its reader moves forwards. Memory holds the latest 1 to 2 MiB;
+/// older bytes cannot be read again.
 pub struct Piped {
     source: Box<dyn Read + Send>,
     kept: Vec<u8>,
-    /// Where in the pipe `kept` begins.
+    /// Offset in the pipe of the first byte of `kept`.
     kept_at: u64,
     at: u64,
     ended: bool,
 }
 
 impl Piped {
-    /// Opens a pipe; nothing is read of it.
+    /// Opens a pipe without reading from it.
     ///
     /// # Errors
-    /// As [`open_bytes`].
+    /// Those of [`open_bytes`].
     pub fn open(path: &Path) -> Result<Self> {
         Ok(Self::new(Box::new(open_bytes(path)?)))
     }
 
-    /// Reads `source`.
+    /// Creates a pipe that reads from `source`.
     #[must_use]
     pub fn new(source: Box<dyn Read + Send>) -> Self {
         Self {
@@ -98,8 +100,8 @@ impl Piped {
         }
     }
 
-    /// Waits for the first `count` bytes, or for the end; the next read begins with them. `count` is no more
-    /// than the pipe keeps.
+    /// Returns the first `count` bytes, or fewer if the pipe ends before, and waits for them; the next read starts
+    /// with them. `count` must not exceed what the pipe keeps, and none of these bytes may have been dropped.
     ///
     /// # Errors
     /// I/O.
@@ -115,7 +117,7 @@ impl Piped {
         self.kept_at + self.kept.len() as u64
     }
 
-    /// Waits for some bytes more, or the end.
+    /// Waits for more bytes or the end.
     fn grow(&mut self) -> IoResult<()> {
         if self.kept.len() >= 2 * KEPT_BYTES {
             let passed = self.kept.len() - KEPT_BYTES;
@@ -165,7 +167,7 @@ impl Read for Piped {
     }
 }
 
-/// The end is where the latest byte is that has come, as of a file that grows.
+/// The end is after the latest byte that has arrived, as in a file that grows.
 impl Seek for Piped {
     fn seek(&mut self, to: SeekFrom) -> IoResult<u64> {
         let at = match to {
@@ -178,7 +180,7 @@ impl Seek for Piped {
     }
 }
 
-/// All of a pipe, in a temporary file without a name.
+/// Copies all of a pipe to an unnamed temporary file.
 ///
 /// # Errors
 /// I/O.
@@ -198,7 +200,7 @@ mod tests {
 
     use super::*;
 
-    /// Gives seven bytes at a time, as pipes may.
+    /// A source that returns at most 7,001 bytes at a time, as pipes may.
     struct Slow(Cursor<Vec<u8>>);
 
     impl Read for Slow {
@@ -222,7 +224,7 @@ mod tests {
         pipe.read_to_end(&mut all).unwrap();
         assert!(all == expected);
         assert!(pipe.kept.len() < 3 * KEPT_BYTES);
-        // What came last stays, what is before has passed.
+        // The latest bytes are kept, earlier ones have passed.
         let end = pipe.seek(SeekFrom::End(-100)).unwrap();
         all.clear();
         pipe.read_to_end(&mut all).unwrap();

@@ -1,14 +1,14 @@
-//! Parts of one source, several of them read at once.
+//! Sections of one source, several of which can be read at the same time.
 
 use std::io::{self, Read, SeekFrom};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::input::ReadSeek;
 
-/// A source that several parts of it are read from.
+/// A source that is shared by its sections.
 pub type Shared = Arc<Mutex<Box<dyn ReadSeek>>>;
 
-/// A part of a source, read from its start to its end.
+/// A section of a source, read from its start to its end.
 pub struct Section {
     source: Shared,
     at: u64,
@@ -16,7 +16,7 @@ pub struct Section {
 }
 
 impl Section {
-    /// `length` bytes from byte `at` on.
+    /// Creates a section of `length` bytes from byte `at` on.
     pub fn new(source: &Shared, at: u64, length: u64) -> Self {
         Self {
             source: Arc::clone(source),
@@ -32,7 +32,8 @@ impl Read for Section {
             .unwrap_or(usize::MAX)
             .min(bytes.len());
         let bytes = bytes.get_mut(..room).unwrap_or_default();
-        // A thread that panicked while it read has left no state but the position, which is set here.
+        // A poisoned lock is fine: a thread that panicked while reading left no state but the position, which is
+        // set here.
         let mut source = self.source.lock().unwrap_or_else(PoisonError::into_inner);
         source.seek(SeekFrom::Start(self.at))?;
         let read = source.read(bytes)?;

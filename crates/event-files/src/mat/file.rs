@@ -1,4 +1,4 @@
-//! Variables of a MAT-file of level 5: where the numbers of each lie, and reading them from front to back.
+//! Finds the variables of a MAT-file of level 5 and reads their numbers from front to back.
 
 use std::io::{self, BufReader, Read};
 use std::sync::{Arc, Mutex};
@@ -11,22 +11,23 @@ use crate::input::ReadSeek;
 use crate::input::section::{Section, Shared};
 use crate::numpy::npy_header::{Dtype, Number};
 
-/// Bytes before the first variable.
+/// Size in bytes of the header; the first variable follows it.
 pub const HEADER_BYTES: usize = 128;
 
-/// Bytes read from the source at once.
+/// Number of bytes read from the source at once.
 const BUFFER_BYTES: usize = 1 << 15;
 
-/// Most variables of a file, fields of a structure and bytes of a name: MATLAB's own have 63.
+/// Largest numbers of variables of a file, fields of a structure and bytes of a name; MATLAB's own names have at
+/// most 63.
 const VARIABLES_MAX: usize = 1 << 12;
 const FIELDS_MAX: u64 = 1 << 8;
 const NAME_BYTES_MAX: u64 = 1 << 6;
 const DIMENSIONS_MAX: u64 = 32;
 
-/// How deep structures in structures are looked at.
+/// Greatest depth of structures inside structures.
 const DEPTH_MAX: usize = 8;
 
-// Types of elements that are looked at; numbers are told by `dtype`.
+// Types of elements; `dtype` maps those of numbers.
 const INT8: u32 = 1;
 const INT32: u32 = 5;
 const UINT32: u32 = 6;
@@ -42,8 +43,8 @@ const UINT64: u8 = 15;
 /// Flag of an array that has an imaginary part.
 const COMPLEX: u32 = 0x800;
 
-/// Which bytes the header ends with, and whether numbers are big-endian then: the version, 0x0100, and the
-/// letters `MI` as a number.
+/// Returns whether the file's numbers are big-endian; `None` if this is no header of level 5. The header ends with
+/// the version, 0x0100, and the letters `MI`, each stored as a 16-bit number.
 pub fn byte_order(header: &[u8]) -> Option<bool> {
     match header.get(HEADER_BYTES - 4..HEADER_BYTES)? {
         [0, 1, b'I', b'M'] => Some(false),
@@ -52,46 +53,46 @@ pub fn byte_order(header: &[u8]) -> Option<bool> {
     }
 }
 
-/// A variable.
+/// A variable of the file.
 pub struct Variable {
-    /// Its name.
+    /// The variable's name.
     pub name: String,
-    /// What it holds.
+    /// The variable's content.
     pub content: Content,
 }
 
-/// What a variable holds.
+/// The content of a variable.
 pub enum Content {
-    /// Numbers.
+    /// An array of real numbers.
     Numbers(Array),
-    /// One structure; its fields that are numbers.
+    /// A single structure, with those of its fields that are numbers.
     Structure(Vec<(String, Array)>),
-    /// Text, cells, complex and sparse numbers, objects.
+    /// Text, cells, complex or sparse numbers, objects, or several structures.
     Other,
 }
 
-/// Where an array's numbers are.
+/// The place and type of an array's numbers.
 #[derive(Debug, Clone, Copy)]
 pub struct Array {
     place: Place,
-    /// Offset of the first number in what the place holds.
+    /// Offset of the first number within the unpacked place.
     start: u64,
-    /// Lengths of its first and of all its other dimensions; columns lie together.
+    /// Length of the first dimension, and product of all others; the numbers are stored column by column.
     pub rows: u64,
     pub columns: u64,
-    /// How the numbers are stored: MATLAB stores floats that are whole as integers.
+    /// The type in which the numbers are stored: MATLAB stores floats that are whole as integers.
     pub dtype: Dtype,
-    /// Whether they are floats to MATLAB.
+    /// Whether the numbers are floats in MATLAB.
     pub is_float: bool,
 }
 
 impl Array {
-    /// How many numbers.
+    /// Returns the number of elements.
     pub const fn count(&self) -> u64 {
         self.rows * self.columns
     }
 
-    /// One of its columns.
+    /// Returns one of the columns.
     pub const fn column(&self, column: u64) -> Self {
         Self {
             start: self.start + column * self.rows * self.dtype.bytes as u64,
@@ -101,7 +102,7 @@ impl Array {
     }
 }
 
-/// An element of the file.
+/// The place of an element in the file.
 #[derive(Debug, Clone, Copy)]
 struct Place {
     at: u64,
@@ -109,21 +110,21 @@ struct Place {
     packed: bool,
 }
 
-/// A file's variables.
+/// A MAT-file and its variables.
 pub struct MatFile {
     name: String,
     source: Shared,
     big_endian: bool,
     variables: Vec<Variable>,
-    /// What ended the list before the end of the file.
+    /// Where and why the list of variables breaks off before the end of the file.
     damage: Option<(u64, String)>,
 }
 
 impl MatFile {
-    /// Finds every variable.
+    /// Opens a file and finds all of its variables.
     ///
     /// # Errors
-    /// No MAT-file of level 5, I/O.
+    /// The file is not a MAT-file of level 5, or it cannot be read. Later damage is reported by [`MatFile::damage`].
     pub fn open(mut source: Box<dyn ReadSeek>, name: &str) -> Result<Self> {
         let length = source
             .seek(io::SeekFrom::End(0))
@@ -161,28 +162,28 @@ impl MatFile {
         Ok(file)
     }
 
-    /// Name for messages.
+    /// Returns the name for messages.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Every variable before the damage, if there is one.
+    /// Returns all variables, up to the first damage.
     pub fn variables(&self) -> &[Variable] {
         &self.variables
     }
 
-    /// What ended the list of variables before the end of the file, and where.
+    /// Returns where and why the list of variables breaks off before the end of the file, if it does.
     pub fn damage(&self) -> Option<event_types::stream::Error> {
         let (at, what) = self.damage.as_ref()?;
         Some(self.error(*at, what))
     }
 
-    /// An error at byte `at`.
+    /// Returns an error at byte `at`.
     pub fn error(&self, at: u64, what: impl std::fmt::Display) -> event_types::stream::Error {
         error!(Damaged, "{}: byte {at}: {what}", self.name)
     }
 
-    /// An error about an array.
+    /// Returns an error about an array.
     pub fn error_in(
         &self,
         array: &Array,
@@ -191,7 +192,7 @@ impl MatFile {
         self.error(array.place.at, what)
     }
 
-    /// The variable whose element begins at `at`, the structures in it, and where it ends.
+    /// Reads the variable whose element begins at `at`; returns it, the structures inside it, and its end.
     fn variable(&self, at: u64, length: u64) -> Result<(Variable, Vec<Variable>, u64), String> {
         let whole = Place {
             at,
@@ -228,10 +229,10 @@ impl MatFile {
         Ok((Variable { name, content }, nested, end))
     }
 
-    /// Reads numbers of an array, from number `first` on.
+    /// Opens an array for reading from number `first` on.
     ///
     /// # Errors
-    /// I/O, damage.
+    /// The file cannot be read or is damaged.
     pub fn read(&self, array: &Array, first: u64) -> Result<Numbers, String> {
         let mut elements = Elements::new(self, array.place);
         elements.skip_to(array.start + first * array.dtype.bytes as u64)?;
@@ -244,7 +245,7 @@ impl MatFile {
     }
 }
 
-/// Numbers of an array, read from front to back.
+/// The numbers of an array, read from front to back.
 pub struct Numbers {
     data: Data,
     dtype: Dtype,
@@ -253,7 +254,7 @@ pub struct Numbers {
 }
 
 impl Numbers {
-    /// Reads up to `count` numbers; returns how many came, and what ended them.
+    /// Reads up to `count` numbers; returns how many were read and, if fewer, why.
     pub fn fill(&mut self, count: usize) -> (usize, Option<String>) {
         let size = self.dtype.bytes.max(1);
         self.bytes.resize(count * size, 0);
@@ -269,7 +270,7 @@ impl Numbers {
         (count, None)
     }
 
-    /// A number of those that [`Numbers::fill`] read last; what is a float to MATLAB is one here.
+    /// Returns one of the numbers that [`Numbers::fill`] read last, as a float if it is one in MATLAB.
     pub fn get(&self, index: usize) -> Option<Number> {
         let bytes = self.bytes.get(index * self.dtype.bytes..)?;
         let number = self.dtype.number(bytes)?;
@@ -296,18 +297,18 @@ impl Read for Data {
     }
 }
 
-/// Start of an element.
+/// The tag at the start of an element.
 struct Tag {
     kind: u32,
     bytes: u64,
-    /// Offset of its first byte.
+    /// Offset of the tag's first byte.
     at: u64,
-    /// Whether its data, up to 4 bytes, are within the tag's own 8 bytes.
+    /// Whether the data, at most 4 bytes, lies within the tag's own 8 bytes.
     small: bool,
 }
 
 impl Tag {
-    /// Where the next element begins.
+    /// Returns the offset of the next element.
     const fn end(&self) -> u64 {
         let bytes = if self.small {
             0
@@ -320,17 +321,17 @@ impl Tag {
     }
 }
 
-/// What an array is.
+/// The attributes of an array.
 struct Head {
     name: String,
     class: u8,
     is_complex: bool,
-    /// As in [`Array`]; their product is no more than 64 bits.
+    /// As in [`Array`]; their product fits into 64 bits.
     rows: u64,
     columns: u64,
 }
 
-/// What a place holds, an element after the other.
+/// The elements at a place, one after another.
 struct Elements<'f> {
     file: &'f MatFile,
     place: Place,
@@ -371,13 +372,13 @@ impl<'f> Elements<'f> {
         })
     }
 
-    /// Goes on at byte `at` of the place, which is not before the present one.
+    /// Continues at byte `at` of the place, which must not lie before the current one.
     fn skip_to(&mut self, at: u64) -> Result<(), String> {
         let skipped = at
             .checked_sub(self.at)
             .ok_or("damaged variable: an element is longer than the one that it is in")?;
         match &mut self.data {
-            // As much as the buffer may have is read.
+            // Within the buffer's size, reading on is cheaper than seeking.
             Data::Plain(_) if skipped > BUFFER_BYTES as u64 => {
                 self.data = data(self.file, self.place, at);
             }
@@ -417,7 +418,7 @@ impl<'f> Elements<'f> {
         })
     }
 
-    /// The bytes of an element of type `kind`, at most `most`.
+    /// Reads an element of type `kind` and at most `most` bytes; messages call it `what`.
     fn element(&mut self, kind: u32, most: u64, what: &str) -> Result<Vec<u8>, String> {
         let tag = self.tag()?;
         if tag.kind != kind || tag.bytes > most {
@@ -447,8 +448,8 @@ impl<'f> Elements<'f> {
             .collect())
     }
 
-    /// The name and the content of the array that `tag` begins; structures in it are `nested`, each with its
-    /// place for its name.
+    /// Reads the name and content of the array that `tag` begins. Structures inside it are added to `nested`, each
+    /// named by its place.
     fn matrix(
         &mut self,
         tag: &Tag,
@@ -466,7 +467,7 @@ impl<'f> Elements<'f> {
         Ok((head.name, content))
     }
 
-    /// What the array that `tag` begins is; `None` where it is empty.
+    /// Reads the attributes of the array that `tag` begins; `None` if it is empty.
     fn head(&mut self, tag: &Tag) -> Result<Option<Head>, String> {
         if tag.bytes == 0 {
             return Ok(None);
@@ -491,7 +492,8 @@ impl<'f> Elements<'f> {
         }))
     }
 
-    /// Where the numbers are of the array whose head has been read, if it is one of real numbers.
+    /// Returns the place of the numbers of an array whose attributes have been read; `None` if they are not real
+    /// numbers.
     fn numbers(&mut self, head: &Head) -> Result<Option<Array>, String> {
         let Head { rows, columns, .. } = *head;
         if head.is_complex || !(DOUBLE..=UINT64).contains(&head.class) {
@@ -515,7 +517,7 @@ impl<'f> Elements<'f> {
         }))
     }
 
-    /// Fields of one structure that are numbers.
+    /// Returns the fields of a structure that are numbers.
     fn fields(
         &mut self,
         place: &str,
@@ -564,7 +566,7 @@ impl<'f> Elements<'f> {
     }
 }
 
-/// The bytes of a place from byte `at` of it on.
+/// Opens the data of a place: from its byte `at` on, or from its start if it is compressed.
 fn data(file: &MatFile, place: Place, at: u64) -> Data {
     if place.packed {
         let section = Section::new(&file.source, place.at, place.bytes);
@@ -579,7 +581,7 @@ fn data(file: &MatFile, place: Place, at: u64) -> Data {
     Data::Plain(BufReader::with_capacity(BUFFER_BYTES, section))
 }
 
-/// What numbers of an element's type are.
+/// Returns the type of the numbers of an element of this type.
 fn dtype(kind: u32, big_endian: bool) -> Option<Dtype> {
     let (kind, bytes) = match kind {
         1 => (b'i', 1),

@@ -1,4 +1,4 @@
-//! Where the events are in a MAT-file, and what their numbers mean.
+//! Finds the events in a MAT-file and determines what their numbers mean.
 
 use event_types::stream::{Context, ErrorKind, Result};
 use event_types::{Sensor, ensure};
@@ -14,45 +14,45 @@ use crate::table::row_events::{Base, Scale, Times};
 use crate::table::time_unit::SAMPLE_TIMES;
 use crate::{Assumption, BATCH_EVENTS};
 
-/// Name of the times in `AedatTools`' structures.
+/// Name of the times in the structures of `AedatTools`.
 const AEDAT_TOOLS: &str = "timeStamp";
 
-/// Where the numbers of the events are.
+/// The place and the meaning of the events' numbers.
 pub struct Plan {
-    /// t, x, y, p.
+    /// The arrays of t, x, y and p.
     pub arrays: [Array; 4],
     /// Number of events.
     pub events: u64,
-    /// What the times are.
+    /// Unit and type of the times.
     pub times: Times,
-    /// The first rows before a damage.
+    /// The first rows, at most those before the first damage.
     pub sample: Vec<Row>,
-    /// How the columns were found, where that may be wrong.
+    /// How the columns were found, if that may be wrong.
     pub assumption: Option<Assumption>,
-    /// What the rest is counted from.
+    /// The numbers from which pixels and polarities are counted.
     pub base: Base,
     /// The sensor's size.
     pub sensor: Sensor,
-    /// Whether the size is that of the largest x and y.
+    /// Whether the size was taken from the largest x and y.
     pub is_size_taken: bool,
-    /// Variables used.
+    /// Number of variables used.
     pub used: usize,
 }
 
-/// Four arrays, and how many variables they are.
+/// Four arrays that hold the events, and what belongs to them.
 struct Found {
     arrays: [Array; 4],
-    /// Width and height, where they are stated.
+    /// Width and height, if stated.
     sides: Option<[Array; 2]>,
     used: usize,
     unit: Option<TimeUnit>,
     assumption: Option<Assumption>,
-    /// Whether pixels count from 0 whatever they are.
+    /// Whether pixels are counted from 0 whatever their values.
     from_zero: bool,
 }
 
 impl Plan {
-    /// Finds the events: in the variable `place` if the user named one.
+    /// Finds the events, in the variable `place` if the user named one.
     pub fn find(file: &MatFile, place: Option<&str>, reading: &Reading) -> Result<Self> {
         let found = match place {
             Some(place) => named(file, place, reading)?,
@@ -97,7 +97,7 @@ impl Plan {
         Ok(plan)
     }
 
-    /// t, x, y and p from event `first` on.
+    /// Opens t, x, y and p for reading from event `first` on.
     pub fn columns(&self, file: &MatFile, first: u64) -> Result<[Numbers; 4]> {
         let [t, x, y, p] = &self.arrays;
         let open = |array: &Array| {
@@ -107,7 +107,7 @@ impl Plan {
         Ok([open(t)?, open(x)?, open(y)?, open(p)?])
     }
 
-    /// The first rows before a damage.
+    /// Returns the first rows, at most those before the first damage.
     fn sample(&self, file: &MatFile) -> Result<Vec<Row>> {
         let mut columns = self.columns(file, 0)?;
         let (rows, _) = fill(&mut columns, limited(self.events, SAMPLE_TIMES));
@@ -115,7 +115,7 @@ impl Plan {
         Ok((0..rows).map(row).collect())
     }
 
-    /// The range of x, y and p before the first that is damaged or none.
+    /// Returns the range of x, y and p up to the first damaged or invalid row.
     fn range(&self, file: &MatFile, reading: &Reading) -> Result<Range> {
         let mut range = Range::default();
         let [_, x, y, p] = self.columns(file, 0)?;
@@ -138,7 +138,7 @@ impl Plan {
     }
 }
 
-/// A coordinate from 0 or from 1 on.
+/// Returns the number as a coordinate counted from 0 or 1, which may equal the longest side of a sensor.
 fn coordinate_or_side(number: Option<Number>) -> Option<u16> {
     let whole = number?.whole()?;
     if whole == i64::from(Sensor::SIDE_MAX) {
@@ -147,12 +147,12 @@ fn coordinate_or_side(number: Option<Number>) -> Option<u16> {
     coordinate(number)
 }
 
-/// What values there are, which tells what pixels and polarities count from.
+/// The range of a recording's values, which shows from which number pixels and polarities are counted.
 pub struct Range {
     least: u16,
     x_most: u16,
     y_most: u16,
-    /// Whether one is 2, and whether all are 1 or 2.
+    /// Whether some polarity is 2, and whether all are 1 or 2.
     has_two: bool,
     from_one: bool,
     is_empty: bool,
@@ -180,7 +180,7 @@ impl Range {
         self.is_empty = false;
     }
 
-    /// Takes a row; false where it is damaged.
+    /// Adds a row; returns `false` if its x or y is invalid, unless invalid events are left out.
     pub fn take(&mut self, row: &Row, reading: &Reading) -> bool {
         let [_, x, y, p] = *row;
         let (Some(x), Some(y)) = (coordinate_or_side(x), coordinate_or_side(y)) else {
@@ -190,7 +190,8 @@ impl Range {
         true
     }
 
-    /// What is counted from, where the file states a size and where its pixels count from 0 whatever they are.
+    /// Returns the numbers from which pixels and polarities are counted; `stated` is the size that the file states,
+    /// and `from_zero` means that pixels are counted from 0 in any case.
     pub fn base(&self, stated: Option<Sensor>, from_zero: bool) -> Base {
         let no_zero = self.least > 0 && !self.is_empty;
         let pixel = match stated {
@@ -219,7 +220,7 @@ impl Range {
     }
 }
 
-/// The events of the variable that the user named.
+/// Returns the events of the variable that the user named.
 fn named(file: &MatFile, place: &str, reading: &Reading) -> Result<Found> {
     let variable = file.variables().iter().find(|found| found.name == place);
     let found = match variable.map(|variable| &variable.content) {
@@ -230,7 +231,7 @@ fn named(file: &MatFile, place: &str, reading: &Reading) -> Result<Found> {
     found.ok_or_else(|| missing(file, &format!("no events at {place}")))
 }
 
-/// The events of a file, where only one place can have them.
+/// Returns the events of a file in which only one variable can hold them.
 fn any(file: &MatFile, reading: &Reading) -> Result<Found> {
     let numbers = |variable: &Variable| match variable.content {
         Content::Numbers(array) => Some((variable.name.clone(), array)),
@@ -272,7 +273,7 @@ fn any(file: &MatFile, reading: &Reading) -> Result<Found> {
     found.ok_or_else(|| missing(file, "no events"))
 }
 
-/// An error that tells what there is.
+/// Returns an error that lists the file's variables.
 fn missing(file: &MatFile, what: &str) -> event_types::stream::Error {
     if let Some(damage) = file.damage() {
         return damage;
@@ -313,7 +314,7 @@ fn find(arrays: &[(String, Array)], names: &[&str]) -> Option<Array> {
     found.map(|(_, array)| *array)
 }
 
-/// t, x, y and p by their names.
+/// Finds t, x, y and p by their names.
 fn columns(arrays: &[(String, Array)], reading: &Reading) -> Option<Found> {
     if matches!(reading.columns, Some(Columns::Places { .. })) {
         return None;
@@ -332,12 +333,12 @@ fn columns(arrays: &[(String, Array)], reading: &Reading) -> Option<Found> {
     })
 }
 
-/// Width and height by their names.
+/// Finds width and height by their names.
 fn sides(arrays: &[(String, Array)]) -> Option<[Array; 2]> {
     Some([find(arrays, &["width"])?, find(arrays, &["height"])?])
 }
 
-/// The events in the fields of a structure.
+/// Finds the events in the fields of a structure.
 fn structure(file: &MatFile, fields: &[(String, Array)], reading: &Reading) -> Option<Found> {
     let mut found = columns(fields, reading)?;
     let numbers = |variable: &Variable| match variable.content {
@@ -351,7 +352,7 @@ fn structure(file: &MatFile, fields: &[(String, Array)], reading: &Reading) -> O
     Some(found)
 }
 
-/// The events in a matrix of four columns, if it is one.
+/// Finds the events in a matrix; `None` if it has another number of columns than wanted.
 fn matrix(file: &MatFile, array: &Array, reading: &Reading) -> Result<Option<Found>> {
     let found = |arrays, assumption| Found {
         arrays,
@@ -387,7 +388,7 @@ fn matrix(file: &MatFile, array: &Array, reading: &Reading) -> Result<Option<Fou
     Ok(Some(found(arrays, Some(order_taken(order)))))
 }
 
-/// The sensor's size from two scalars.
+/// Reads the sensor's size from two scalars.
 fn stated(file: &MatFile, sides: [Array; 2]) -> Result<Sensor> {
     let [width, height] = sides;
     let side = |array: &Array| {
@@ -408,13 +409,13 @@ fn stated(file: &MatFile, sides: [Array; 2]) -> Result<Sensor> {
     })
 }
 
-/// `left`, at most `limit`.
+/// Returns `left`, at most `limit`.
 fn limited(left: u64, limit: usize) -> usize {
     usize::try_from(left).unwrap_or(limit).min(limit)
 }
 
-/// Fills every column with `count` numbers; returns how many all of them have, and which of them ended
-/// it, and how.
+/// Fills every column with `count` numbers. Returns how many numbers all of them have, and, if it is fewer, which
+/// column broke off and why.
 pub fn fill(columns: &mut [Numbers], count: usize) -> (usize, Option<(usize, String)>) {
     let (mut whole, mut ended) = (count, None);
     for (which, column) in columns.iter_mut().enumerate() {
@@ -448,7 +449,7 @@ mod tests {
         assert_eq!(of(&[(1, 3, 2), (4, 1, -1)]), (1, 0, sensor(4, 3)));
         let mut range = Range::default();
         range.add(1, 3, Some(1));
-        // As large as the stated sensor, and smaller, and of a program that counts from 0.
+        // An event at the edge of the stated sensor, one inside it, and a program that counts from 0.
         assert_eq!(range.base(sensor(8, 3), false).pixel, 1);
         assert_eq!(range.base(sensor(8, 8), false).pixel, 0);
         assert_eq!(range.base(None, true).pixel, 0);

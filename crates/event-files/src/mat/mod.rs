@@ -1,24 +1,24 @@
-//! Events in MATLAB's files of level 5 (`.mat`, what `save` writes by default and as `-v6` and `-v7`).
+//! Reads and writes events in MATLAB files of level 5 (`.mat`, written by `save` by default and with `-v6` and
+//! `-v7`).
 //!
 //! * A structure with fields t, x, y and p (also ts, time, timestamp(s); pol, polarity), as Prophesee's
-//!   `load_atis_data` returns them and `TD` of N-MNIST's `Read_Ndataset` has them; or variables of these
-//!   names; or one matrix of N rows and 4 columns, whose columns are told apart as those of a text file
-//!   without header. A structure or matrix is named behind the file, where there are several:
-//!   `FILE.mat/TD`.
-//! * Scalars `width` and `height`, among the variables or in the structure, give the sensor's size; without
-//!   them and without a size from the caller it is the largest x and y, plus one.
-//! * Real numbers of any class, also as the smaller types that MATLAB stores whole ones in; compressed or
-//!   not, of either byte order.
-//! * A structure in structures is named by its place: `FILE.mat/aedat/data/polarity` of `AedatTools`.
-//! * t: `crate::table::time_unit` has the rule; `crate::table::row_events` those for clocks that wrap, polarities and
-//!   events that cannot be one.
-//! * p: 1 is on; 0 or -1 is off. Where all are 1 or 2 and some are 2, 2 is on and 1 is off.
-//! * Pixels count from 1, as MATLAB does, where no column or row is 0, since some event of a camera's recording
-//!   is in its first row or column. But where the file states width and height, they count from 1 only where
-//!   an event is in the column or row of that number: files of this program state both and count from 0. So do
-//!   `AedatTools`, told by the field `timeStamp`.
+//!   `load_atis_data` returns it and as `TD` of N-MNIST's `Read_Ndataset`; or variables of these names; or one
+//!   matrix of N rows and 4 columns, which are told apart like those of a text file without a header. If there are
+//!   several structures or matrices, the name of one is appended to the file's: `FILE.mat/TD`.
+//! * Scalars `width` and `height`, as variables or in the structure, give the sensor's size; without them and
+//!   without a size from the caller it is the largest x and y, plus one.
+//! * Real numbers of any class, including the smaller integer types in which MATLAB stores whole numbers;
+//!   compressed or not, of either byte order.
+//! * A structure inside structures is named by its place: `FILE.mat/aedat/data/polarity` of `AedatTools`.
+//! * t: the unit follows the rule in `crate::table::time_unit`; `crate::table::row_events` describes clocks that
+//!   wrap, polarities and invalid events.
+//! * p: 1 is ON; 0 or -1 is OFF. If all are 1 or 2 and some are 2, 2 is ON and 1 is OFF.
+//! * Pixels are counted from 1, as MATLAB does, if no x and no y is 0, since some event of a camera's recording
+//!   lies in its first row or column. If the file states width and height, pixels are counted from 1 only if, in
+//!   addition, an event has x = width or y = height: files written by this crate state both and count from 0.
+//!   `AedatTools` also counts from 0; the field `timeStamp` identifies it.
 //!
-//! Level 4 has no mark to be told by. Files of `-v7.3` are HDF5 and read as such.
+//! Level 4 cannot be recognised, since its files have no signature. Files of `-v7.3` are HDF5 and read as such.
 //!
 //! Source: MAT-File Format, The MathWorks, R2020a.
 
@@ -61,15 +61,16 @@ pub const FORMAT: Format = Format {
     create: Some(|path, sensor| Ok(Box::new(MatWriter::create(path, sensor)?))),
 };
 
-/// Reader of MAT-files.
+/// A reader of MAT-files.
 pub type MatReader = Reader<MatDecoder>;
 
 impl MatReader {
-    /// Reads `source`, which messages call `name`; `place` is the variable of the events, where it was
-    /// named; `reading` says what the file does not.
+    /// Reads `source`, which messages call `name`. `place` is the variable of the events, if the user named one;
+    /// `reading` states what the file does not.
     ///
     /// # Errors
-    /// No MAT-file of level 5, no events in it, no size and no event.
+    /// This is no MAT-file of level 5; it is damaged; it has no events, or several variables that may hold them;
+    /// the columns, the unit or the size cannot be determined.
     pub fn new(
         source: Box<dyn ReadSeek>,
         name: &str,
@@ -101,7 +102,7 @@ impl MatReader {
     }
 }
 
-/// State between two batches.
+/// The decoder of [`MatReader`]: its state between two batches.
 pub struct MatDecoder {
     file: MatFile,
     plan: Plan,
@@ -157,9 +158,9 @@ impl Decode for MatDecoder {
                 self.events += 1;
             }
             match ended {
-                // What is behind the events may be damaged too.
+                // The rest of the file, after the events, may be damaged.
                 None if count == 0 => return self.file.damage().map_or(Ok(()), Err),
-                // None of a batch may have been an event.
+                // All rows of a batch may have been left out.
                 None if batch.is_empty() => {}
                 None => return Ok(()),
                 Some((which, what)) => return Err(self.error(which, what)),

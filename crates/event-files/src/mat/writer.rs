@@ -1,6 +1,6 @@
-//! Writer of MATLAB's files of level 5, compressed as `save -v7` does it: a structure `TD` as Prophesee's
-//! scripts have it, with columns x, y (uint16, from 0 on), p (int8, 1 or -1) and ts (int64, us), and the
-//! scalars `width` and `height`.
+//! Writes MATLAB files of level 5, compressed like those of `save -v7`: a structure `TD`, as in Prophesee's
+//! scripts, with columns x, y (uint16, from 0 on), p (int8, 1 or -1) and ts (int64, us), and the scalars `width`
+//! and `height`.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
@@ -14,17 +14,17 @@ use flate2::write::ZlibEncoder;
 use super::file::{COMPRESSED, HEADER_BYTES, MATRIX, STRUCTURE};
 use crate::{EventWriter, check_inside, create_file};
 
-/// Fast, and close to MATLAB's own.
+/// Fast, and close to the size of MATLAB's own files.
 const DEFLATE_LEVEL: u32 = 3;
 
-/// Bytes of an event in memory, and of a variable, which MATLAB's level 5 ends there.
+/// Size in bytes of an event, and largest size of a variable: level 5 allows at most 2 GiB.
 const EVENT_BYTES: u64 = 13;
 const VARIABLE_BYTES_MAX: u64 = (1 << 31) - (1 << 12);
 
-/// Bytes of a field's name.
+/// Number of bytes for a field's name.
 const NAME_BYTES: usize = 32;
 
-/// A class of arrays, and the type and size of its numbers in the file.
+/// A class of arrays: its number, and the type and size in bytes of its numbers in the file.
 #[derive(Clone, Copy)]
 struct Class {
     class: u32,
@@ -53,13 +53,13 @@ const INT64: Class = Class {
     bytes: 8,
 };
 
-/// Fields of the structure.
+/// The fields of the structure.
 const FIELDS: [(&str, Class); 4] = [("x", UINT16), ("y", UINT16), ("p", INT8), ("ts", INT64)];
 
-/// Writer of MAT-files.
+/// A writer of MAT-files.
 ///
-/// A structure holds one column after the other, so they wait in unnamed temporary files beside the output
-/// until the last event is known: memory stays bounded.
+/// A structure holds one column after another. To bound the memory, the columns wait in unnamed temporary files
+/// beside the output until the last event is known.
 pub struct MatWriter {
     file: BufWriter<File>,
     name: String,
@@ -72,7 +72,7 @@ impl MatWriter {
     /// Creates the file.
     ///
     /// # Errors
-    /// I/O.
+    /// The file, or a temporary file beside it, cannot be created.
     pub fn create(path: &Path, sensor: Sensor) -> Result<Self> {
         let (file, name) = create_file(path)?;
         let columns = crate::columns_beside(path, &name)?;
@@ -120,7 +120,7 @@ impl MatWriter {
             let head = 16 + 16 + text_bytes("TD") + 8 + 8 + names as u64;
             tag(to, MATRIX, head + fields.iter().sum::<u64>())?;
             head_of(to, "TD", STRUCTURE.into(), 1)?;
-            // A small element: its size is in the type's upper half.
+            // A small element has its size in the upper half of the type.
             put(to, &[4 << 16 | 5, NAME_BYTES as u32])?;
             tag(to, 1, names as u64)?;
             for (name, _) in FIELDS {
@@ -197,21 +197,21 @@ fn put(to: &mut dyn Write, words: &[u32]) -> io::Result<()> {
 }
 
 fn tag(to: &mut dyn Write, kind: u32, bytes: u64) -> io::Result<()> {
-    // No variable has more than 2 GiB: `write` sees to it.
+    // `write` ensures that no variable exceeds 2 GiB.
     put(to, &[kind, u32::try_from(bytes).unwrap_or(u32::MAX)])
 }
 
-/// Bytes of a text's element.
+/// Returns the size in bytes of the element of a text.
 fn text_bytes(text: &str) -> u64 {
     8 + (text.len() as u64).next_multiple_of(8)
 }
 
-/// Bytes of the element of a column of `rows` numbers.
+/// Returns the size in bytes of the element of an array of `rows` numbers.
 fn array_bytes(name: &str, class: Class, rows: u64) -> u64 {
     8 + 16 + 16 + text_bytes(name) + 8 + (rows * class.bytes).next_multiple_of(8)
 }
 
-/// Flags, dimensions and name of an array.
+/// Writes the flags, dimensions and name of an array.
 fn head_of(to: &mut dyn Write, name: &str, class: u32, rows: u64) -> io::Result<()> {
     put(to, &[6, 8, class, 0])?;
     put(to, &[5, 8, u32::try_from(rows).unwrap_or(u32::MAX), 1])?;
@@ -220,7 +220,7 @@ fn head_of(to: &mut dyn Write, name: &str, class: u32, rows: u64) -> io::Result<
     pad(to, name.len() as u64)
 }
 
-/// Writes the zeros that fill 8 bytes.
+/// Pads a content of `bytes` bytes with zeros to a multiple of 8.
 fn pad(to: &mut dyn Write, bytes: u64) -> io::Result<()> {
     io::copy(
         &mut io::repeat(0).take(bytes.next_multiple_of(8) - bytes),
@@ -229,7 +229,7 @@ fn pad(to: &mut dyn Write, bytes: u64) -> io::Result<()> {
     .map(drop)
 }
 
-/// Writes a column of `rows` numbers, an element with `inside` bytes.
+/// Writes an array of `rows` numbers as an element with `inside` bytes of content.
 fn array(
     to: &mut dyn Write,
     name: &str,

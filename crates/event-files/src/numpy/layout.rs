@@ -1,4 +1,4 @@
-//! Where the numbers of the events are in numpy's arrays, and how they are read in step.
+//! Finds the numbers of the events in numpy's arrays, and reads the arrays in step.
 
 use std::io::Read;
 
@@ -16,7 +16,7 @@ use crate::table::stated_size::StatedSize;
 use crate::zipped::entry::{Entries, Entry, EntryReader};
 use crate::{Assumption, BATCH_EVENTS};
 
-/// A number of every event: its stream, its offset in the stream's record, its type.
+/// A number that every event has: the index of its stream, its offset in the stream's record, its type.
 #[derive(Debug, Clone, Copy)]
 pub struct Field {
     pub stream: usize,
@@ -28,30 +28,30 @@ pub struct Field {
 #[derive(Clone)]
 pub struct StreamPlan {
     pub entry: Entry,
-    /// Bytes before the first record.
+    /// Number of bytes before the first record.
     skip: u64,
     record: usize,
 }
 
-/// Where the numbers of the events are.
+/// The place and the meaning of the events' numbers.
 pub struct Plan {
-    /// What is read in step.
+    /// The streams that are read in step.
     pub streams: Vec<StreamPlan>,
-    /// t, x, y, p.
+    /// The fields of t, x, y and p.
     pub fields: [Field; 4],
     /// Number of events.
     pub events: u64,
-    /// What the times are.
+    /// Type and unit of the times.
     pub times: Times,
-    /// Arrays used, but for those of the size.
+    /// Number of arrays used, without those of the size.
     pub used: usize,
-    /// How t, x, y and p were found, where that may be wrong.
+    /// How t, x, y and p were found, if that may be wrong.
     pub assumption: Option<Assumption>,
-    /// The size that names like `x@320` state.
+    /// The size that names such as `x@320` state.
     pub named_sensor: Option<Sensor>,
 }
 
-/// A stream being read, and the records of a batch.
+/// A stream that is being read, with the records of one batch.
 pub struct Stream {
     reader: EntryReader,
     record: usize,
@@ -59,7 +59,7 @@ pub struct Stream {
 }
 
 impl Stream {
-    /// Reads `count` records; returns how many were whole, and the error that ended them.
+    /// Reads `count` records; returns how many were read whole and, if fewer, the error.
     fn fill(&mut self, count: usize) -> (usize, Option<std::io::Error>) {
         self.bytes.resize(count * self.record, 0);
         let mut filled = 0;
@@ -76,17 +76,17 @@ impl Stream {
         (count, None)
     }
 
-    /// Bytes that follow what was read.
+    /// Returns the number of bytes that have not been read.
     pub const fn left(&self) -> u64 {
         self.reader.left()
     }
 
-    /// Whether the array has been read to its end and its CRC-32 is wrong.
+    /// Returns whether the array has been read to its end and its CRC-32 is wrong.
     pub fn is_damaged(&self) -> bool {
         self.reader.is_damaged()
     }
 
-    /// A number of record `index`.
+    /// Returns a field of record `index`.
     pub fn number(&self, index: usize, field: Field) -> Option<Number> {
         field
             .dtype
@@ -94,30 +94,30 @@ impl Stream {
     }
 }
 
-/// Arrays, each an entry of a zip file or a file.
+/// Arrays, each an entry of a zip file or a file of its own.
 pub struct NpzFile {
     name: String,
     entries: Entries,
 }
 
 impl NpzFile {
-    /// Arrays of a zip file or in files, which messages call `name`.
+    /// Wraps the arrays of a zip file or of single files, which messages call `name`.
     pub fn new(entries: Entries, name: &str) -> Self {
         let name = name.to_owned();
         Self { name, entries }
     }
 
-    /// Name for messages.
+    /// Returns the name for messages.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Number of arrays of any kind.
+    /// Returns the number of arrays of any kind.
     pub fn arrays(&self) -> usize {
         self.entries.iter().count()
     }
 
-    /// Error about an array.
+    /// Returns an error about an array.
     pub fn error(&self, entry: &Entry, what: impl std::fmt::Display) -> event_types::stream::Error {
         error!(
             Damaged,
@@ -231,7 +231,7 @@ impl NpzFile {
         Ok(plan.with(named))
     }
 
-    /// `--columns` by places is for tables without names.
+    /// Returns an error if `--columns` gives positions, which are only for tables without names.
     fn refuse_places(&self, reading: &Reading) -> Result<()> {
         let by_places = matches!(reading.columns, Some(Columns::Places { .. }));
         let name = &self.name;
@@ -300,7 +300,8 @@ impl NpzFile {
             }
             None => 4,
         };
-        // Whether the columns are rows of the array, and so whether their numbers lie together.
+        // Whether each column is a row of the array; this and the order in memory decide whether its numbers are
+        // adjacent.
         let (events, is_turned) = match *header.shape.as_slice() {
             [events, columns] if columns == wanted as u64 => (events, false),
             [columns, events] if columns == wanted as u64 => (events, true),
@@ -357,7 +358,7 @@ impl NpzFile {
         self.order_columns(plan, reading)
     }
 
-    /// Finds out which column of an (N, 4) array is what.
+    /// Finds out which columns of an (N, 4) array are t, x, y and p.
     fn order_columns(&self, plan: Plan, reading: &Reading) -> Result<Plan> {
         let (rows, _) = self.first_rows(&plan, SAMPLE_ROWS)?;
         let Some(first) = plan.streams.first() else {
@@ -375,7 +376,8 @@ impl NpzFile {
         Ok(plan)
     }
 
-    /// The first rows before a damage, `most` of them or fewer, and whether there are more.
+    /// Returns the first rows, at most `most` and at most those before the first damage, and whether the file has
+    /// more than `most`.
     pub fn first_rows(&self, plan: &Plan, most: usize) -> Result<(Vec<Row>, bool)> {
         let mut streams = self.streams(plan)?;
         let wanted = count(plan.events, most);
@@ -425,7 +427,7 @@ impl NpzFile {
         plan.streams.iter().map(open).collect()
     }
 
-    /// The size that arrays of up to three numbers state beside the events.
+    /// Returns the size that arrays of up to three numbers state beside the events.
     pub fn stated_size(&self) -> Result<Option<Sensor>> {
         let mut size = StatedSize::default();
         let mut sides = 0;
@@ -448,18 +450,18 @@ impl NpzFile {
         }
     }
 
-    /// Arrays whose names are those of a size.
+    /// Returns the arrays whose names are those of a size.
     fn size_entries(&self) -> impl Iterator<Item = &Entry> {
         let entries = self.entries.iter();
         entries.filter(|entry| stated_size::is_known(stem(entry)))
     }
 
-    /// How many arrays state the size.
+    /// Returns the number of arrays that state the size.
     pub fn sizes(&self) -> usize {
         self.size_entries().count()
     }
 
-    /// The numbers of an array of three of them at most.
+    /// Returns the numbers of an array that has at most three.
     fn few(&self, entry: &Entry) -> Result<Option<Vec<f64>>> {
         let header = self.header(entry)?;
         let count = header
@@ -484,13 +486,13 @@ impl NpzFile {
         ))
     }
 
-    /// Size that holds every event.
+    /// Returns the smallest sensor that holds every event before the first damage.
     pub fn largest(&self, plan: &Plan, reading: &Reading) -> Result<Sensor> {
         let mut streams = self.streams(plan)?;
         let mut extent = Extent::new(reading);
         let mut left = plan.events;
         while left > 0 {
-            // Damage is for the reader, which returns the events before it.
+            // The reader reports damage, after it has returned the events before it.
             let (rows, error) = fill(&mut streams, count(left, BATCH_EVENTS));
             for row in 0..rows {
                 let [x, y] = [X, Y].map(|which| {
@@ -511,7 +513,7 @@ impl NpzFile {
 }
 
 impl Plan {
-    /// With what the names of t, x, y and p say.
+    /// Adds what the names of t, x, y and p state.
     fn with(mut self, named: &Named) -> Self {
         self.times.scale = self.times.scale.or(named.unit.map(Scale::from));
         self.named_sensor = named.sensor;
@@ -520,12 +522,12 @@ impl Plan {
     }
 }
 
-/// An array's name without its ending.
+/// Returns an array's name without its ending.
 fn stem(entry: &Entry) -> &str {
     entry.name.strip_suffix(".npy").unwrap_or(&entry.name)
 }
 
-/// The length of an array whose other sides are 1.
+/// Returns the length of an array whose other sides are 1.
 fn one_side(shape: &[u64]) -> Option<u64> {
     let mut others = shape.iter().filter(|side| **side != 1);
     let only = match others.next() {
@@ -536,19 +538,19 @@ fn one_side(shape: &[u64]) -> Option<u64> {
     others.next().is_none().then_some(only)
 }
 
-/// Those fields that `places` name.
+/// Returns the fields at these positions.
 fn in_order(fields: &[Field], places: [usize; 4]) -> Vec<Field> {
     let fields = places.iter().filter_map(|place| fields.get(*place));
     fields.copied().collect()
 }
 
-/// `left`, at most `limit`.
+/// Returns `left`, at most `limit`.
 pub fn count(left: u64, limit: usize) -> usize {
     usize::try_from(left).unwrap_or(limit).min(limit)
 }
 
-/// Fills every stream with `count` records; returns how many all of them have, and what ended it:
-/// the stream and its error.
+/// Fills every stream with `count` records. Returns how many records all of them have, and, if it is fewer, the
+/// stream that broke off and its error.
 pub fn fill(streams: &mut [Stream], count: usize) -> (usize, Option<(usize, std::io::Error)>) {
     let (mut whole, mut ended) = (count, None);
     for (index, stream) in streams.iter_mut().enumerate() {

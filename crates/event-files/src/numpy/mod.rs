@@ -1,4 +1,4 @@
-//! Arrays of NumPy: `.npy` and `.npz`.
+//! Reads and writes NumPy arrays: `.npy` and `.npz`.
 
 #[cfg(feature = "npz")]
 pub(crate) mod layout;

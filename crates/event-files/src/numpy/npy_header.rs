@@ -1,7 +1,7 @@
-//! Headers of `.npy` arrays, versions 1 to 3, and the numbers behind them.
+//! Parses and writes headers of `.npy` arrays, versions 1 to 3, and decodes their numbers.
 //!
-//! The crates `npyz` and `ndarray-npy` bring a parser generator and big integers, or `ndarray`,
-//! for this one line of text; it is parsed here.
+//! The crates `npyz` and `ndarray-npy` depend on a parser generator and big integers, or on `ndarray`, for this
+//! single line of text, so it is parsed here.
 
 use std::io::Read;
 
@@ -10,56 +10,56 @@ use crate::table::row_events::Scale;
 /// First bytes of every array.
 pub const MAGIC: &[u8; 6] = b"\x93NUMPY";
 
-/// Longest header; numpy itself warns above 10,000 characters.
+/// Largest header in bytes; numpy itself warns above 10,000 characters.
 const HEADER_MAX: usize = 1 << 16;
 
-/// Deepest nesting of a header's literal.
+/// Greatest depth of nesting in a header's literal.
 const DEPTH_MAX: usize = 8;
 
-/// What an array holds.
+/// The header of an array.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NpyHeader {
-    /// Bytes before the first element.
+    /// Number of bytes before the first element.
     pub bytes: u64,
-    /// Whether columns and not rows lie together.
+    /// Whether the array is stored column by column rather than row by row.
     pub fortran_order: bool,
-    /// Length of every dimension.
+    /// Length of each dimension.
     pub shape: Vec<u64>,
-    /// Type of an element.
+    /// Type of the elements.
     pub descr: Descr,
 }
 
-/// Type of an element.
+/// The type of an element.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Descr {
-    /// One number.
+    /// A single number.
     Plain(Dtype),
-    /// Named fields with their offsets, and the size of all.
+    /// Named fields with their offsets, and the size in bytes of the whole element.
     Fields(Vec<(String, usize, Dtype)>, usize),
 }
 
-/// Type and size of a number.
+/// The type and size of a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Dtype {
     kind: u8,
     big_endian: bool,
-    /// Bytes of a number.
+    /// Size in bytes of a number.
     pub bytes: usize,
-    /// Of numpy's times and durations: what a number is.
+    /// For numpy's times and durations: the unit.
     scale: Option<Scale>,
 }
 
 /// A number of an array.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Number {
-    /// Of an integer or bool type.
+    /// A number of an integer or bool type.
     Whole(i64),
-    /// Of a float type.
+    /// A number of a float type.
     Float(f64),
 }
 
 impl Number {
-    /// The value where it is whole.
+    /// Returns the value if it is whole and, as a float, exact (at most 9e15).
     pub fn whole(self) -> Option<i64> {
         match self {
             Self::Whole(value) => Some(value),
@@ -69,7 +69,7 @@ impl Number {
         }
     }
 
-    /// The value as a float.
+    /// Returns the value as a float, rounded if needed.
     pub fn float(self) -> f64 {
         match self {
             Self::Whole(value) => value as f64,
@@ -79,8 +79,8 @@ impl Number {
 }
 
 impl Dtype {
-    /// A number of `bytes` bytes: `b'i'` signed, `b'u'` unsigned, `b'f'` float, `b'b'` bool; `None`
-    /// where [`Dtype::number`] could not read it.
+    /// Creates a type of `bytes` bytes: `b'i'` signed, `b'u'` unsigned, `b'f'` float, `b'b'` bool; `None` if
+    /// [`Dtype::number`] could not read it.
     pub fn new(kind: u8, big_endian: bool, bytes: usize) -> Option<Self> {
         let dtype = Self {
             kind,
@@ -101,7 +101,7 @@ impl Dtype {
             Some((size, unit)) => (size, unit.strip_suffix(']')),
             None => (size, None),
         };
-        // Objects of Python have no size.
+        // Python objects have no stated size.
         let size: usize = if kind == "O" { 8 } else { size.parse().ok()? };
         let bytes = if kind == "U" {
             size.checked_mul(4)?
@@ -117,22 +117,23 @@ impl Dtype {
         })
     }
 
-    /// What a number of a type of times or durations is, of a unit that months and years have not.
+    /// Returns the unit of a type of times or durations; `None` if it has none, or months or years.
     pub fn scale(self) -> Option<Scale> {
         self.scale
     }
 
-    /// Whether it is an unsigned number of 32 bits.
+    /// Returns whether the numbers are unsigned 32-bit integers.
     pub fn is_u32(self) -> bool {
         self.kind == b'u' && self.bytes == 4
     }
 
-    /// Whether it is numpy's type of Python's objects.
+    /// Returns whether this is numpy's type of Python objects.
     pub fn is_object(self) -> bool {
         self.kind == b'O'
     }
 
-    /// Whether [`Dtype::number`] can read it: bool, integers of 1 to 8 bytes, floats of 2 to 8.
+    /// Returns whether [`Dtype::number`] can read the type: bool, integers of 1 to 8 bytes, floats of 2 to 8, times
+    /// of 8 with a unit.
     pub fn is_number(self) -> bool {
         match self.kind {
             b'b' => self.bytes == 1,
@@ -143,12 +144,12 @@ impl Dtype {
         }
     }
 
-    /// Whether it is a float.
+    /// Returns whether the numbers are floats.
     pub fn is_float(self) -> bool {
         self.kind == b'f'
     }
 
-    /// Appends every number of `bytes`; the common types without a look at the type for each of them.
+    /// Appends all numbers of `bytes`; for the common types, the type is examined only once.
     pub fn numbers(self, bytes: &[u8], out: &mut Vec<Option<Number>>) {
         fn each<const N: usize>(
             bytes: &[u8],
@@ -173,8 +174,8 @@ impl Dtype {
         }
     }
 
-    /// The number at the start of `bytes`; `None` where it is too short, or an unsigned number
-    /// above 2^63 - 1.
+    /// Returns the number at the start of `bytes`; `None` if they are too few or hold an unsigned number of 2^63 or
+    /// more.
     #[inline]
     pub fn number(self, bytes: &[u8]) -> Option<Number> {
         let bytes = bytes.get(..self.bytes)?;
@@ -190,7 +191,7 @@ impl Dtype {
                 let shift = 64 - 8 * self.bytes as u32;
                 Number::Whole((raw << shift) as i64 >> shift)
             }
-            // Not a time.
+            // NaT, numpy's missing time.
             (b'm' | b'M', 8) if raw == 1 << 63 => Number::Float(f64::NAN),
             (b'm' | b'M', 8) => Number::Whole(raw as i64),
             (b'u' | b'b', _) => Number::Whole(i64::try_from(raw).ok()?),
@@ -202,7 +203,7 @@ impl Dtype {
     }
 }
 
-/// What a number is that counts numpy's unit, such as `ns` or `25us`.
+/// Parses numpy's unit of times, such as `ns` or `25us`.
 fn unit_scale(unit: &str) -> Option<Scale> {
     let digits = unit.find(|letter: char| !letter.is_ascii_digit())?;
     let (count, unit) = unit.split_at_checked(digits)?;
@@ -229,7 +230,7 @@ fn unit_scale(unit: &str) -> Option<Scale> {
     Some(Scale::new(times, by))
 }
 
-/// IEEE 754 binary16.
+/// Converts an IEEE 754 binary16 number.
 fn half(bits: u16) -> f64 {
     let (exponent, fraction) = (i32::from(bits >> 10 & 0x1f), f64::from(bits & 0x3ff));
     let value = match exponent {
@@ -242,10 +243,10 @@ fn half(bits: u16) -> f64 {
 }
 
 impl NpyHeader {
-    /// Reads a header; the reader then stands at the first element.
+    /// Reads a header and leaves the reader at the first element.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// The header is damaged or of an unknown version; the message says which.
     pub fn read(reader: &mut impl Read) -> Result<Self, String> {
         let mut take = |n: usize| {
             let mut bytes = vec![0; n];
@@ -307,7 +308,7 @@ impl NpyHeader {
                     };
                     let name = match parts.first()? {
                         Literal::Text(name) => name.clone(),
-                        // (title, name)
+                        // A pair (title, name).
                         Literal::Sequence(names) => match names.last()? {
                             Literal::Text(name) => name.clone(),
                             _ => return None,
@@ -342,16 +343,16 @@ impl NpyHeader {
         })
     }
 
-    /// A version 1 header of `count` numbers of type `descr`, or of one scalar where it is `None`.
+    /// Returns a version 1 header of `count` numbers of type `descr`, or of a single scalar if `count` is `None`.
     pub fn text(descr: &str, count: Option<u64>) -> Vec<u8> {
         Self::padded(&format!("'{descr}'"), count, 0)
     }
 
-    /// As [`NpyHeader::text`], of a `descr` as Python writes it, and at least `least` bytes long.
+    /// Returns a header like [`NpyHeader::text`], for a `descr` in Python syntax and of at least `least` bytes.
     pub fn padded(descr: &str, count: Option<u64>, least: usize) -> Vec<u8> {
         let shape = count.map_or(String::from("()"), |count| format!("({count},)"));
         let mut text = format!("{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}");
-        // Elements begin at a multiple of 64, after a line feed.
+        // The elements begin at a multiple of 64, after a line feed.
         while 11 + text.len() < least || !(11 + text.len()).is_multiple_of(64) {
             text.push(' ');
         }
@@ -428,7 +429,7 @@ impl Literal {
                     .find(|c: char| !c.is_ascii_digit())
                     .unwrap_or(rest.len());
                 let (digits, after) = rest.split_at_checked(end)?;
-                // Python 2 wrote long integers with an L.
+                // Python 2 writes long integers with an L.
                 *rest = after.strip_prefix('L').unwrap_or(after).trim_start();
                 digits.parse().ok().map(Self::Number)
             }
@@ -439,7 +440,7 @@ impl Literal {
     }
 }
 
-/// Takes `token` and the spaces after it off `rest`.
+/// Removes `token` and the spaces after it from the start of `rest`; returns whether it was there.
 fn accept(rest: &mut &str, token: &str) -> bool {
     match rest.strip_prefix(token) {
         Some(after) => {
@@ -471,7 +472,7 @@ mod tests {
                     .collect();
                 let mut got = Vec::new();
                 dtype.numbers(&bytes, &mut got);
-                // NaN is not itself.
+                // Compared as text, since NaN is not equal to itself.
                 assert_eq!(format!("{got:?}"), format!("{want:?}"), "{dtype:?}");
             }
         }

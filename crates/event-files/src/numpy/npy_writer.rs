@@ -1,8 +1,7 @@
-//! Writer of `.npy` files: one structured array, fields t (int64, us), x, y (int16), p (uint8, 0 or 1).
+//! Writes `.npy` files: one structured array with fields t (int64, us), x, y (int16), p (uint8, 0 or 1).
 //!
-//! These are the names, the order and the types of expelliarmus, which tonic and others take by their names; a
-//! field with a name is read the same whatever its type. An array has no place for the sensor's width and
-//! height: who reads the file must know them, or takes the largest x and y.
+//! Names, order and types are those of expelliarmus; tonic and others find the fields by name, whatever their
+//! types. An array has no place for the sensor's size: a reader must know it, or takes it from the largest x and y.
 
 use std::fs::File;
 use std::io::{BufWriter, Seek, Write};
@@ -16,10 +15,10 @@ use crate::{EventWriter, create_file};
 
 const DESCR: &str = "[('t', '<i8'), ('x', '<i2'), ('y', '<i2'), ('p', '|u1')]";
 
-/// Bytes of the header, whatever the number of events.
+/// Size in bytes of the header, whatever the number of events.
 const HEADER_BYTES: usize = 192;
 
-/// Writer of `.npy` files.
+/// A writer of `.npy` files.
 pub struct NpyWriter {
     file: BufWriter<File>,
     name: String,
@@ -31,7 +30,7 @@ impl NpyWriter {
     /// Creates the file.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be created or written.
     pub fn create(path: &Path, sensor: Sensor) -> Result<Self> {
         let (mut file, name) = create_file(path)?;
         file.write_all(&NpyHeader::padded(DESCR, Some(0), HEADER_BYTES))

@@ -1,23 +1,24 @@
-//! Events as numpy's arrays: in a zip file (`.npz`, stored or deflated), in one file (`.npy`), or in a folder
-//! of such files.
+//! Reads events from numpy's arrays: in a zip file (`.npz`, stored or deflated), in one file (`.npy`), or in a
+//! folder of `.npy` files.
 //!
-//! * Either arrays t, x, y and p (or of other names that these usually have, such as ts, `timestamps_ns`, pol,
-//!   on), of one dimension or (N, 1), (1, N) each,
-//! * or one array `events` (or the only one, or the one that is named behind the file: `FILE.npz/left`):
-//!   structured with fields of these names, or of shape (N, 4) or (4, N), whose columns are told apart as those
-//!   of a text file without header.
-//! * `--columns` names arrays or fields, or gives the order of a table, which may then have any width.
-//! * Scalars `width` and `height`, or a pair such as `resolution`, give the sensor's size; without them and
-//!   without a size from the caller a first pass finds the largest x and y, plus one.
-//! * Integers and floats of any width up to 8 bytes, either byte order, bool for p, timedelta64 and datetime64
-//!   for t. Arrays of Python's objects (pickled dictionaries) are named in the error.
-//! * t: of a time type, or of a name that ends in a unit, in that; else `crate::table::time_unit` has the rule.
-//!   `crate::table::row_events` has the rules for clocks that wrap, polarities and events that cannot be one.
+//! * Either there are arrays t, x, y and p (or with other usual names, such as ts, `timestamps_ns`, pol, on), each
+//!   of one dimension or (N, 1), (1, N),
+//! * or there is one array `events` (or only one array, or one whose name the user appends to the file's, as in
+//!   `FILE.npz/left`): structured with fields of these names, or of shape (N, 4) or (4, N), with columns that are
+//!   told apart like those of a text file without a header.
+//! * `--columns` names arrays or fields, or gives the order of a table's columns; the table may then have any width.
+//! * Scalars `width` and `height`, or a pair such as `resolution`, give the sensor's size; without them and without
+//!   a size from the caller, a first pass finds the largest x and y, plus one.
+//! * Types: integers and floats of up to 8 bytes, in either byte order; bool for p; timedelta64 and datetime64 for
+//!   t. Arrays of Python objects (pickled dictionaries) are refused with an explanation.
+//! * t: in the unit of its time type, or in the unit at the end of its name, otherwise by the rule in
+//!   `crate::table::time_unit`. `crate::table::row_events` describes clocks that wrap, polarities and invalid
+//!   events.
 //!
-//! A zip file without arrays may hold one recording of another kind: see `crate::zipped::recording`.
+//! A zip file without arrays may hold one recording of another format: see `crate::zipped::recording`.
 //!
-//! The arrays are read in step, one batch of each at a time. A wrong CRC-32 of one is an error
-//! after the last event; a truncated file has lost its directory and cannot be read at all.
+//! The arrays are read in step, one batch of each at a time. A wrong CRC-32 is reported after the last event. A
+//! truncated file has lost its directory and cannot be read at all.
 
 use std::path::Path;
 
@@ -38,13 +39,13 @@ use crate::zipped::entry::Entries;
 use crate::zipped::recording as zip_recording;
 use crate::{Assumption, EventReader, Skipped};
 
-/// First bytes of a zip file with an entry.
+/// First bytes of a zip file with at least one entry.
 pub const MAGIC: &[u8; 4] = b"PK\x03\x04";
 
-/// Most files of a folder that are looked at.
+/// Largest number of files of a folder that are opened.
 const FILES_MAX: usize = 256;
 
-/// npz in the table of formats.
+/// The entry of `.npz` in the table of formats.
 pub const FORMAT: Format = Format {
     name: "npz",
     title: "npz",
@@ -59,7 +60,7 @@ pub const FORMAT: Format = Format {
     create: Some(|path, sensor| Ok(Box::new(NpzWriter::create(path, sensor)?))),
 };
 
-/// npy in the table of formats.
+/// The entry of `.npy` in the table of formats.
 pub const NPY_FORMAT: Format = Format {
     name: "npy",
     title: "npy",
@@ -102,10 +103,10 @@ fn open_zip(opening: Opening) -> Result<Box<dyn EventReader>> {
     Ok(Box::new(NpzReader::new(file, "npz", place, &reading)?))
 }
 
-/// Opens a zip file of arrays in memory or in a file.
+/// Opens a zip file of arrays from a file or memory; messages call it `name`.
 ///
 /// # Errors
-/// As [`crate::open`].
+/// Those of [`crate::open`].
 pub fn open_arrays(
     source: Box<dyn ReadSeek>,
     name: &str,
@@ -117,7 +118,7 @@ pub fn open_arrays(
     Ok(Box::new(NpzReader::new(file, "npz", None, reading)?))
 }
 
-/// Whether a folder holds arrays, `t.npy` and the like.
+/// Returns whether a folder holds arrays, such as `t.npy`.
 pub fn is_folder(path: &Path) -> bool {
     let mut files = std::fs::read_dir(path).into_iter().flatten().flatten();
     files.any(|file| Path::new(&file.file_name()).extension() == Some("npy".as_ref()))
@@ -126,7 +127,7 @@ pub fn is_folder(path: &Path) -> bool {
 /// Opens a folder of arrays.
 ///
 /// # Errors
-/// I/O, and as [`crate::open`].
+/// The folder cannot be read or holds more than 256 arrays; otherwise those of [`crate::open`].
 pub fn open_folder(path: &Path, reading: &Reading) -> Result<Box<dyn EventReader>> {
     let name = path.display().to_string();
     let failed = || format!("{name}: cannot be read");
@@ -155,11 +156,11 @@ pub fn open_folder(path: &Path, reading: &Reading) -> Result<Box<dyn EventReader
     Ok(Box::new(NpzReader::new(file, "npy", None, reading)?))
 }
 
-/// Reader of numpy's arrays.
+/// A reader of numpy's arrays.
 pub type NpzReader = Reader<NpzDecoder>;
 
 impl NpzReader {
-    /// Reads `file`, of the format of this name; `place` is the array that the user named.
+    /// Reads `file` as the format of this name; `place` is the array that the user named.
     fn new(
         file: NpzFile,
         format: &'static str,
@@ -199,7 +200,7 @@ impl NpzReader {
     }
 }
 
-/// State between two batches.
+/// The decoder of [`NpzReader`]: its state between two batches.
 pub struct NpzDecoder {
     format: &'static str,
     file: NpzFile,
@@ -215,8 +216,8 @@ impl NpzDecoder {
         self.plan.fields.map(number)
     }
 
-    /// Refuses an array that others follow in its file, as `numpy.save` writes them into an open one. Of an array
-    /// that is read in several places the end is not known here.
+    /// Returns an error if other arrays follow in the same file, as written by `numpy.save` to an open file. If
+    /// several streams read one array, its end is not known here.
     fn check_end(&self) -> Result<()> {
         for (index, (stream, of)) in self.streams.iter().zip(&self.plan.streams).enumerate() {
             let others = self.plan.streams.iter();
@@ -273,7 +274,8 @@ impl Decode for NpzDecoder {
                 self.events += 1;
             }
             match ended {
-                // Where in the array the damage is nobody can tell, so the events are out by now.
+                // The CRC-32 does not show where the damage is, so it is checked after all events have been
+                // returned.
                 None if count == 0 => {
                     return match self.streams.iter().position(Stream::is_damaged) {
                         None => self.check_end(),
@@ -282,7 +284,7 @@ impl Decode for NpzDecoder {
                         }
                     };
                 }
-                // None of a batch may have been an event.
+                // All rows of a batch may have been left out.
                 None if batch.is_empty() => {}
                 None => return Ok(()),
                 Some((stream, error)) => return Err(self.error(stream, error)),

@@ -1,4 +1,4 @@
-//! Writer of npz files: t (int64, us), x, y (uint16), p (uint8, 0 or 1), width and height.
+//! Writes npz files: arrays t (int64, us), x, y (uint16), p (uint8, 0 or 1), width and height.
 
 use std::fs::File;
 use std::io::{BufWriter, Read, Seek, Write};
@@ -11,10 +11,10 @@ use zip::write::SimpleFileOptions;
 use crate::numpy::npy_header::NpyHeader;
 use crate::{EventWriter, columns_beside, create_file};
 
-/// Fast, and close to numpy's `savez_compressed` on event columns.
+/// Fast; event columns become about as small as with numpy's `savez_compressed`.
 const DEFLATE_LEVEL: i64 = 3;
 
-/// From this size on zip needs its 64-bit fields.
+/// Size in bytes from which on zip's 64-bit fields are written.
 const LARGE_BYTES: u64 = 1 << 31;
 
 /// Names and types of the columns.
@@ -25,10 +25,10 @@ const COLUMNS: [(&str, &str); 4] = [
     ("p.npy", "|u1"),
 ];
 
-/// Writer of npz files.
+/// A writer of npz files.
 ///
-/// A zip file holds one column after the other, so they wait in unnamed temporary files beside
-/// the output until the last event is known: memory stays bounded.
+/// A zip file holds one column after another. To bound the memory, the columns wait in unnamed temporary files
+/// beside the output until the last event is known.
 pub struct NpzWriter {
     file: BufWriter<File>,
     name: String,
@@ -41,7 +41,7 @@ impl NpzWriter {
     /// Creates the file.
     ///
     /// # Errors
-    /// I/O.
+    /// The file, or a temporary file beside it, cannot be created.
     pub fn create(path: &Path, sensor: Sensor) -> Result<Self> {
         let (file, name) = create_file(path)?;
         let columns = columns_beside(path, &name)?;

@@ -1,4 +1,4 @@
-//! Endings of names, and the kinds of files that they stand for.
+//! Checks that the ending of an output's name fits the kind of file that is written.
 
 use std::path::Path;
 
@@ -8,24 +8,24 @@ use event_types::stream::Result;
 use crate::FORMATS;
 use crate::format::{FRAMES, FRAMES_ENDING};
 
-/// What a file that a command writes holds.
+/// The kind of a file that a command writes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// Frames of the codec.
+    /// EECVS frames.
     Frames,
-    /// Events, in a format that the ending names.
+    /// Events, in the format that the ending names.
     Recording,
-    /// Events, in a format whatever the ending.
+    /// Events, in a format that does not depend on the ending.
     AnyRecording,
-    /// An array.
+    /// A volume, as an array.
     Volume,
-    /// Pictures.
+    /// A picture or an animation.
     Picture,
-    /// A chart.
+    /// A chart in SVG.
     Chart,
-    /// Thresholds.
+    /// Thresholds of a calibration.
     Settings,
-    /// Bytes of a device.
+    /// A device's byte stream.
     Stream,
 }
 
@@ -40,10 +40,11 @@ const KINDS: [Kind; 7] = [
 ];
 
 impl Kind {
-    /// Refuses a name whose ending is another kind's.
+    /// Checks that the name does not have the ending of another kind; for [`Kind::Recording`], that a format with a
+    /// writer has its ending.
     ///
     /// # Errors
-    /// The message names the file and its ending.
+    /// The ending does not fit; the message names the file and a suitable ending.
     pub fn check(self, path: &Path) -> Result<()> {
         if self == Self::Recording {
             return crate::writable(path).map(|_| ());

@@ -8,20 +8,20 @@ use event_types::stream::Result;
 
 use super::{Output, is_stdout};
 
-/// A file being written, whose errors name it; nothing of it stays when it is dropped before
-/// [`OutputFile::finish`].
+/// A file that is being written and whose errors name it. If it is dropped before [`OutputFile::finish`], it is
+/// removed.
 #[derive(Debug)]
 pub struct OutputFile {
-    // Closed before the output is removed or renamed.
+    // Declared first, so that it is closed before the output is removed or renamed.
     out: BufWriter<File>,
     output: Output,
 }
 
 impl OutputFile {
-    /// Begins a file that is there when it is complete, as [`Output::begin`].
+    /// Begins a file that appears under its name only when it is complete, like [`Output::begin`].
     ///
     /// # Errors
-    /// A file that cannot be created; the message names it.
+    /// The file cannot be created; the message names it.
     pub fn create(path: &Path) -> Result<Self> {
         let output = Output::begin(path)?;
         let file = output.file()?;
@@ -31,10 +31,10 @@ impl OutputFile {
         })
     }
 
-    /// Writes what is buffered and gives the file its name.
+    /// Flushes the buffer and gives the file its name.
     ///
     /// # Errors
-    /// I/O; the message names the file.
+    /// The file cannot be written or renamed; the message names it.
     pub fn finish(mut self) -> Result<()> {
         self.flush()?;
         let Self { out, output } = self;
@@ -42,10 +42,11 @@ impl OutputFile {
         output.keep()
     }
 
-    /// As [`OutputFile::finish`], of everything before a damage, as [`Output::keep_incomplete`].
+    /// Finishes a file that holds only what precedes damage in its input, like [`Output::keep_incomplete`]; returns
+    /// its name.
     ///
     /// # Errors
-    /// I/O; the message names the file.
+    /// The file cannot be written or renamed; the message names it.
     pub fn finish_incomplete(mut self) -> Result<PathBuf> {
         self.flush()?;
         let Self { out, output } = self;
@@ -55,7 +56,7 @@ impl OutputFile {
 
     fn named(&self, error: &io::Error) -> io::Error {
         let name = self.output.name().display();
-        // Whoever reads stdout may have seen enough; a named pipe's reader was to have all.
+        // The reader of stdout may stop early on purpose; a named pipe's reader is expected to take everything.
         let kind = match error.kind() {
             io::ErrorKind::BrokenPipe if !is_stdout(self.output.name()) => io::ErrorKind::Other,
             kind => kind,
@@ -68,7 +69,7 @@ impl Write for OutputFile {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let written = self.out.write(bytes);
         let written = written.map_err(|error| self.named(&error))?;
-        // Whoever reads a pipe does not wait for more.
+        // A pipe's reader must not wait for the buffer to fill.
         if self.output.is_direct() {
             self.flush()?;
         }
@@ -80,10 +81,10 @@ impl Write for OutputFile {
     }
 }
 
-/// Writes a whole file, in place of one that is there.
+/// Writes a whole file and replaces an existing one.
 ///
 /// # Errors
-/// I/O; the message names the file.
+/// The file cannot be created or written; the message names it.
 pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {
     let mut file = OutputFile::create(path)?;
     file.write_all(bytes.as_ref())?;

@@ -1,4 +1,4 @@
-//! Files that a command writes: checked before the work, complete or not there, never over what is read.
+//! Output files of commands: checked before the work begins, complete or absent, and never written over an input.
 
 mod ending;
 mod file;
@@ -18,23 +18,23 @@ pub use ending::Kind;
 pub use file::{OutputFile, write};
 pub use same::is_same;
 
-/// What the name of a file begins with that a live source fills, or that ends before a damage of its input.
+/// Prefix of the names of files that are still filled by a live source, or that end at damage in their input.
 const INCOMPLETE: &str = "incomplete-";
 
-/// What a temporary name ends with.
+/// Ending of temporary names.
 const PART: &str = ".part";
 
-/// Random characters of a temporary name.
+/// Number of random characters in a temporary name.
 const RANDOM: usize = 6;
 
-/// Links that are followed from a name to its file.
+/// Largest number of links followed from a name to its file.
 const LINKS_MAX: usize = 40;
 
-/// Refuses an output before anything is done: an ending of another kind of file, an input of the command,
-/// a file that is there already (unless `overwrite`), a folder that is not there.
+/// Checks an output before any work is done.
 ///
 /// # Errors
-/// Each of these; the message names the output and what to do.
+/// The ending is that of another kind of file; the output is one of the command's inputs; a file of this name
+/// exists and `overwrite` is not set; its folder does not exist. The message names the output and what to do.
 pub fn check(path: &Path, kind: Kind, overwrite: bool, inputs: &[&Path]) -> Result<()> {
     let name = path.display();
     for input in inputs {
@@ -74,7 +74,7 @@ pub fn check(path: &Path, kind: Kind, overwrite: bool, inputs: &[&Path]) -> Resu
     Ok(())
 }
 
-/// A file being written, under another name until [`Output::keep`].
+/// A file that is being written, under another name until [`Output::keep`].
 #[derive(Debug)]
 pub struct Output {
     name: PathBuf,
@@ -85,18 +85,18 @@ pub struct Output {
 enum Place {
     /// A device or a pipe.
     Direct,
-    /// A temporary file, removed where it is dropped, and the file that it becomes.
+    /// A temporary file, removed when dropped, and the name that it will get.
     Part(TempPath, PathBuf),
-    /// A file that stays, whatever happens, and the file that it becomes.
+    /// A file that stays in any case, and the name that it will get.
     Live(PathBuf, PathBuf),
 }
 
 impl Output {
-    /// Begins a file, which becomes `path` when it is complete and is removed otherwise. A device or a pipe
-    /// is written directly; where `path` is a link, the file behind it is replaced.
+    /// Begins a file that becomes `path` when it is complete and is removed otherwise. A device or a pipe is
+    /// written directly; if `path` is a link, its target is replaced.
     ///
     /// # Errors
-    /// No file can be created there; the message names it.
+    /// The file cannot be created; the message names it.
     pub fn begin(path: &Path) -> Result<Self> {
         let place = match is_direct(path) {
             true => Place::Direct,
@@ -113,11 +113,11 @@ impl Output {
         })
     }
 
-    /// Begins a file that a live source fills: what came stays in `incomplete-NAME` beside it unless the
-    /// file is completed. One that an earlier source left there is refused.
+    /// Begins a file that a live source fills: unless it is completed, what has arrived stays in `incomplete-NAME`
+    /// beside it. A file that an earlier source left under that name is an error unless `overwrite` is set.
     ///
     /// # Errors
-    /// No file can be created there; the message names it.
+    /// The file cannot be created; the message names it.
     pub fn begin_live(path: &Path, overwrite: bool) -> Result<Self> {
         if is_direct(path) {
             return Self::begin(path);
@@ -147,7 +147,7 @@ impl Output {
         })
     }
 
-    /// Where the file is to be written.
+    /// Returns the path to write to.
     #[must_use]
     pub fn path(&self) -> &Path {
         match &self.place {
@@ -158,29 +158,29 @@ impl Output {
         }
     }
 
-    /// The file to be written.
+    /// Opens the file to write to.
     ///
     /// # Errors
-    /// It cannot be created; the message names it.
+    /// The file cannot be created; the message names it.
     pub fn file(&self) -> Result<File> {
         create_bytes(self.path())
             .with_context(|| format!("{}: cannot be created", self.name.display()))
     }
 
-    /// Whether what is written cannot be taken back: it goes to a device or a pipe.
+    /// Returns whether the output is a device or a pipe, so that written bytes cannot be taken back.
     #[must_use]
     pub const fn is_direct(&self) -> bool {
         matches!(self.place, Place::Direct)
     }
 
-    /// The name that the file will have.
+    /// Returns the name that the file will have.
     #[must_use]
     pub fn name(&self) -> &Path {
         &self.name
     }
 
-    /// Ends a file that is not complete: a live one stays where something is in it, under the name that is
-    /// returned; any other is removed.
+    /// Ends a file that is not complete. A live file stays, unless it is empty, and its name is returned; any other
+    /// is removed.
     #[must_use]
     pub fn leave(self) -> Option<PathBuf> {
         let Place::Live(part, _) = self.place else {
@@ -193,11 +193,11 @@ impl Output {
         Some(part)
     }
 
-    /// Ends a file that has everything before a damage of what it was made of: it gets its name unless
-    /// another file has that, and is `incomplete-NAME` beside it otherwise. Returns the name.
+    /// Ends a file that holds everything before damage in its input. It gets its name if no file has it, and is
+    /// `incomplete-NAME` beside it otherwise. Returns the name.
     ///
     /// # Errors
-    /// It cannot be renamed; the message names it.
+    /// The file cannot be renamed; the message names it.
     pub fn keep_incomplete(mut self) -> Result<PathBuf> {
         if let Place::Part(_, target) | Place::Live(_, target) = &mut self.place
             && target.exists()
@@ -209,10 +209,10 @@ impl Output {
         self.keep().map(|()| name)
     }
 
-    /// Gives the complete file its name, in place of one that has it.
+    /// Gives the complete file its name and replaces an existing file.
     ///
     /// # Errors
-    /// It cannot be renamed; the message names it.
+    /// The file cannot be renamed; the message names it.
     pub fn keep(self) -> Result<()> {
         let renamed = match self.place {
             Place::Direct => Ok(()),
@@ -225,17 +225,17 @@ impl Output {
     }
 }
 
-/// Removes a file that was only begun: a half file must not pass for a whole one.
+/// Removes a file that was only begun, since a partial file must not pass for a whole one.
 ///
-/// Only a regular file: a device, a pipe or a link stays.
+/// Only regular files are removed: a device, a pipe or a link stays.
 pub fn remove_partial(path: &Path) {
     if std::fs::symlink_metadata(path).is_ok_and(|metadata| metadata.is_file()) {
-        // The error that led here says what happened.
+        // The caller reports the error that led here.
         let _ = std::fs::remove_file(path);
     }
 }
 
-/// What messages and metadata call a file: the name that it will have, where it has a temporary one.
+/// Returns the name of a file for messages and metadata: for a temporary name, the name that the file will have.
 #[must_use]
 pub fn final_path(path: &Path) -> PathBuf {
     let name = path.file_name().and_then(|name| name.to_str());
@@ -248,14 +248,14 @@ pub fn final_path(path: &Path) -> PathBuf {
     stem.map_or_else(|| path.to_owned(), |(stem, _)| path.with_file_name(stem))
 }
 
-/// The name of what is not complete of the file `name`.
+/// Returns the name under which an incomplete file `name` is kept.
 fn incomplete(name: &Path) -> PathBuf {
     let mut incomplete = std::ffi::OsString::from(INCOMPLETE);
     incomplete.push(name.file_name().unwrap_or_default());
     name.with_file_name(incomplete)
 }
 
-/// An empty file beside `target` with its rights.
+/// Creates an empty temporary file beside `target`, with the same permissions.
 fn part(target: &Path) -> std::io::Result<TempPath> {
     let mut prefix = std::ffi::OsString::from(".");
     prefix.push(target.file_name().unwrap_or_default());
@@ -272,18 +272,18 @@ fn part(target: &Path) -> std::io::Result<TempPath> {
     Ok(part)
 }
 
-/// Every temporary file of this process; those that have their names are there no more.
+/// Every temporary file of this process; those that have been renamed no longer exist.
 static PARTS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
 
-/// Removes the files that are not complete: the process ends.
+/// Removes the incomplete files, when the process is about to end.
 pub fn remove_parts() {
     for part in PARTS.lock().unwrap_or_else(PoisonError::into_inner).iter() {
-        // It may have its name already.
+        // The file may have been renamed already.
         let _ = std::fs::remove_file(part);
     }
 }
 
-/// Gives `part` the rights of `target`, where that is there.
+/// Gives `part` the permissions of `target`, if that exists.
 fn like(target: &Path, part: &Path) -> std::io::Result<()> {
     match std::fs::metadata(target) {
         Ok(metadata) => std::fs::set_permissions(part, metadata.permissions()),
@@ -297,7 +297,7 @@ fn folder(target: &Path) -> &Path {
     folder.unwrap_or(Path::new("."))
 }
 
-/// The file behind links, which need not be there.
+/// Follows links to the file, which need not exist.
 fn target(path: &Path) -> Result<PathBuf> {
     let mut target = path.to_owned();
     for _ in 0..LINKS_MAX {
@@ -309,23 +309,23 @@ fn target(path: &Path) -> Result<PathBuf> {
     bail!(Refused, "{}: too many links", path.display())
 }
 
-/// Whether a name stands for stdin or stdout.
+/// Returns whether a name stands for stdin or stdout.
 #[must_use]
 pub fn is_dash(path: &Path) -> bool {
     path.as_os_str() == "-"
 }
 
-/// Whether bytes written to `path` go to stdout.
+/// Returns whether bytes written to `path` go to stdout.
 #[must_use]
 pub fn is_stdout(path: &Path) -> bool {
     let names = ["-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"];
     names.iter().any(|name| path.as_os_str() == *name)
 }
 
-/// Opens a file to be written, empty; stdout goes on behind what is there.
+/// Opens a file for writing, truncated; stdout is appended to.
 ///
 /// # Errors
-/// I/O.
+/// The file cannot be created.
 pub fn create_bytes(path: &Path) -> std::io::Result<File> {
     if is_stdout(path) {
         return stdout();
@@ -346,7 +346,7 @@ fn stdout() -> std::io::Result<File> {
     Ok(File::from(stdout.as_handle().try_clone_to_owned()?))
 }
 
-/// Whether `path` is no place for a file of its own: a device, a pipe, an open file of a process.
+/// Returns whether no file of its own can be created at `path`: a device, a pipe, or an open file of a process.
 fn is_direct(path: &Path) -> bool {
     let is_special = || {
         let metadata = std::fs::metadata(path);

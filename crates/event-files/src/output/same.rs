@@ -1,11 +1,11 @@
-//! Whether two names lead to one file.
+//! Decides whether two names lead to the same file.
 
 use std::path::Path;
 
 use crate::file_of;
 
-/// Whether writing `output` would change `input`: both are one file under whatever names, the input is a
-/// place inside of the output, or a folder that the output is in.
+/// Returns whether writing `output` would change `input`: both are the same file, under whatever names; the input
+/// is a place inside the output; or the input is a folder that contains the output.
 #[must_use]
 pub fn is_same(input: &Path, output: &Path) -> bool {
     let (input, output) = (file_of(input), file_of(output));
@@ -18,12 +18,12 @@ pub fn is_same(input: &Path, output: &Path) -> bool {
         let mut folders = output.ancestors();
         return folders.any(|folder| Identity::of(folder).as_ref() == Some(&of_input));
     }
-    // Reading and writing a terminal or /dev/null destroys nothing.
+    // Reading and writing the same terminal or /dev/null destroys nothing.
     let is_file = std::fs::metadata(input).is_ok_and(|metadata| metadata.is_file());
     is_file && Identity::of(output) == Some(of_input)
 }
 
-/// What a file has once, whatever its names.
+/// The identity of a file, which does not depend on its names.
 #[derive(PartialEq, Eq)]
 struct Identity(
     #[cfg(unix)] (u64, u64),

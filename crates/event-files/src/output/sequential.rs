@@ -1,4 +1,4 @@
-//! A file that a writer fills from its start to its end: every error names it, and its bytes are counted.
+//! A file written from front to back, whose errors name it and whose bytes are counted.
 
 use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
@@ -8,7 +8,7 @@ use event_types::stream::{Context, Result};
 
 use crate::{BUFFER_BYTES, create_file};
 
-/// A file being written.
+/// A file that is being written.
 pub struct Output {
     file: BufWriter<File>,
     name: String,
@@ -19,13 +19,13 @@ impl Output {
     /// Creates the file.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be created.
     pub fn create(path: &Path) -> Result<Self> {
         let (file, name) = create_file(path)?;
         Ok(Self::of(file, name))
     }
 
-    /// Goes on with an empty file, which messages call `name`.
+    /// Continues with an empty file, which messages call `name`.
     pub fn new(file: File, name: String) -> Self {
         Self::of(BufWriter::with_capacity(BUFFER_BYTES, file), name)
     }
@@ -38,40 +38,40 @@ impl Output {
         }
     }
 
-    /// What messages call the file.
+    /// Returns the name for messages.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// Bytes written.
+    /// Returns the number of bytes written with [`Output::put`].
     pub const fn position(&self) -> u64 {
         self.position
     }
 
-    /// Writes what comes next.
+    /// Appends bytes.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be written.
     pub fn put(&mut self, bytes: &[u8]) -> Result<()> {
         let written = self.file.write_all(bytes);
         self.position += bytes.len() as u64;
         self.said(written)
     }
 
-    /// Writes over the bytes from `at` on, which is the last that is written.
+    /// Overwrites the bytes from `at` on; nothing may be appended afterwards.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be written.
     pub fn put_at(&mut self, at: u64, bytes: &[u8]) -> Result<()> {
         let sought = self.file.seek(SeekFrom::Start(at));
         let written = sought.and_then(|_| self.file.write_all(bytes));
         self.said(written)
     }
 
-    /// Writes what is still held back.
+    /// Flushes the buffer.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be written.
     pub fn finish(&mut self) -> Result<()> {
         let flushed = self.file.flush();
         self.said(flushed)

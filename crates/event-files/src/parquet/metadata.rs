@@ -1,4 +1,4 @@
-//! What a Parquet file tells of its columns, row groups and pages (parquet.thrift of Apache Parquet).
+//! Parses the metadata of a Parquet file: columns, row groups and pages (parquet.thrift of Apache Parquet).
 
 use std::io::Read;
 
@@ -10,80 +10,81 @@ use crate::arrow;
 use crate::numpy::npy_header::{Dtype, Number};
 use crate::table::columns::{Stored, is_known_key};
 
-/// Key that Arrow's writers leave their schema under: a message of Arrow's format in base 64.
+/// Key under which Arrow's writers store their schema: a message in Arrow's format, in base 64.
 const ARROW_SCHEMA: &str = "ARROW:schema";
 
-/// The footer.
+/// The footer of a file.
 #[derive(Default)]
 pub struct Metadata {
-    /// The fields of a row, groups among them.
+    /// The fields of a row, including groups.
     pub fields: Vec<Field>,
-    /// Columns that hold values: those of groups too.
+    /// Number of columns that hold values, including those inside groups.
     pub leaves: usize,
-    /// Rows of all row groups.
+    /// Number of rows in all row groups.
     pub rows: u64,
-    /// Row groups.
+    /// The row groups.
     pub groups: Vec<RowGroup>,
-    /// Keys and values.
+    /// The keys and values.
     pub metadata: Vec<(String, String)>,
 }
 
 /// A field of a row.
 pub struct Field {
-    /// Its name.
+    /// The field's name.
     pub name: String,
-    /// Number of its column chunk in every row group.
+    /// Index of its column chunk in every row group.
     pub leaf: usize,
-    /// How it is stored, if that can be read.
+    /// How its values are stored; `None` if the type is not supported.
     pub stored: Option<Stored>,
-    /// Of a time with a unit: microseconds are its values times 10 to this.
+    /// For times with a unit, its power of ten: a value times 10 to this is in microseconds.
     pub shift: Option<i32>,
     /// Whether values may be missing.
     pub is_optional: bool,
 }
 
-/// Rows whose columns lie together.
+/// A row group: rows whose columns are stored together.
 #[derive(Default)]
 pub struct RowGroup {
-    /// Their number.
+    /// Number of rows.
     pub rows: u64,
-    /// The columns.
+    /// The column chunks.
     pub chunks: Vec<Chunk>,
 }
 
-/// A column of a row group.
+/// A column chunk: a column's part of a row group.
 #[derive(Clone, Default)]
 pub struct Chunk {
-    /// First byte of its first page, and bytes of all pages.
+    /// Offset of the first page, and size in bytes of all pages.
     pub start: u64,
     pub bytes: u64,
-    /// Number of the compression.
+    /// Number of the compression codec.
     pub codec: i64,
-    /// The least value, as bytes.
+    /// Bytes of the least value, from the statistics.
     pub least: Option<Vec<u8>>,
 }
 
-/// A page's header.
+/// The header of a page.
 #[derive(Default)]
 pub struct Page {
-    /// 0 or 3: values; 2: the dictionary.
+    /// Kind of page: 0 or 3 values, 2 the dictionary.
     pub kind: i64,
-    /// Bytes as they are, and as they are stored.
+    /// Size in bytes when unpacked, and as stored.
     pub bytes: u64,
     pub stored_bytes: u64,
     /// CRC-32 of the stored bytes.
     pub crc: Option<u32>,
-    /// Values, missing ones among them.
+    /// Number of values, including missing ones.
     pub values: u64,
-    /// How they are encoded.
+    /// Number of the encoding.
     pub encoding: i64,
-    /// Of kind 3: bytes, never compressed, that tell which values are missing or nested.
+    /// For kind 3: sizes in bytes of the uncompressed lists that state which values are nested and which are
+    /// present.
     pub levels: [u64; 2],
-    /// Of kind 3: whether the values are compressed.
+    /// For kind 3: whether the values are compressed.
     pub is_compressed: bool,
 }
 
-/// An element of the schema, as it is in the file.
+/// An element of the schema as stored in the file.
 #[derive(Default)]
 struct Element {
     kind: Option<i64>,
@@ -100,7 +101,7 @@ fn unsigned(value: i64) -> Option<u64> {
 }
 
 impl Metadata {
-    /// Reads the footer; `None` where it is damaged.
+    /// Parses the footer; `None` if it is damaged.
     pub fn read(bytes: &[u8]) -> Option<Self> {
         let mut found = Self::default();
         let mut elements = Vec::new();
@@ -128,7 +129,7 @@ impl Metadata {
         Some(found)
     }
 
-    /// Takes the units that Parquet has no place for from Arrow's schema, if there is one.
+    /// Takes the units that Parquet cannot express from Arrow's schema, if there is one.
     fn take_durations(&mut self) {
         let pair = self.metadata.iter().find(|(key, _)| key == ARROW_SCHEMA);
         let bytes = pair.and_then(|(_, text)| BASE64_STANDARD.decode(text.trim()).ok());
@@ -144,7 +145,7 @@ impl Metadata {
         }
     }
 
-    /// Finds the root's fields in the list of elements, each behind those above it.
+    /// Finds the root's fields in the list of elements, in which each follows its parent.
     fn place_fields(&mut self, elements: Vec<Element>) -> Option<()> {
         let mut elements = elements.into_iter();
         let mut fields = elements.next()?.children;
@@ -172,7 +173,7 @@ impl Metadata {
     }
 }
 
-/// A value as statistics have it.
+/// Returns a chunk's least value, from its statistics.
 pub fn least(chunk: &Chunk, stored: Stored) -> Option<Number> {
     match stored {
         Stored::Number(dtype) => dtype.number(chunk.least.as_ref()?),
@@ -194,7 +195,7 @@ fn stored(element: &Element) -> Option<Stored> {
     Dtype::new(kind, false, bytes).map(Stored::Number)
 }
 
-/// Unit of the times that the older annotations name.
+/// Returns the unit of times that the older annotations state.
 fn converted_shift(element: &Element) -> Option<i32> {
     match element.converted? {
         7 | 9 => Some(3),
@@ -220,11 +221,11 @@ fn element(thrift: &mut Compact<&[u8]>) -> Option<Element> {
     Some(found)
 }
 
-/// A logical type: one of a union's structs.
+/// Parses a logical type: one of a union's structs.
 fn logical(thrift: &mut Compact<&[u8]>, found: &mut Element) -> Option<()> {
     thrift.fields(|thrift, kind, _| {
         match kind {
-            // A time of day, a timestamp: the unit is again one of a union's structs, all of them empty.
+            // A time of day or a timestamp: the unit is again one of a union's structs, all of them empty.
             7 | 8 => thrift.fields(|thrift, number, _| {
                 if number != 2 {
                     return Some(false);
@@ -272,7 +273,7 @@ fn row_group(thrift: &mut Compact<&[u8]>) -> Option<RowGroup> {
             1 => thrift.structs(|thrift| {
                 let mut chunk = Chunk::default();
                 thrift.fields(|thrift, number, _| {
-                    // Of a file elsewhere nothing can be read: its chunk stays empty.
+                    // A chunk stored in another file has no metadata here; it stays empty and cannot be read.
                     if number == 3 {
                         chunk = column(thrift)?;
                     }
@@ -299,7 +300,7 @@ fn column(thrift: &mut Compact<&[u8]>) -> Option<Chunk> {
             9 => data = unsigned(thrift.integer()?)?,
             11 => dictionary = unsigned(thrift.integer()?)?,
             12 => thrift.fields(|thrift, number, _| {
-                // 2 is what older writers have.
+                // Older writers use field 2.
                 let is_least = matches!(number, 2 | 6);
                 if is_least {
                     found.least = Some(thrift.binary()?);
@@ -318,7 +319,7 @@ fn column(thrift: &mut Compact<&[u8]>) -> Option<Chunk> {
     Some(found)
 }
 
-/// The header of the page that comes next; `None` where it is damaged.
+/// Parses the header of the next page; `None` if it is damaged.
 pub fn page(source: &mut impl Read) -> Option<Page> {
     let mut found = Page {
         is_compressed: true,

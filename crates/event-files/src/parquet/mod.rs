@@ -1,22 +1,21 @@
-//! Apache Parquet files (`.parquet`), as pyarrow, polars, DuckDB and pandas write them.
+//! Reads and writes Apache Parquet files (`.parquet`), as written by pyarrow, polars, DuckDB and pandas.
 //!
-//! A file is `PAR1`, row groups, a footer in Thrift's compact protocol, u32 bytes of the footer, `PAR1`. A
-//! column of a row group is pages, each behind a header: values, before which a page may tell which are
-//! missing, or the dictionary that further ones are places in.
+//! A file is `PAR1`, row groups, a footer in Thrift's compact protocol, the footer's size in bytes (u32), `PAR1`. A
+//! column of a row group is a sequence of pages, each after a header. A page holds values, possibly after a list
+//! that says which are missing, or the dictionary that later pages refer to.
 //!
-//! * Columns, times, polarities, missing values and the sensor's size as in Arrow's files; `width` and `height`
-//!   are among the keys of the footer. A duration is an integer to Parquet: its unit is in the schema that
-//!   Arrow's writers leave among these keys. Columns are plain ones of rows, not parts of groups or lists.
-//! * Encodings: plain, dictionary, runs, delta, split bytes. Compression: none, Snappy, gzip, Brotli,
-//!   Zstandard, LZ4 (raw); LZO and Hadoop's LZ4 are named in the error. A page's CRC-32 is checked if there is
-//!   one. Encrypted files are not read.
+//! * Columns, times, polarities, missing values and the sensor's size are as in Arrow files; `width` and `height`
+//!   are among the footer's keys. Parquet stores a duration as an integer; its unit is in the schema that Arrow's
+//!   writers leave among these keys. Columns must be plain columns of rows, not parts of groups or lists.
+//! * Encodings: plain, dictionary, runs, delta, byte stream split. Compression: none, Snappy, gzip, Brotli,
+//!   Zstandard, LZ4 (raw); LZO and Hadoop's LZ4 are refused with an explanation. A page's CRC-32 is checked if it
+//!   has one. Encrypted files are not read.
 //!
-//! The `parquet` crate is not used: damaged files still make it panic (apache/arrow-rs#9742), and sizes that
-//! a file claims are memory that it takes. This reader knows flat columns of numbers alone.
+//! The `parquet` crate is not used: damaged files still make it panic (apache/arrow-rs#9742), and it allocates the
+//! sizes that a file claims. This reader supports only flat columns of numbers.
 //!
-//! The reader holds the footer and a page of every column. Without the footer, which a truncated file has
-//! lost, nothing can be read. Seeking goes to the last row group whose least time, in its statistics, is
-//! before the one sought.
+//! The reader holds the footer and one page of every column. A truncated file has lost its footer and cannot be
+//! read at all. Seeking goes to the last row group whose least time, by its statistics, is before the time sought.
 
 mod metadata;
 pub mod table;
@@ -45,29 +44,30 @@ use crate::table::row_events::{Base, Extent, RowEvents};
 use crate::table::time_unit::SAMPLE_TIMES;
 use crate::{Assumption, BATCH_EVENTS, Skipped, unpack};
 
-/// First and last bytes.
+/// First and last bytes of a file.
 pub const MAGIC: &[u8; 4] = b"PAR1";
 
-/// The end of a file and the beginning of one that was put behind it.
+/// The end of a file, followed by the start of another file that was appended to it.
 const JOINED: &[u8] = b"PAR1PAR1";
 
 /// Last bytes of a file whose footer is encrypted.
 const ENCRYPTED: &[u8; 4] = b"PARE";
 
-/// Largest footer: some hundred bytes for every row group and column.
+/// Largest footer in bytes; it takes some hundred for every row group and column.
 const FOOTER_MAX: u64 = 64 << 20;
 
-/// Largest page, unpacked, and most of its values; writers aim at 1 MB.
+/// Largest unpacked size of a page in bytes, and its largest number of values; writers aim at 1 MB.
 const PAGE_BYTES_MAX: u64 = 64 << 20;
 const PAGE_VALUES_MAX: u64 = 1 << 26;
 
-/// Most rows for a byte of the file: values may need none, so that few bytes could keep a reader busy.
+/// Largest number of rows per byte of the file: values may take no bytes, so that a few could otherwise keep a
+/// reader busy.
 const EXPANSION_MAX: u64 = 1100;
 
-/// Bytes of a column that are read at once.
+/// Number of bytes of a column read at once.
 const BUFFER_BYTES: usize = 1 << 16;
 
-/// Bytes of a page that Brotli's decoder takes at once.
+/// Number of bytes of a page that Brotli's decoder takes at once.
 const BROTLI_BYTES: usize = 1 << 12;
 
 /// This format in the table of formats.
@@ -90,14 +90,15 @@ pub const FORMAT: Format = Format {
     create: Some(|path, sensor| Ok(Box::new(ParquetWriter::create(path, sensor)?))),
 };
 
-/// Reader of Parquet files.
+/// A reader of Parquet files.
 pub type ParquetReader = Reader<ParquetDecoder>;
 
 impl ParquetReader {
-    /// Reads `source`, which messages call `name`; `reading` says what the file does not.
+    /// Reads `source`, which messages call `name`; `reading` states what the file does not.
     ///
     /// # Errors
-    /// No Parquet file, no columns t, x, y, p of numbers, no size and no event.
+    /// This is no Parquet file, or it is damaged; it has no columns t, x, y, p of numbers; the unit or the size
+    /// cannot be determined.
     pub fn new(source: Box<dyn ReadSeek>, name: &str, reading: &Reading) -> Result<Self> {
         let (mut decoder, stated) = ParquetDecoder::open(source, name, reading)?;
         let sample = decoder.sample();
@@ -120,28 +121,28 @@ impl ParquetReader {
     }
 }
 
-/// State between two batches of events.
+/// The decoder of [`ParquetReader`]: its state between two batches.
 pub struct ParquetDecoder {
     source: Shared,
     name: String,
     metadata: Metadata,
     columns: Columns,
     numbers: RowEvents,
-    /// The next row group, and the present one.
+    /// The next row group, and the current one.
     next_group: usize,
     rows: Option<Rows>,
     events: u64,
 }
 
-/// A row group being read.
+/// A row group that is being read.
 struct Rows {
     left: u64,
     columns: [Column; 4],
 }
 
-/// A column of a row group being read.
+/// A column of a row group that is being read.
 struct Column {
-    /// Where it begins, for messages.
+    /// Offset of its first byte, for messages.
     start: u64,
     reader: BufReader<Section>,
     stored: Stored,
@@ -149,14 +150,14 @@ struct Column {
     codec: i64,
     dictionary: Vec<Option<Number>>,
     values: Option<Values>,
-    /// Values left of the page.
+    /// Number of values left in the page.
     left: u64,
-    /// Which values of the page are there.
+    /// For each value of the page, whether it is present.
     present: Option<Runs>,
 }
 
 impl Column {
-    /// The next `count` numbers, or as many as there are before an error.
+    /// Returns the next `count` numbers, or those before an error, with the error.
     fn take(&mut self, count: usize) -> (Vec<Option<Number>>, Option<String>) {
         let mut numbers = Vec::with_capacity(count);
         while numbers.len() < count {
@@ -185,7 +186,7 @@ impl Column {
     }
 
     fn open_page(&mut self) -> Result<(), String> {
-        // An error counts as the end: what was to be read is missing.
+        // A read error is treated like the end, since the values are missing either way.
         if self.reader.fill_buf().map_or(true, <[u8]>::is_empty) {
             return Err("the column has fewer values than the row group has rows".to_owned());
         }
@@ -217,12 +218,12 @@ impl Column {
                 Ok(())
             }
             3 => self.open_values_2(&page, &stored),
-            // Indices.
+            // Index pages.
             _ => Ok(()),
         }
     }
 
-    /// Values behind a list of those that are there, all compressed together.
+    /// Opens a page of version 1: values, after a list of those that are present, compressed together.
     fn open_values(&mut self, page: &Page, stored: &[u8]) -> Result<(), String> {
         let mut bytes = unpack(stored, page.bytes, self.codec)?;
         let mut present = None;
@@ -237,7 +238,7 @@ impl Column {
         self.begin(page, bytes, present)
     }
 
-    /// The same in pages of version 2, where the list is not compressed.
+    /// Opens a page of version 2, in which the list is not compressed.
     fn open_values_2(&mut self, page: &Page, stored: &[u8]) -> Result<(), String> {
         let [nested, there] = page.levels;
         let levels = nested.checked_add(there).ok_or("a damaged page")?;
@@ -264,7 +265,7 @@ impl Column {
     }
 }
 
-/// Decompresses a page to so many bytes.
+/// Decompresses a page to exactly `bytes` bytes.
 fn unpack(stored: &[u8], bytes: u64, codec: i64) -> Result<Vec<u8>, String> {
     let size = usize::try_from(bytes).map_err(|error| error.to_string())?;
     let unpacked = match codec {
@@ -350,7 +351,7 @@ impl ParquetDecoder {
         Ok((decoder, stated))
     }
 
-    /// Goes on at a row group.
+    /// Continues at a row group.
     fn go_to(&mut self, group: usize) {
         let before = self.metadata.groups.get(..group).unwrap_or_default();
         self.events = before.iter().map(|group| group.rows).sum();
@@ -373,7 +374,7 @@ impl ParquetDecoder {
         )
     }
 
-    /// Opens the next row group; false at the end.
+    /// Opens the next row group; returns `false` at the end.
     fn next_rows(&mut self) -> bool {
         let Some(group) = self.metadata.groups.get(self.next_group) else {
             return false;
@@ -382,7 +383,7 @@ impl ParquetDecoder {
         let open = |which: usize| {
             let place = self.columns.places.get(which).copied().unwrap_or_default();
             let field = self.metadata.fields.get(place);
-            // A chunk that is not there has no bytes, which is said where they are read.
+            // A missing chunk is opened without bytes; reading it then reports the error.
             let chunk = field.and_then(|field| group.chunks.get(field.leaf));
             let chunk = chunk.cloned().unwrap_or_default();
             let section = Section::new(&self.source, chunk.start, chunk.bytes);
@@ -410,7 +411,7 @@ impl ParquetDecoder {
         true
     }
 
-    /// Some of the next rows, at most `count`, and the error that ended them; none at the end.
+    /// Returns up to `count` of the next rows, and the error that ended them; no rows and no error at the end.
     fn read_rows(&mut self, count: usize) -> (Vec<Row>, Option<event_types::stream::Error>) {
         while self.rows.as_ref().is_none_or(|rows| rows.left == 0) {
             if !self.next_rows() {
@@ -445,7 +446,7 @@ impl ParquetDecoder {
         (rows, ended)
     }
 
-    /// The first rows; damage is for the reader.
+    /// Returns the first rows; damage ends them, and the reader reports it later.
     fn sample(&mut self) -> Vec<Row> {
         let mut sample = Vec::new();
         while sample.len() < SAMPLE_TIMES {
@@ -459,7 +460,7 @@ impl ParquetDecoder {
         sample
     }
 
-    /// What makes events of rows that begin with `sample`.
+    /// Returns the converter of rows that begin with `sample`.
     fn numbers(&self, reading: &Reading, sample: &[Row]) -> Result<RowEvents> {
         let numbers = RowEvents::new(reading, self.columns.times, Base::default(), sample);
         let mut numbers =
@@ -470,7 +471,7 @@ impl ParquetDecoder {
         Ok(numbers)
     }
 
-    /// Size that holds every event before the first that is damaged.
+    /// Returns the smallest sensor that holds every event before the first damage.
     fn largest(&mut self, reading: &Reading) -> Result<Sensor> {
         let mut extent = Extent::new(reading);
         'all: loop {
@@ -489,7 +490,7 @@ impl ParquetDecoder {
         extent.sensor(&self.name)
     }
 
-    /// The last row group that begins before `t_us`, or the first one; `None` where statistics are missing.
+    /// Returns the last row group that begins before `t_us`, or the first one; `None` if statistics are missing.
     fn group_before(&self, t_us: u64) -> Option<usize> {
         if self.numbers.may_wrap() {
             return None;
@@ -511,7 +512,7 @@ impl ParquetDecoder {
     }
 }
 
-/// Length of the file, and the footer's bytes.
+/// Returns the file's length and the footer's bytes.
 fn footer(source: &mut dyn ReadSeek, name: &str) -> Result<(u64, Vec<u8>)> {
     let failed = |error: std::io::Error| error!(Damaged, "{name}: byte 0: cannot be read: {error}");
     let length = source.seek(SeekFrom::End(0)).map_err(failed)?;

@@ -1,7 +1,7 @@
-//! Writer of tables as Parquet files: row groups with statistics, of every column one page in each.
+//! Writes tables as Parquet files: row groups with statistics, in which each column is one page.
 //!
-//! Whole numbers are stored as differences, texts as places in a dictionary, all else as it is: most of what
-//! compression would give, without any, and every reader knows it.
+//! Integers are stored as differences, texts as positions in a dictionary, all else plain. This gives most of what
+//! compression would give, and every reader supports it.
 
 use std::fs::File;
 
@@ -13,58 +13,58 @@ use super::thrift::{BINARY, I32, STRUCT, Struct, put_integer, put_varint};
 use super::values::{DELTA, DICTIONARY, PLAIN, RLE, deltas, runs};
 use crate::output::sequential::Output;
 
-/// Rows of a row group that readers like: what a page holds stays far below their limits.
+/// Number of rows of a row group that suits readers; a page of them stays far below their limits.
 pub const GROUP_ROWS: usize = 1 << 17;
 
-/// What a column's values are.
+/// The type of a column's values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// Yes or no.
+    /// True or false.
     Bool,
-    /// Whole numbers of 16 bits.
+    /// Unsigned 16-bit integers.
     U16,
-    /// Whole numbers of 64 bits, with a sign.
+    /// Signed 64-bit integers.
     I64,
-    /// Floats of 64 bits.
+    /// 64-bit floats.
     F64,
-    /// Words of a few.
+    /// Text with few different values.
     Text,
 }
 
 /// A column of a table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Column {
-    /// Its name.
+    /// The column's name.
     pub name: &'static str,
-    /// What its values are.
+    /// The type of its values.
     pub kind: Kind,
-    /// Whether rows may have none.
+    /// Whether rows may lack a value.
     pub is_optional: bool,
 }
 
-/// Values of a column in a row group, without those that are missing.
+/// The values of a column in a row group, without missing ones.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Values<'v> {
-    /// Of [`Kind::Bool`].
+    /// Values of [`Kind::Bool`].
     Bools(&'v [bool]),
-    /// Of [`Kind::U16`] and [`Kind::I64`].
+    /// Values of [`Kind::U16`] or [`Kind::I64`].
     Whole(&'v [i64]),
-    /// Of [`Kind::F64`].
+    /// Values of [`Kind::F64`].
     Floats(&'v [f64]),
-    /// Of [`Kind::Text`].
+    /// Values of [`Kind::Text`].
     Texts(&'v [&'static str]),
 }
 
 /// A column's part of a row group.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Cells<'v> {
-    /// The values.
+    /// The values that are present.
     pub values: Values<'v>,
-    /// Of an optional column, for each row whether it has one.
+    /// For an optional column, whether each row has a value.
     pub present: Option<&'v [bool]>,
 }
 
-/// A Parquet file that is written. It holds some 100 bytes for every column of a row group written.
+/// A Parquet file that is being written. It holds about 100 bytes for every column of a row group written.
 pub struct Table {
     file: Output,
     columns: Vec<Column>,
@@ -72,18 +72,18 @@ pub struct Table {
     rows: u64,
 }
 
-/// Numbers of types.
+// Numbers of types.
 const BOOLEAN: i32 = 0;
 const INT32: i32 = 1;
 const INT64: i32 = 2;
 const DOUBLE: i32 = 5;
 const BYTE_ARRAY: i32 = 6;
 
-/// Older annotations, which some readers know alone.
+/// Older annotations, the only ones that some readers know.
 const UTF8: i32 = 0;
 const UINT_16: i32 = 12;
 
-/// Numbers of pages' types.
+// Numbers of page types.
 const DATA_PAGE: i32 = 0;
 const DICTIONARY_PAGE: i32 = 2;
 
@@ -116,7 +116,7 @@ impl Kind {
         )
     }
 
-    /// The least and the largest value, where they are told.
+    /// Returns the least and the largest value, for kinds with statistics.
     fn ends(self, values: Values<'_>) -> Option<[Vec<u8>; 2]> {
         let Values::Whole(values) = values else {
             return None;
@@ -128,7 +128,7 @@ impl Kind {
 }
 
 impl Column {
-    /// The field of the schema.
+    /// Returns the encoded field of the schema.
     fn field(self) -> Vec<u8> {
         let field = Struct::default()
             .i32(1, self.kind.stored())
@@ -160,7 +160,7 @@ impl Values<'_> {
         }
     }
 
-    /// The values of a page and, of texts, those of the dictionary and their number.
+    /// Encodes the values as a page; for texts, also returns the dictionary and its number of entries.
     fn encoded(self) -> (Vec<u8>, Option<(Vec<u8>, usize)>) {
         let page = match self {
             Self::Bools(values) => {
@@ -204,7 +204,7 @@ impl Table {
     /// Begins a table in an empty file, which messages call `name`.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be written.
     pub fn new(file: File, name: String, columns: &[Column]) -> Result<Self> {
         Self::begin(Output::new(file, name), columns)
     }
@@ -220,16 +220,16 @@ impl Table {
         Ok(table)
     }
 
-    /// What messages call the file.
+    /// Returns the file's name for messages.
     #[must_use]
     pub fn name(&self) -> &str {
         self.file.name()
     }
 
-    /// Writes a row group: a part of every column, with so many rows each.
+    /// Writes a row group of `rows` rows: `cells` holds a part of every column, in the table's order.
     ///
     /// # Errors
-    /// I/O; parts that are not those of these columns.
+    /// The file cannot be written; the parts do not match the columns or the number of rows.
     pub fn group(&mut self, rows: usize, cells: &[Cells<'_>]) -> Result<()> {
         if rows == 0 {
             return Ok(());
@@ -274,7 +274,7 @@ impl Table {
         Ok(())
     }
 
-    /// Writes a column's part of a row group, and returns what the footer says of it.
+    /// Writes a column's part of a row group, and returns its encoded entry for the footer.
     fn chunk(&mut self, column: Column, rows: usize, cells: Cells<'_>) -> Result<Vec<u8>> {
         let encoding = column.kind.encoding();
         let start = self.file.position();
@@ -287,7 +287,7 @@ impl Table {
             self.page(DICTIONARY_PAGE, 7, of, &[&words])?;
         }
         let at = self.file.position();
-        // Which rows have a value, behind its length.
+        // The list of rows that have a value, after its size in bytes.
         let mut levels = Vec::new();
         if let Some(present) = cells.present {
             let list = runs(present.iter().map(|present| u32::from(*present)), 1);
@@ -331,7 +331,7 @@ impl Table {
         Ok(chunk.inner(3, metadata).finish())
     }
 
-    /// Writes a page behind its header, in which `of` is field number `field`.
+    /// Writes a page after its header, in which `of` is field number `field`.
     fn page(&mut self, kind: i32, field: u8, of: Struct, parts: &[&[u8]]) -> Result<()> {
         let bytes = parts.iter().map(|part| part.len()).sum::<usize>() as i32;
         let header = Struct::default().i32(1, kind).i32(2, bytes).i32(3, bytes);
@@ -339,10 +339,10 @@ impl Table {
         parts.iter().try_for_each(|part| self.file.put(part))
     }
 
-    /// Writes the footer, with some keys and values.
+    /// Writes the footer, with these keys and values, and flushes the file.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be written.
     pub fn finish(&mut self, pairs: &[(&str, String)]) -> Result<()> {
         let count = self.columns.len() as i32;
         let root = Struct::default().binary(4, b"schema").i32(5, count);
@@ -355,7 +355,7 @@ impl Table {
                 pair.binary(2, value.as_bytes()).finish()
             })
             .collect();
-        // Statistics are ordered as the types are.
+        // Statistics are ordered by the order of their types.
         let orders = self.columns.iter().map(|_| {
             let order = Struct::default().inner(1, Struct::default());
             order.finish()
@@ -380,7 +380,7 @@ impl Table {
     }
 }
 
-/// A text as an element of a list.
+/// Encodes a text as an element of a list.
 fn text(text: &str) -> Vec<u8> {
     let mut element = Vec::new();
     put_varint(&mut element, text.len() as u64);

@@ -1,12 +1,13 @@
-//! Thrift's compact protocol, as far as Parquet's metadata needs it.
+//! Reads and writes Thrift's compact protocol, as far as Parquet's metadata needs it.
 //!
-//! A field is a byte, type in the lower four bits and step of the number in the upper ones (0: the number
-//! itself follows); integers are varints, signed ones zigzag; a list has its length in the upper four bits
-//! of a byte, or 15 and a varint, and the type of its elements below; a type of 0 ends a struct.
+//! A field begins with a byte: its type in the lower four bits, the step of its number in the upper four (0: the
+//! number itself follows). Integers are varints, signed ones in zigzag encoding. A list begins with a byte: the
+//! type of its elements in the lower four bits, its length in the upper four, or 15 if the length follows as a
+//! varint. A type of 0 ends a struct.
 
 use std::io::Read;
 
-/// Types of fields.
+// Types of fields.
 pub const TRUE: u8 = 1;
 pub const FALSE: u8 = 2;
 pub const BYTE: u8 = 3;
@@ -20,13 +21,13 @@ const SET: u8 = 10;
 const MAP: u8 = 11;
 pub const STRUCT: u8 = 12;
 
-/// Most bytes of a text or of binary data that is kept; what is skipped may be longer.
+/// Largest size in bytes of text or binary data that is kept; skipped data may be longer.
 const BINARY_MAX: u64 = 16 << 20;
 
-/// How deep structs may be nested.
+/// Greatest depth of nested structs.
 const DEPTH_MAX: u8 = 16;
 
-/// Reads structs; `None` everywhere is damage.
+/// A reader of structs; all of its methods return `None` if the data is damaged.
 pub struct Compact<R>(R);
 
 impl<R: Read> Compact<R> {
@@ -41,7 +42,7 @@ impl<R: Read> Compact<R> {
         Some(byte[0])
     }
 
-    /// An unsigned integer.
+    /// Reads an unsigned integer.
     pub fn varint(&mut self) -> Option<u64> {
         let mut value = 0;
         for shift in (0..64).step_by(7) {
@@ -54,13 +55,13 @@ impl<R: Read> Compact<R> {
         None
     }
 
-    /// A signed integer.
+    /// Reads a signed integer.
     pub fn integer(&mut self) -> Option<i64> {
         let value = self.varint()?;
         Some((value >> 1) as i64 ^ -((value & 1) as i64))
     }
 
-    /// Binary data or text.
+    /// Reads binary data or text.
     pub fn binary(&mut self) -> Option<Vec<u8>> {
         let length = self.varint()?;
         if length > BINARY_MAX {
@@ -71,13 +72,13 @@ impl<R: Read> Compact<R> {
         (read as u64 == length).then_some(bytes)
     }
 
-    /// Text; what is no UTF-8 is replaced.
+    /// Reads text; invalid UTF-8 is replaced.
     pub fn text(&mut self) -> Option<String> {
         self.binary()
             .map(|bytes| String::from_utf8_lossy(&bytes).into_owned())
     }
 
-    /// Number and type of a list's elements.
+    /// Reads the number and type of a list's elements.
     fn list(&mut self) -> Option<(u64, u8)> {
         let byte = self.byte()?;
         let count = match byte >> 4 {
@@ -87,7 +88,7 @@ impl<R: Read> Compact<R> {
         Some((count, byte & 15))
     }
 
-    /// Lets `take` read every element of a list of structs.
+    /// Reads a list of structs; `take` is called for each element and must read it.
     pub fn structs(&mut self, mut take: impl FnMut(&mut Self) -> Option<()>) -> Option<()> {
         let (count, of) = self.list()?;
         if of != STRUCT && count > 0 {
@@ -99,7 +100,7 @@ impl<R: Read> Compact<R> {
         Some(())
     }
 
-    /// Lets `take` read the fields of a struct: their numbers and types. It returns whether it has read a
+    /// Reads a struct; `take` is called with each field's number and type, and returns whether it has read the
     /// field, which is skipped otherwise.
     pub fn fields(
         &mut self,
@@ -161,7 +162,7 @@ impl<R: Read> Compact<R> {
         Some(())
     }
 
-    /// Of a collection, bools are bytes.
+    /// Skips an element of a collection, in which a bool takes one byte.
     fn skip_element(&mut self, of: u8, depth: u8) -> Option<()> {
         match of {
             TRUE | FALSE => self.byte().map(drop),
@@ -189,7 +190,7 @@ pub fn put_integer(out: &mut Vec<u8>, value: i64) {
     put_varint(out, (value << 1 ^ value >> 63) as u64);
 }
 
-/// Writes a struct, its fields in the order of their numbers.
+/// A writer of a struct; fields must be added in the order of their numbers.
 #[derive(Default)]
 pub struct Struct {
     bytes: Vec<u8>,
@@ -204,33 +205,33 @@ impl Struct {
         self
     }
 
-    /// An integer of 32 bits, or an enumeration's value.
+    /// Adds a 32-bit integer or the value of an enumeration.
     pub fn i32(self, number: u8, value: i32) -> Self {
         let mut next = self.field(number, I32);
         put_integer(&mut next.bytes, value.into());
         next
     }
 
-    /// An integer of 64 bits.
+    /// Adds a 64-bit integer.
     pub fn i64(self, number: u8, value: i64) -> Self {
         let mut next = self.field(number, I64);
         put_integer(&mut next.bytes, value);
         next
     }
 
-    /// A byte.
+    /// Adds a byte.
     pub fn byte(self, number: u8, value: u8) -> Self {
         let mut next = self.field(number, BYTE);
         next.bytes.push(value);
         next
     }
 
-    /// A bool.
+    /// Adds a bool.
     pub fn bool(self, number: u8, value: bool) -> Self {
         self.field(number, if value { TRUE } else { FALSE })
     }
 
-    /// Text, or binary data.
+    /// Adds text or binary data.
     pub fn binary(self, number: u8, value: &[u8]) -> Self {
         let mut next = self.field(number, BINARY);
         put_varint(&mut next.bytes, value.len() as u64);
@@ -238,14 +239,14 @@ impl Struct {
         next
     }
 
-    /// A struct.
+    /// Adds a struct.
     pub fn inner(self, number: u8, value: Self) -> Self {
         let mut next = self.field(number, STRUCT);
         next.bytes.extend(value.finish());
         next
     }
 
-    /// A list of elements of one type, already written.
+    /// Adds a list of encoded elements of one type.
     pub fn list(self, number: u8, of: u8, elements: &[Vec<u8>]) -> Self {
         let mut next = self.field(number, LIST);
         if elements.len() < 15 {
@@ -258,7 +259,7 @@ impl Struct {
         next
     }
 
-    /// The struct's bytes.
+    /// Returns the bytes of the struct.
     pub fn finish(mut self) -> Vec<u8> {
         self.bytes.push(0);
         self.bytes

@@ -1,19 +1,19 @@
-//! Values of a Parquet page, decoded one after the other: plain, by dictionary, delta, split bytes, runs
-//! (Encodings.md of Apache Parquet's format).
+//! Decodes the values of a Parquet page one after another (plain, dictionary, delta, byte stream split, runs) and
+//! encodes deltas and runs (Encodings.md of Apache Parquet's format).
 
 use super::thrift::{Compact, put_integer, put_varint};
 use crate::numpy::npy_header::{Dtype, Number};
 use crate::table::columns::Stored;
 
-/// Most values of a part of a delta block, and most parts.
+/// Largest number of values in a miniblock of a delta block, and largest number of miniblocks.
 const PART_VALUES_MAX: usize = 1 << 16;
 const PARTS_MAX: usize = 512;
 
-/// Values of a delta block and of its parts that are written, as every known writer has them.
+/// Numbers of values in a delta block and in a miniblock, as every known writer has them.
 const BLOCK_VALUES: usize = 128;
 const PART_VALUES: usize = 32;
 
-/// Encodings by their numbers.
+// Numbers of encodings.
 pub const PLAIN: i64 = 0;
 const PLAIN_DICTIONARY: i64 = 2;
 pub const RLE: i64 = 3;
@@ -21,7 +21,7 @@ pub const DELTA: i64 = 5;
 pub const DICTIONARY: i64 = 8;
 const SPLIT: i64 = 9;
 
-/// `width` bits at bit `at`, the lowest first.
+/// Returns the `width` bits from bit `at` on, the lowest first.
 fn bits(bytes: &[u8], at: usize, width: usize) -> Option<u64> {
     let mut value = 0_u128;
     let first = at / 8;
@@ -33,15 +33,15 @@ fn bits(bytes: &[u8], at: usize, width: usize) -> Option<u64> {
     Some((value >> (at % 8) & mask) as u64)
 }
 
-/// Runs of one value, and packed values in groups of eight.
+/// A decoder of runs of one value, and of packed values in groups of eight.
 pub struct Runs {
     bytes: Vec<u8>,
     width: usize,
-    /// Byte of what comes next.
+    /// Offset of the byte after the current run.
     at: usize,
-    /// Values left of the present run.
+    /// Number of values left in the current run.
     left: u64,
-    /// The run's value, or the bit where the next packed one stands.
+    /// The run's value, or the position in bits of the next packed value.
     run: Run,
 }
 
@@ -51,7 +51,7 @@ enum Run {
 }
 
 impl Runs {
-    /// Values of `width` bits, at most 32.
+    /// Reads values of `width` bits; `None` if that is above 32.
     pub fn new(bytes: Vec<u8>, width: u8) -> Option<Self> {
         (width <= 32).then_some(Self {
             bytes,
@@ -62,7 +62,7 @@ impl Runs {
         })
     }
 
-    /// The next value.
+    /// Returns the next value; `None` at the end or if the data is damaged.
     pub fn next(&mut self) -> Option<u64> {
         while self.left == 0 {
             let mut rest = self.bytes.get(self.at..)?;
@@ -95,7 +95,7 @@ impl Runs {
     }
 }
 
-/// Differences in blocks, each with the least of them taken off.
+/// A decoder of differences in blocks; the least difference of each block is stored apart.
 pub struct Deltas {
     bytes: Vec<u8>,
     at: usize,
@@ -105,9 +105,9 @@ pub struct Deltas {
     last: i64,
     is_first: bool,
     least: i64,
-    /// Widths of the parts that are left of a block.
+    /// Bit widths of the block's remaining miniblocks.
     widths: std::vec::IntoIter<u8>,
-    /// Of the present part: bit of the next difference, width, how many are left.
+    /// Of the current miniblock: bit position of the next difference, its width, and how many are left.
     part: (usize, usize, usize),
 }
 
@@ -178,34 +178,34 @@ impl Deltas {
     }
 }
 
-/// The values of a page.
+/// The values of a page and the position of the next one.
 pub enum Values {
-    /// Numbers, and the byte where the next one stands.
+    /// Numbers, their type, and the offset of the next.
     Plain(Vec<u8>, Dtype, usize),
-    /// Bits, and which is next.
+    /// Bits, and the position of the next.
     Bits(Vec<u8>, usize),
-    /// Runs of bits.
+    /// Bits in runs.
     Runs(Runs),
-    /// Places in the dictionary.
+    /// Positions in the dictionary.
     Dictionary(Runs),
     /// Differences of integers.
     Deltas(Deltas, Dtype),
-    /// The first bytes of all numbers, the second ones and so on; and which number is next.
+    /// The first bytes of all numbers, then all second bytes, and so on; and the index of the next number.
     Split(Vec<u8>, Dtype, usize),
 }
 
 impl Values {
-    /// Values in `bytes`, encoded so.
+    /// Prepares to decode the values in `bytes`.
     ///
     /// # Errors
-    /// An encoding that is not read, or damage.
+    /// The encoding is not supported, or the page is damaged.
     pub fn new(bytes: Vec<u8>, encoding: i64, stored: Stored) -> Result<Self, String> {
         let damaged = || "a damaged page".to_owned();
         Ok(match (encoding, stored) {
             (PLAIN, Stored::Number(dtype)) => Self::Plain(bytes, dtype, 0),
             (PLAIN, Stored::Bool) => Self::Bits(bytes, 0),
             (RLE, Stored::Bool) => {
-                // Behind the number of their bytes.
+                // Preceded by their size in bytes.
                 let runs = bytes.get(4..).map(<[u8]>::to_vec);
                 Self::Runs(
                     runs.and_then(|runs| Runs::new(runs, 1))
@@ -228,7 +228,7 @@ impl Values {
         })
     }
 
-    /// The next value; `Some(None)` is a number above 2^63 - 1, `None` damage or the end.
+    /// Returns the next value; `Some(None)` is a number above 2^63 - 1, `None` means damage or the end.
     pub fn next(&mut self, dictionary: &[Option<Number>]) -> Option<Option<Number>> {
         match self {
             Self::Plain(bytes, dtype, at) => {
@@ -292,7 +292,7 @@ pub fn deltas(values: &[i64]) -> Vec<u8> {
         for part in parts {
             let width = width(part);
             let (mut word, mut filled) = (0_u128, 0);
-            // Parts are whole.
+            // Miniblocks have full length.
             let padding = std::iter::repeat_n(&0, PART_VALUES - part.len());
             for value in part.iter().chain(padding) {
                 word |= u128::from(*value) << filled;
@@ -308,7 +308,7 @@ pub fn deltas(values: &[i64]) -> Vec<u8> {
     out
 }
 
-/// Values as runs of equal ones, of `width` bits.
+/// Encodes values of `width` bits as runs of equal values.
 pub fn runs(values: impl IntoIterator<Item = u32>, width: u8) -> Vec<u8> {
     let bytes = usize::from(width.div_ceil(8));
     let mut out = Vec::new();
@@ -357,11 +357,11 @@ mod tests {
 
     #[test]
     fn runs_and_packed_values() {
-        // Three of 5, then eight packed in 3 bits: 0 to 7 (the example of the format's description).
+        // Three times 5, then eight values packed in 3 bits, 0 to 7: the example in the format's description.
         let mut runs = Runs::new(vec![6, 5, 3, 0x88, 0xc6, 0xfa], 3).unwrap();
         let got: Vec<u64> = std::iter::from_fn(|| runs.next()).collect();
         assert_eq!(got, [5, 5, 5, 0, 1, 2, 3, 4, 5, 6, 7]);
-        // Runs of nothing end.
+        // A sequence of empty runs ends.
         assert_eq!(Runs::new(vec![0; 9], 1).unwrap().next(), None);
         assert!(Runs::new(Vec::new(), 33).is_none());
     }

@@ -1,7 +1,7 @@
-//! Writer of events as Parquet files: t (int64, us), x, y (uint16) as differences, p (bool), in row groups of
-//! 131,072 events with statistics; `width` and `height` are keys of the footer.
+//! Writes events as Parquet files: t (int64, us), x, y (uint16) as differences, p (bool), in row groups of 131,072
+//! events with statistics; `width` and `height` are keys of the footer.
 //!
-//! Differences take some 4 bytes an event without any compression, and every reader knows them.
+//! Differences take about 4 bytes an event without compression, and every reader supports them.
 
 use std::path::Path;
 
@@ -27,11 +27,11 @@ const fn column(name: &'static str, kind: Kind) -> Column {
     }
 }
 
-/// Writer of Parquet files. It holds a row group, and some 400 bytes for every one written.
+/// A writer of Parquet files. It holds one row group, and about 400 bytes for every row group written.
 pub struct ParquetWriter {
     table: Table,
     sensor: Sensor,
-    /// t, x, y.
+    /// t, x and y.
     columns: [Vec<i64>; 3],
     polarities: Vec<bool>,
     events: u64,
@@ -41,7 +41,7 @@ impl ParquetWriter {
     /// Creates the file.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be created or written.
     pub fn create(path: &Path, sensor: Sensor) -> Result<Self> {
         Ok(Self {
             table: Table::begin(Output::create(path)?, &COLUMNS)?,

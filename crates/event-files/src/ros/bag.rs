@@ -1,15 +1,14 @@
-//! Bags of ROS 1, version 2.0 (`.bag`), by the ROS wiki's "Bags/Format/2.0".
+//! Reads ROS 1 bags, version 2.0 (`.bag`), by the ROS wiki's "Bags/Format/2.0".
 //!
-//! `#ROSBAG V2.0\n`, then records: u32 length of the header, the header (fields of u32 length,
-//! `name=value`), u32 length of the data, the data; little-endian. The field `op` tells a record:
-//! 2 message (`conn`, `time`), 3 bag header, 4 index of a chunk, 5 chunk (`compression`: none, lz4
-//! frames or bz2; `size` when decompressed) whose data is records, 6 chunk info, 7 connection
-//! (`conn`, `topic`, and in the data `type`).
+//! A bag is `#ROSBAG V2.0\n`, then records: u32 length of the header, the header (fields of u32 length,
+//! `name=value`), u32 length of the data, the data; little-endian. The field `op` is the kind of record: 2 message
+//! (`conn`, `time`), 3 bag header, 4 index of a chunk, 5 chunk (`compression`: none, lz4 frames or bz2; `size` when
+//! decompressed) whose data is records, 6 chunk info, 7 connection (`conn`, `topic`, and `type` in the data).
 //!
-//! Records are read one after the other, so that a bag that was never closed (`.bag.active`) or cut
-//! off is read as far as it goes; indexes are passed over, but for seeking. So can a bag that is being
-//! written, unless its chunks are compressed: `rosbag record` writes their lengths when they are full. The
-//! reader holds a message and, where it is compressed, a chunk.
+//! Records are read one after another, so that a bag that was never closed (`.bag.active`) or was cut off is read
+//! as far as it goes; indexes are used only for seeking. A bag that is still being written can be read likewise,
+//! unless its chunks are compressed, since `rosbag record` writes a chunk's length only when it is full. The reader
+//! holds one message and, if it is compressed, one chunk.
 
 use event_types::Sensor;
 use event_types::stream::Result;
@@ -28,19 +27,19 @@ use crate::input::{Input, ReadSeek};
 /// First bytes of every bag.
 pub const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 
-/// Longest header of a record.
+/// Longest header of a record, in bytes.
 const HEADER_MAX: u32 = 1 << 16;
 
-/// The bag's first record with its padding.
+/// Size in bytes of the bag's first record, with its padding.
 const HEADER_BYTES: u64 = 4096;
 
-/// Longest data of a connection record: definitions of messages have a few kB.
+/// Longest data of a connection record, in bytes; message definitions have a few kB.
 const CONNECTION_MAX: u32 = 1 << 20;
 
-/// Most connections: memory for each is kept.
+/// Largest number of connections, since memory is kept for each.
 const CONNECTIONS_MAX: usize = 1 << 16;
 
-/// Kinds of records.
+// Kinds of records.
 pub(super) const MESSAGE: u8 = 2;
 pub(super) const BAG_HEADER: u8 = 3;
 pub(super) const INDEX: u8 = 4;
@@ -74,10 +73,10 @@ pub const FORMAT: Format = Format {
     create: Some(|path, sensor| Ok(Box::new(BagWriter::create(path, sensor)?))),
 };
 
-/// Reads the bag `source`, which messages call `name`, as [`RosReader::new`].
+/// Reads the bag `source`, which messages call `name`, like [`RosReader::new`].
 ///
 /// # Errors
-/// As [`RosReader::new`].
+/// Those of [`RosReader::new`]; `source` is not a bag of version 2.0.
 pub fn open(
     source: Box<dyn ReadSeek>,
     name: &str,
@@ -87,14 +86,14 @@ pub fn open(
     RosReader::new(Box::new(Bag::new(source, name)?), place, size)
 }
 
-/// The messages of a bag of ROS 1.
+/// The messages of a ROS 1 bag.
 pub struct Bag {
     bytes: Chunked,
     connections: Uses,
     header: Vec<u8>,
-    /// Position of the latest record's data.
+    /// Offset of the latest record's data.
     at: u64,
-    /// Where reading can begin, once asked.
+    /// Places where reading can begin, once they have been requested.
     places: Option<Vec<u64>>,
 }
 
@@ -102,7 +101,7 @@ impl Bag {
     /// Begins at the first record.
     ///
     /// # Errors
-    /// No bag of version 2.0.
+    /// `source` is not a bag of version 2.0.
     pub fn new(source: Box<dyn ReadSeek>, name: &str) -> Result<Self> {
         let mut input = Input::new(source, name)?;
         let mut start = vec![0; MAGIC.len()];
@@ -128,13 +127,13 @@ impl Bag {
         self.bytes.input.error_at(self.at, what)
     }
 
-    /// The wanted field of the latest header, of `N` bytes.
+    /// Returns a field of the latest header, of `N` bytes.
     fn number<const N: usize>(&self, name: &str) -> Result<[u8; N]> {
         let value = field(&self.header, name).and_then(|value| value.try_into().ok());
         value.ok_or_else(|| self.damaged(&format!("a record without {name}: it is damaged")))
     }
 
-    /// Takes a connection, whose record's header is the latest one.
+    /// Adds a connection, whose record's header is the latest one.
     fn connect(&mut self, data: &[u8], topics: &mut Topics) -> Result<()> {
         if self.connections.len() >= CONNECTIONS_MAX {
             return Err(self.damaged("too many connections: it is damaged"));
@@ -142,7 +141,7 @@ impl Bag {
         let connection = u32::from_le_bytes(self.number("conn")?);
         let topic = self.text(&self.header, "topic")?;
         let kind = self.text(data, "type")?;
-        // Each connection is told again at the bag's end.
+        // Every connection occurs again at the end of the bag.
         let uses = topics
             .meet(&topic, &kind)
             .map_err(|what| self.damaged(&what))?;
@@ -150,7 +149,8 @@ impl Bag {
         Ok(())
     }
 
-    /// The bag's beginning and its chunks, where the bag was closed and tells them and all connections.
+    /// Returns the offsets of the first record and the chunks, if the bag was closed and its index lists all chunks
+    /// and connections.
     fn index(&mut self, topics: &mut Topics) -> Result<Option<Vec<u64>>> {
         let start = MAGIC.len() as u64;
         let head = self.bytes.peek(start, start + HEADER_BYTES)?;
@@ -191,7 +191,7 @@ impl Bag {
             }
         }
         places.sort_unstable();
-        // Messages of a connection that only an earlier chunk tells of would be taken for unknown.
+        // Messages of a connection that only an earlier chunk introduces would be taken for unknown.
         let known = self.connections.len() as u64 >= u64::from(u32::from_le_bytes(connections));
         let whole = places.len() as u64 == u64::from(u32::from_le_bytes(chunks)) + 1;
         let inside = places.last().is_some_and(|last| *last < index);
@@ -206,13 +206,13 @@ impl Bag {
     }
 }
 
-/// What a length of 32 bits counts, and what is behind.
+/// Splits off the bytes that follow a 32-bit length; returns them and the rest.
 fn split(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, rest) = bytes.split_first_chunk()?;
     rest.split_at_checked(usize::try_from(u32::from_le_bytes(*length)).ok()?)
 }
 
-/// The value of a field of a header.
+/// Returns the value of a field of a header.
 fn field<'a>(mut header: &'a [u8], name: &str) -> Option<&'a [u8]> {
     while let Some((length, rest)) = header.split_first_chunk() {
         let length = usize::try_from(u32::from_le_bytes(*length)).ok()?;

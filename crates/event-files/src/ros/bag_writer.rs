@@ -1,9 +1,9 @@
-//! Writer of bags of ROS 1 of one topic: chunks, an index of messages behind each, the connection and
-//! what is in each chunk at the end.
+//! Writes ROS 1 bags of one topic: chunks, each with an index of its messages after it, and at the end the
+//! connection and the content of each chunk.
 //!
-//! Chunks are not compressed, as `rosbag record` leaves them: every reader knows them, and a bag can be
-//! followed while it is written. The bag's header is written again at the end: until then it names no
-//! index, which tells that the bag was not closed.
+//! Chunks are not compressed, like those of `rosbag record`: every reader supports them, and a bag can be followed
+//! while it is written. The bag's header is rewritten at the end; until then it states no index, which shows that
+//! the bag was not closed.
 
 use std::path::Path;
 
@@ -17,25 +17,25 @@ use super::packets::{
 };
 use crate::output::sequential::Output;
 
-/// A chunk is closed once it has so many bytes: `rosbag record`'s own size.
+/// Size in bytes at which a chunk is closed, as in `rosbag record`.
 const CHUNK_BYTES: usize = 768 << 10;
 
-/// Bytes of the bag's header with its padding.
+/// Size in bytes of the bag's header, with its padding.
 const HEADER_BYTES: usize = 4096;
 
-/// The one connection.
+/// Number of the only connection.
 const CONNECTION_ID: u32 = 0;
 
-/// Writer of bags of ROS 1, one topic of `event_camera_msgs/EventPacket`.
+/// A writer of ROS 1 bags with one topic of `event_camera_msgs/EventPacket`.
 ///
-/// Events of any order, with times up to what a stamp of ROS 1 holds.
+/// Events may have any order, and times up to the largest stamp of ROS 1.
 pub type BagWriter = PacketWriter<Records>;
 
 impl BagWriter {
     /// Creates the file.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be created or written.
     pub fn create(path: &Path, sensor: Sensor) -> Result<Self> {
         let file = Output::create(path)?;
         let packets = Packets::new(file.name(), sensor, Serialisation::Ros1);
@@ -52,7 +52,7 @@ impl BagWriter {
     }
 }
 
-/// A header of fields, behind its length.
+/// Returns a header of fields, after its length.
 fn header(fields: &[(&str, &[u8])]) -> Vec<u8> {
     let mut bytes = vec![0; 4];
     for (name, value) in fields {
@@ -69,7 +69,7 @@ fn header(fields: &[(&str, &[u8])]) -> Vec<u8> {
     bytes
 }
 
-/// A record: its header and its data, behind its length.
+/// Returns a record: its header, and its data after their length.
 fn record(fields: &[(&str, &[u8])], data: &[u8]) -> Vec<u8> {
     let mut bytes = header(fields);
     bytes.extend_from_slice(&(data.len() as u32).to_le_bytes());
@@ -77,7 +77,7 @@ fn record(fields: &[(&str, &[u8])], data: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// The bag's first record.
+/// Returns the bag's first record.
 fn bag_header(index: u64, chunks: u32) -> Vec<u8> {
     let connections = u32::from(index > 0);
     let fields: [(&str, &[u8]); 4] = [
@@ -90,7 +90,7 @@ fn bag_header(index: u64, chunks: u32) -> Vec<u8> {
     record(&fields, &padding)
 }
 
-/// The connection's record.
+/// Returns the connection's record.
 fn connection() -> Vec<u8> {
     let topic: (&str, &[u8]) = ("topic", TOPIC.as_bytes());
     let data = header(&[
@@ -107,13 +107,13 @@ fn connection() -> Vec<u8> {
     record(&fields, data.get(4..).unwrap_or_default())
 }
 
-/// Seconds and nanoseconds; the packets hold no time whose seconds have more than 32 bits.
+/// Returns a time as seconds and nanoseconds; no message has a time whose seconds exceed 32 bits.
 fn time(time_ns: u64) -> [u8; 8] {
     let [seconds, nanos] = [time_ns / 1_000_000_000, time_ns % 1_000_000_000];
     (nanos << 32 | seconds).to_le_bytes()
 }
 
-/// A chunk in the file.
+/// The place of a chunk in the file.
 struct Placed {
     offset: u64,
     first_ns: u64,
@@ -121,18 +121,18 @@ struct Placed {
     messages: u32,
 }
 
-/// The records of the file.
+/// The records of a file that is being written.
 pub struct Records {
     file: Output,
     chunk: Vec<u8>,
-    /// Time and position in the chunk of each message.
+    /// Time and position within the chunk of each message.
     messages: Vec<(u64, u32)>,
     chunks: Vec<Placed>,
 }
 
 impl MessageFile for Records {
     fn message(&mut self, message: &Message) -> Result<()> {
-        // A chunk ends long before 2^32 bytes.
+        // A chunk is closed long before it has 2^32 bytes.
         let at = self.chunk.len() as u32;
         self.messages.push((message.time_ns, at));
         let fields: [(&str, &[u8]); 3] = [
@@ -147,7 +147,7 @@ impl MessageFile for Records {
         Ok(())
     }
 
-    /// Writes the last chunk, what is in each, and the bag's header again.
+    /// Writes the last chunk, the content of each chunk, and the bag's header again.
     fn finish(mut self) -> Result<()> {
         if !self.messages.is_empty() {
             self.close()?;
@@ -198,7 +198,7 @@ impl Records {
             ("count", &count.to_le_bytes()),
         ];
         self.file.put(&record(&fields, &index))?;
-        // Times do not fall.
+        // The messages' times never fall.
         self.chunks.push(Placed {
             offset,
             first_ns: messages.first().map_or(0, |(time_ns, _)| *time_ns),

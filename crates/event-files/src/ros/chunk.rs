@@ -1,4 +1,4 @@
-//! Bytes of a bag: of the file, or of a compressed chunk while one is being read.
+//! The bytes of a bag: those of the file or, while one is being read, of a compressed chunk.
 
 use std::io::Read;
 
@@ -8,7 +8,7 @@ use super::decoder::MESSAGE_MAX;
 use super::mcap_writer::CRC;
 use crate::input::Input;
 
-/// A file of records, some of them in compressed chunks.
+/// A file of records, some of which are in compressed chunks.
 pub struct Chunked {
     /// The file.
     pub input: Input,
@@ -19,14 +19,14 @@ pub struct Chunked {
 struct Chunk {
     bytes: Vec<u8>,
     next: usize,
-    /// Position of the chunk's bytes in the file.
+    /// Offset of the chunk's bytes in the file.
     offset: u64,
-    /// Where and why the bytes end early, if they do: said when they have been read.
+    /// Where and why the bytes end early, if they do; reported once they have been read.
     fault: Option<(u64, String)>,
 }
 
 impl Chunk {
-    /// The next `n` bytes; none where fewer are left.
+    /// Returns the next `n` bytes; `None` if fewer are left.
     fn next(&mut self, n: u64) -> Option<&[u8]> {
         let rest = self.bytes.get(self.next..)?;
         let next = rest.get(..usize::try_from(n).ok()?)?;
@@ -35,13 +35,13 @@ impl Chunk {
     }
 }
 
-/// Bytes read at once where they are only looked at.
+/// Number of bytes read at once for a checksum.
 const BLOCK_BYTES: usize = 1 << 16;
 
-/// Longest index that is read: some 10^6 chunks.
+/// Longest index that is read, in bytes: about 10^6 chunks.
 const INDEX_MAX: u64 = 1 << 27;
 
-/// Bytes by which memory grows, where a length is not yet known to be true.
+/// Number of bytes by which memory grows while a stated length is not confirmed.
 const STEP_BYTES: usize = 1 << 20;
 
 impl Chunked {
@@ -51,13 +51,13 @@ impl Chunked {
         Self { input, chunk: None }
     }
 
-    /// Whether the next bytes come from a compressed chunk.
+    /// Returns whether the next bytes come from a compressed chunk.
     #[must_use]
     pub fn inside(&self) -> bool {
         self.chunk.is_some()
     }
 
-    /// Position in the file: inside of a compressed chunk, the chunk's.
+    /// Returns the position in the file; inside a compressed chunk, that of the chunk.
     #[must_use]
     pub fn offset(&self) -> u64 {
         match &self.chunk {
@@ -66,10 +66,10 @@ impl Chunked {
         }
     }
 
-    /// Whether there are more bytes; leaves a compressed chunk that has been read to its end.
+    /// Returns whether there are more bytes; leaves a compressed chunk that has been read to its end.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be read.
     pub fn more(&mut self) -> Result<bool> {
         if let Some(Chunk {
             bytes, next, fault, ..
@@ -82,20 +82,20 @@ impl Chunked {
         Ok(!self.input.at_end()?)
     }
 
-    /// Goes on at byte `offset` of the file, outside of any compressed chunk.
+    /// Continues at byte `offset` of the file, outside any compressed chunk.
     ///
     /// # Errors
-    /// I/O.
+    /// The offset is out of range.
     pub fn go(&mut self, offset: u64) -> Result<()> {
         self.chunk = None;
         self.input.seek(offset)
     }
 
-    /// The file's bytes from `start` up to `end`, or as many as there are; what is read next stays the same.
-    /// None where they are too many for an index.
+    /// Returns the file's bytes from `start` up to `end`, at most to its end, without changing the position.
+    /// Returns `None` if they are too many for an index.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be read.
     pub fn peek(&mut self, start: u64, end: u64) -> Result<Option<Vec<u8>>> {
         let offset = self.input.offset();
         let end = end.min(self.input.end()?);
@@ -113,10 +113,10 @@ impl Chunked {
         Ok(bytes)
     }
 
-    /// The file's length at present; what is read next stays the same.
+    /// Returns the file's current length, without changing the position.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be read.
     pub fn length(&mut self) -> Result<u64> {
         let offset = self.input.offset();
         let length = self.input.end()?;
@@ -124,10 +124,10 @@ impl Chunked {
         Ok(length)
     }
 
-    /// Puts the next `n` bytes in place of `bytes`.
+    /// Reads the next `n` bytes into `bytes`, replacing its content.
     ///
     /// # Errors
-    /// Fewer are left, or more than a message may have.
+    /// Fewer bytes are left, or `n` is above the largest size of a message.
     pub fn take(&mut self, bytes: &mut Vec<u8>, n: u64) -> Result<()> {
         if let Some(chunk) = &mut self.chunk {
             let Some(next) = chunk.next(n) else {
@@ -144,7 +144,8 @@ impl Chunked {
         }
     }
 
-    /// Puts the file's next `n` bytes, or as many as it has, in place of `bytes`; returns how many.
+    /// Reads the file's next `n` bytes, or those that are left, into `bytes`, replacing its content; returns their
+    /// number.
     fn take_some(&mut self, bytes: &mut Vec<u8>, n: u64) -> Result<u64> {
         if n > MESSAGE_MAX as u64 {
             return Err(self.error(format!(
@@ -168,10 +169,10 @@ impl Chunked {
         Ok(bytes.len() as u64)
     }
 
-    /// Passes over `n` bytes.
+    /// Skips `n` bytes.
     ///
     /// # Errors
-    /// Fewer are left.
+    /// Fewer bytes are left.
     pub fn skip(&mut self, n: u64) -> Result<()> {
         if let Some(chunk) = &mut self.chunk {
             return match chunk.next(n) {
@@ -183,7 +184,7 @@ impl Chunked {
             return Ok(());
         };
         let last = self.input.offset().checked_add(before_last);
-        // Files are not longer. Of what is still being written, the last byte is waited for.
+        // No file is longer than 2^63. In a file that is still being written, the last byte is waited for.
         let last = last.filter(|last| i64::try_from(*last).is_ok());
         if let Some(last) = last {
             self.input.seek(last)?;
@@ -199,7 +200,7 @@ impl Chunked {
         Err(self.ended(end, missing))
     }
 
-    /// The present compressed chunk has no more bytes, but should.
+    /// Returns the error for a compressed chunk that ends too early.
     fn cut(&self) -> event_types::stream::Error {
         match self.chunk.as_ref().and_then(|chunk| chunk.fault.as_ref()) {
             Some((at, what)) => self.input.error_at(*at, what),
@@ -211,20 +212,22 @@ impl Chunked {
         self.input.error_at(end, ends_early(missing))
     }
 
-    /// Reads a chunk's next `packed` bytes, which become `size` bytes of records by the named
-    /// compression: `lz4`, `bz2`, `zstd`, or none (empty or `none`), where the file is read on.
+    /// Enters a chunk: reads its next `packed` bytes and decompresses them to `size` bytes of records.
+    /// `compression` is `lz4`, `bz2`, `zstd`, or none (empty or `none`), in which case reading continues in the
+    /// file.
     ///
-    /// What can be decompressed of a chunk that was cut off comes before the error, and nothing of one that is damaged.
+    /// Of a chunk that was cut off, everything that can be decompressed is read before the error; of a damaged one,
+    /// nothing.
     ///
     /// # Errors
-    /// A chunk in a chunk, a length that no chunk has.
+    /// The chunk is inside a chunk, or its length is impossible.
     pub fn enter(&mut self, compression: &str, packed: u64, size: u64) -> Result<()> {
         if self.chunk.is_some() {
             return Err(self.error("a chunk inside of a chunk: it is damaged"));
         }
         if matches!(compression, "" | "none") {
             return if packed == size {
-                // A chunk that was cut off still has messages.
+                // Even if the chunk was cut off, it holds messages.
                 Ok(())
             } else {
                 Err(self.error(format!(
@@ -248,7 +251,7 @@ impl Chunked {
         let mut from = Vec::new();
         let missing = packed - self.take_some(&mut from, packed)?;
         let mut bytes = Vec::new();
-        // One byte more, to tell a chunk that is too long.
+        // One more byte, to detect a chunk that is too long.
         let unpacked = match compression {
             "lz4" => lz4_flex::frame::FrameDecoder::new(from.as_slice())
                 .take(size + 1)
@@ -278,7 +281,7 @@ impl Chunked {
                 format!("a chunk cannot be decompressed ({what}): it is damaged"),
             )),
         };
-        // Of a chunk that is all there nothing is known to be right before the damage was found.
+        // In a complete chunk that is damaged, nothing before the damage is known to be right.
         if fault.is_some() && missing == 0 {
             bytes.clear();
         }
@@ -292,11 +295,11 @@ impl Chunked {
         Ok(())
     }
 
-    /// Checks the CRC-32 of the `size` bytes of a chunk that has been entered. What is not all there has none, and
-    /// the end of the file is met when it is read.
+    /// Checks the CRC-32 of the `size` bytes of a chunk that has been entered. An incomplete chunk is not checked;
+    /// reading it reports the end of the file.
     ///
     /// # Errors
-    /// Another CRC, before any record of the chunk; I/O.
+    /// The CRC differs, before any record of the chunk is read; the file cannot be read.
     pub fn check(&mut self, crc: u32, size: u64) -> Result<()> {
         let found = match &self.chunk {
             Some(Chunk { fault: Some(_), .. }) => return Ok(()),
@@ -333,7 +336,7 @@ impl Chunked {
         )))
     }
 
-    /// Error at the present position.
+    /// Returns an error at the current position.
     pub fn error(&self, what: impl std::fmt::Display) -> event_types::stream::Error {
         self.input.error_at(self.offset(), what)
     }

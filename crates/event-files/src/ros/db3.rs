@@ -1,12 +1,12 @@
-//! Bags of ROS 2 in an SQLite database (`.db3`), as rosbag2's plugin `sqlite3` writes them.
+//! Reads ROS 2 bags in an SQLite database (`.db3`), as written by rosbag2's plugin `sqlite3`.
 //!
-//! Table `topics` (id, name, type, serialization_format, ...) and `messages` (id, topic_id,
-//! timestamp, data); the data is CDR. Messages are read by ascending id, the order of writing, and sought
-//! by it: timestamps are the computer's. A database that is being written cannot be followed: what is new
-//! in it stands anywhere, or in a journal beside it.
+//! The tables are `topics` (id, name, type, serialization_format, ...) and `messages` (id, topic_id, timestamp,
+//! data); the data is CDR. Messages are read by ascending id, the order in which they were written, and sought by
+//! id, since timestamps are the computer's. A database that is still being written cannot be followed: new data may
+//! be anywhere in it, or in a journal beside it.
 //!
-//! SQLite itself reads the file: what a database may be (journals, overflow pages, versions) is no
-//! matter for a second reader. It is built from its source, in every build.
+//! SQLite itself reads the file, since a second reader could not cover everything that a database may contain
+//! (journals, overflow pages, versions). It is built from its source in every build.
 
 use std::io::{Seek, SeekFrom};
 use std::path::Path;
@@ -69,7 +69,7 @@ fn open(opening: Opening) -> Result<Box<dyn EventReader>> {
     let database = match path {
         Some(path) => Database::new(path, name)?,
         None => {
-            // SQLite wants a file of its own.
+            // SQLite needs a file of its own.
             let context = || format!("{name}: byte 0: cannot be copied to a temporary file");
             let mut copy = tempfile::NamedTempFile::new().with_context(context)?;
             source.seek(SeekFrom::Start(0)).with_context(context)?;
@@ -83,7 +83,7 @@ fn open(opening: Opening) -> Result<Box<dyn EventReader>> {
     Ok(Box::new(reader))
 }
 
-/// Where another database begins, of which SQLite would not say a word.
+/// Returns where another database begins after this one, which SQLite would not report.
 fn followed(source: &mut dyn ReadSeek) -> std::io::Result<Option<u64>> {
     let mut header = [0; 100];
     source.seek(SeekFrom::Start(0))?;
@@ -94,7 +94,7 @@ fn followed(source: &mut dyn ReadSeek) -> std::io::Result<Option<u64>> {
         let bytes = header.get(at..).and_then(|rest| rest.first_chunk());
         bytes.copied().map_or(0, u32::from_be_bytes)
     };
-    // The number of pages is that of the file if it was written with the change that was counted last.
+    // The stated number of pages is valid if it was written with the latest counted change.
     let page = match number(16) >> 16 {
         1 => 1 << 16,
         page => u64::from(page),
@@ -108,13 +108,13 @@ fn followed(source: &mut dyn ReadSeek) -> std::io::Result<Option<u64>> {
 pub struct Database {
     connection: Connection,
     name: String,
-    /// The wanted topic's numbers and kind, once asked.
+    /// Ids and kinds of the wanted topic, once they have been requested.
     topics: Option<Vec<(i64, Kind)>>,
-    /// Number of the latest message.
+    /// Id of the latest message.
     message: i64,
-    /// Of the first and the last message, once places were asked for.
+    /// Ids of the first and the last message, once places have been requested.
     numbers: Option<(i64, i64)>,
-    /// Held so long as it is read.
+    /// Temporary file, kept while the database is read.
     copy: Option<tempfile::NamedTempFile>,
 }
 
@@ -122,7 +122,7 @@ impl Database {
     /// Opens the database at `path`, which messages call `name`.
     ///
     /// # Errors
-    /// No database.
+    /// SQLite cannot open the file, or it is truncated.
     pub fn new(path: &Path, name: &str) -> Result<Self> {
         let context = || format!("{name}: byte 0: SQLite cannot open it");
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
@@ -131,7 +131,7 @@ impl Database {
             .pragma_query_value(None, "page_size", |row| row.get(0))
             .with_context(context)?;
         let length = std::fs::metadata(path).with_context(context)?.len();
-        // SQLite takes what is missing of the last page for zeros.
+        // SQLite reads the missing part of the last page as zeros.
         ensure!(
             length.checked_rem(page.unsigned_abs()) == Some(0),
             Damaged,
@@ -185,7 +185,7 @@ impl Database {
             .with_context(|| self.broken())
     }
 
-    /// Numbers of the first and the last message.
+    /// Returns the ids of the first and the last message.
     fn numbers(&self) -> Result<Option<(i64, i64)>> {
         let ask = "SELECT min(id), max(id) FROM messages";
         let numbers = self.connection.query_row(ask, [], |row| {
@@ -237,7 +237,7 @@ impl Messages for Database {
             match found.with_context(|| self.broken())? {
                 None => break None,
                 Some((id, kind, length)) => {
-                    // SQLite trusts the order in its pages, and would give the same ones for ever.
+                    // SQLite trusts the order within its pages, and could return the same rows for ever.
                     if self.message != i64::MIN && id <= self.message {
                         bail!(Damaged, "{}", self.broken());
                     }
@@ -261,7 +261,7 @@ impl Messages for Database {
             self.topics = Some(self.ask_topics(topics, &mut Skipped::default())?);
         }
         self.numbers = self.numbers()?;
-        // Every number is a place, whether a message has it or not: the next one is found.
+        // Every id in the range is a place, whether or not it is in use: reading continues at the next one.
         Ok(self
             .numbers
             .map(|(first, last)| last.abs_diff(first).saturating_add(1)))
@@ -295,7 +295,7 @@ mod tests {
     use crate::ros::packets::{Packets, TOPIC};
     use crate::{Reading, open};
 
-    /// A bag of ROS 2 whose messages have gaps in their numbers and stamps of another clock.
+    /// Writes a ROS 2 bag whose messages have gaps in their ids and stamps of another clock.
     fn write(path: &Path, events: &[Event]) {
         let sensor = Sensor::new(346, 260).unwrap();
         let mut packets = Packets::new("test", sensor, Serialisation::Cdr);
@@ -331,8 +331,7 @@ mod tests {
         transaction.commit().unwrap();
     }
 
-    /// The number of a message is what its place in the database is told by: of one that stands in a wrong
-    /// place SQLite says nothing.
+    /// The database finds a message by its id; SQLite does not report one that is out of order.
     #[test]
     fn numbers_that_do_not_ascend_end_the_reading() {
         let folder = tempfile::tempdir().unwrap();
@@ -345,7 +344,7 @@ mod tests {
         };
         write(&path, &[event(0), event(1), event(2)]);
         let bytes = std::fs::read(&path).unwrap();
-        // Numbers 40, 43 and 46 stand before the message's columns: header of 5 bytes, topic 3.
+        // Ids 40, 43 and 46 stand before the message's columns: a header of 5 bytes, then topic 3.
         let mut changed = 0;
         for at in 0..bytes.len() - 3 {
             if bytes[at] != 46 || !(4..8).contains(&bytes[at + 1]) {
@@ -397,7 +396,7 @@ mod tests {
             // A message spans 10 ms.
             assert!(got.len() <= wanted + 50, "{target}: {}", got.len());
         }
-        // What is appended to a database stands anywhere in it.
+        // Data that is appended to a database may be anywhere in it.
         let follow = Follow {
             idle: Some(std::time::Duration::ZERO),
             stop: std::sync::Arc::default(),

@@ -1,23 +1,23 @@
-//! Writer of ROS 2 bags in SQLite: one database of one topic, by version 4 of rosbag2's schema.
+//! Writes ROS 2 bags in SQLite: one database with one topic, by version 4 of rosbag2's schema.
 //!
-//! | table | what is in it |
+//! | table | content |
 //! |---|---|
-//! | `schema` | 4, and what has written the file |
-//! | `topics` | the one topic, its type and the hash of its definition |
-//! | `message_definitions` | the definition, so that it can be read without the type's package |
+//! | `schema` | 4, and the program that wrote the file |
+//! | `topics` | the only topic, its type and the hash of its definition |
+//! | `message_definitions` | the definition, so that the bag can be read without the type's package |
 //! | `messages`, sorted by the index `timestamp_idx` | numbered in the file's order |
-//! | `metadata` | at the end: what a `metadata.yaml` says of the file |
+//! | `metadata` | written at the end: what a `metadata.yaml` states about the file |
 //!
-//! Version 4 is the newest, and what rosbag2 writes since Iron. Humble, whose own is 3, reads it as well: it
-//! asks for columns by name and for no version. The metadata have version 8, the newest that Humble, Jazzy
-//! and Kilted all read: from 9 on, offers of quality of service are no text, which Humble refuses. Offers
-//! there are none: a player takes its default.
+//! Version 4 is the newest, written by rosbag2 since Iron. Humble, whose own version is 3, reads it as well: it
+//! selects columns by name and does not check the version. The metadata have version 8, the newest that Humble,
+//! Jazzy and Kilted all read: from 9 on, quality-of-service offers are not text, which Humble rejects. There are no
+//! offers, so that a player uses its default.
 //!
-//! No stamp is before an earlier one, so that sorting by it gives the order of the numbers. Nothing is written
-//! beside the file, which rosbag2 opens by itself; `ros2 bag reindex` makes a folder a bag where its files are
+//! No stamp is before an earlier one, so that sorting by stamp gives the order of the numbers. Nothing is written
+//! beside the file, which rosbag2 opens by itself; `ros2 bag reindex` turns a folder into a bag if its files are
 //! named `NAME_0.db3`.
 //!
-//! The file is touched by the ends of transactions alone, and no journal is beside it: a run that is killed
+//! The file changes only at the ends of transactions, and there is no journal beside it: a run that is killed
 //! leaves a database of all transactions but the last.
 
 use std::path::{Path, PathBuf};
@@ -33,21 +33,21 @@ use super::packets::{
 use crate::create_file;
 use crate::output::{final_path, remove_partial};
 
-/// Messages of a transaction, which waits in memory: 10 MB at the most.
+/// Number of messages of a transaction, which is held in memory: at most 10 MB.
 const TRANSACTION_MESSAGES: u64 = 100;
 
-/// The one topic.
+/// Id of the only topic.
 const TOPIC_ID: i64 = 1;
 
-/// Offers of quality of service: none, as every version of the metadata reads it.
+/// Quality-of-service offers: none, in a form that every version of the metadata accepts.
 const OFFERS: &str = "[]";
 
-/// What stands for the distribution of ROS.
+/// Stands in the place of the ROS distribution.
 const WRITTEN_BY: &str = "eecvs";
 
 const METADATA_VERSION: i64 = 8;
 
-/// Nothing is on the disk before a transaction's end, and nobody waits for the disk.
+/// Nothing is written to the disk before the end of a transaction, and nothing waits for the disk.
 const PRAGMAS: &str = "
 PRAGMA journal_mode = MEMORY;
 PRAGMA synchronous = OFF;
@@ -67,18 +67,18 @@ CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL,
     timestamp INTEGER NOT NULL, data BLOB NOT NULL);
 CREATE INDEX timestamp_idx ON messages (timestamp ASC);";
 
-/// Writer of bags of ROS 2 in SQLite, one topic of `event_camera_msgs/EventPacket`.
+/// A writer of ROS 2 bags in SQLite with one topic of `event_camera_msgs/EventPacket`.
 ///
-/// Events of any order, with times up to what a stamp of ROS 2 holds.
+/// Events may have any order, and times up to the largest stamp of ROS 2.
 pub type Db3Writer = PacketWriter<Rows>;
 
 impl Db3Writer {
-    /// Creates the file, in place of one that is there.
+    /// Creates the file and replaces an existing one.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be created or written.
     pub fn create(path: &Path, sensor: Sensor) -> Result<Self> {
-        // An empty file is an empty database, whatever is left beside it of an earlier one.
+        // An empty file is an empty database, whatever an earlier one has left beside it.
         let (_, name) = create_file(path)?;
         let connection = begin(path).map_err(|error| failed(&name, error))?;
         let packets = Packets::new(&name, sensor, Serialisation::Cdr);
@@ -96,7 +96,7 @@ impl Db3Writer {
     }
 }
 
-/// Opens the empty database and writes all that stands before the messages; a transaction is open.
+/// Opens the empty database and writes everything before the messages; leaves a transaction open.
 fn begin(path: &Path) -> rusqlite::Result<Connection> {
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let connection = Connection::open_with_flags(path, flags)?;
@@ -117,14 +117,14 @@ fn failed(name: &str, error: rusqlite::Error) -> event_types::stream::Error {
     event_types::stream::Error::other(error).context(format!("{name}: SQLite cannot write it"))
 }
 
-/// The rows of the file.
+/// The rows of a file that is being written.
 pub struct Rows {
     connection: Connection,
-    /// What messages call the file.
+    /// Name of the file in messages.
     name: String,
-    /// Where it will be.
+    /// Path that the file will have.
     path: PathBuf,
-    /// What the metadata call it.
+    /// Name of the file in the metadata.
     file_name: String,
     messages: u64,
     /// Stamps of the first and the last message.
@@ -169,7 +169,7 @@ impl Rows {
         let Message { time_ns, bytes, .. } = message;
         let row = "INSERT INTO messages (topic_id, timestamp, data) VALUES (?1, ?2, ?3)";
         let mut row = self.connection.prepare_cached(row)?;
-        // A stamp's seconds have 31 bits.
+        // A stamp's seconds have 31 bits, so that its nanoseconds fit.
         row.execute(params![TOPIC_ID, *time_ns as i64, bytes])?;
         self.messages += 1;
         let (first_ns, _) = self.times_ns.unwrap_or((*time_ns, 0));
@@ -180,11 +180,11 @@ impl Rows {
         Ok(())
     }
 
-    /// What rosbag2's `BagMetadata` is as text.
+    /// Returns rosbag2's `BagMetadata` as text.
     fn metadata(&self) -> String {
         let (first_ns, last_ns) = self.times_ns.unwrap_or_default();
         let (messages, duration_ns) = (self.messages, last_ns - first_ns);
-        // JSON's strings are YAML's.
+        // A JSON string is also a YAML string.
         let file = serde_json::Value::from(self.file_name.as_str());
         format!(
             "version: {METADATA_VERSION}
@@ -237,7 +237,7 @@ mod tests {
     fn some_events(n: u64) -> Vec<Event> {
         (0..n)
             .map(|i| Event {
-                // Every 1,000th steps back.
+                // Every 1,000th event steps back in time.
                 t_us: START_US + i * 700 - i % 1000 / 999 * 5000,
                 x: (i % 346) as u16,
                 y: (i % 260) as u16,
@@ -258,7 +258,7 @@ mod tests {
         events
     }
 
-    /// What a question has for an answer, its columns apart by `|`.
+    /// Returns the rows that a query yields, with their columns separated by `|`.
     fn ask(path: &Path, question: &str) -> Vec<String> {
         let database = Connection::open(path).unwrap();
         let mut question = database.prepare(question).unwrap();
@@ -277,20 +277,20 @@ mod tests {
     fn events_come_back_in_place_of_what_was_there() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.db3");
-        // More messages than a transaction has.
+        // More messages than fit into one transaction.
         let many = some_events(50_000);
         for events in [&many, &many[..10], &[]] {
             write(&path, events);
             let mut reader = open(&path, None).unwrap();
             assert_eq!(reader.sensor(), SENSOR);
             assert_eq!(rest(reader.as_mut()), events);
-            // No journal stays.
+            // No journal remains.
             assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
             assert_eq!(ask(&path, "PRAGMA integrity_check"), ["ok"]);
         }
     }
 
-    /// Journals of a database that was there are no part of the new one.
+    /// Journals of an existing database do not become part of the new one.
     #[test]
     fn journals_of_another_database_are_left_behind() {
         let folder = tempfile::tempdir().unwrap();
@@ -350,7 +350,7 @@ mod tests {
         let index = "SELECT tbl_name FROM sqlite_master WHERE name = 'timestamp_idx'";
         assert_eq!(ask(&path, index), ["messages"]);
         assert_eq!(ask(&path, "SELECT schema_version FROM schema"), ["4"]);
-        // The hash is what the type has for a name wherever it is named.
+        // The hash is the same wherever the type is named.
         let hashes = "SELECT name FROM topics JOIN message_definitions
             ON topics.type = topic_type
             AND topics.type_description_hash = message_definitions.type_description_hash";
@@ -379,14 +379,14 @@ mod tests {
         assert_eq!(by_number, numbers);
         let by_stamp = "SELECT id FROM messages ORDER BY timestamp, id";
         assert_eq!(ask(&path, by_stamp), numbers);
-        // Of the first event of the first message, and of what stepped back, the largest so far.
+        // The first stamp is that of the first event; after a step back, stamps stay at the largest so far.
         let stamps = ask(&path, "SELECT timestamp FROM messages ORDER BY id");
         assert_eq!(stamps.first(), Some(&format!("{START_US}000")));
         assert!(stamps.is_sorted());
         assert!(stamps.array_windows().any(|[a, b]| a == b));
     }
 
-    /// As of a run that is killed: all but the last transaction.
+    /// A run that is killed leaves all but the last transaction.
     #[test]
     fn what_is_not_finished_can_be_read() {
         let folder = tempfile::tempdir().unwrap();
@@ -399,7 +399,7 @@ mod tests {
         assert_eq!(ask(&killed, "PRAGMA integrity_check"), ["ok"]);
         let got = rest(open(&killed, None).unwrap().as_mut());
         assert!(events.starts_with(&got));
-        // 10 ms a message, 700 us an event.
+        // A message spans 10 ms, an event 700 us.
         let transaction = TRANSACTION_MESSAGES as usize * 15;
         assert!(got.len() > events.len() - transaction, "{}", got.len());
         assert!(got.len() < events.len());

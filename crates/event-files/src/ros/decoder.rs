@@ -1,6 +1,6 @@
-//! Events out of messages, whatever file these come from.
+//! Decodes events from messages, whatever file the messages come from.
 //!
-//! [`super::message_events`] says what their times are, `seek.rs` how one is found.
+//! [`super::message_events`] describes the events' times; `seek.rs` finds a time.
 
 use std::io::Read;
 
@@ -14,19 +14,19 @@ use super::topics::{Topics, Use};
 use crate::input::{Batch, Decode, Reader};
 use crate::{Assumption, Skipped};
 
-/// Longest message.
+/// Longest message, in bytes.
 pub const MESSAGE_MAX: usize = 1 << 28;
 
-/// The messages of a bag, one after the other.
+/// A source of the messages of a bag, one after another.
 pub trait Messages: Send {
-    /// As [`Decode::format`].
+    /// Implements [`Decode::format`].
     fn format(&self) -> &'static str;
 
-    /// Puts the next message of the wanted topic in place of `message`, and counts those of others;
-    /// `None` at the end.
+    /// Reads the next message of the wanted topic into `message`, replacing its content, and counts messages of
+    /// other topics in `skipped`; returns `None` at the end.
     ///
     /// # Errors
-    /// A damaged or truncated file.
+    /// The file is damaged or truncated.
     fn next(
         &mut self,
         message: &mut Vec<u8>,
@@ -34,33 +34,33 @@ pub trait Messages: Send {
         skipped: &mut Skipped,
     ) -> Result<Option<(Kind, Serialisation)>>;
 
-    /// Number of places from which messages can be read on, in the file's order, where the file tells
-    /// them; the first is its beginning. What is read next stays the same.
+    /// Returns the number of places from which messages can be read, in the file's order, if the file has an index
+    /// of them; the first is its beginning. The position of reading does not change.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be read.
     fn places(&mut self, topics: &mut Topics) -> Result<Option<u64>> {
         let _ = topics;
         Ok(None)
     }
 
-    /// Reads on from one of [`Messages::places`], which has been asked.
+    /// Continues at one of [`Messages::places`], which must have been called.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be read.
     fn go(&mut self, place: u64, topics: &mut Topics) -> Result<()> {
         let _ = (place, topics);
         Ok(())
     }
 
-    /// Error at byte `at` of the message that was read last.
+    /// Returns an error at byte `at` of the latest message.
     fn error(&self, at: usize, what: &str) -> event_types::stream::Error;
 }
 
-/// First bytes of a frame of Zstandard. A message of ROS 2 begins with 0 and its encapsulation instead.
+/// First bytes of a Zstandard frame; a ROS 2 message begins with 0 and its encapsulation instead.
 const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
-/// Messages each of which may be compressed, as rosbag2's compression mode `message` makes them.
+/// A source of messages that may each be compressed, by rosbag2's compression mode `message`.
 struct Unpacked(Box<dyn Messages>);
 
 impl Unpacked {
@@ -114,17 +114,18 @@ impl Messages for Unpacked {
     }
 }
 
-/// What to do with a topic once it was found out, by number.
+/// How to treat the messages of each topic, by the number of its connection or channel.
 pub type Uses = std::collections::HashMap<u64, Use>;
 
-/// Reader of bags.
+/// A reader of bags.
 pub type RosReader = Reader<RosDecoder>;
 
 impl RosReader {
-    /// Reads `messages` up to the first one of the topic `place`, or of the first topic of events.
+    /// Reads `messages` up to the first message of the topic `place`, or of the first topic of events. `size` is
+    /// used if the messages do not state the sensor's size.
     ///
     /// # Errors
-    /// No such topic, no sensor size, a damaged file.
+    /// There is no such topic; the size is unknown; the file is damaged.
     pub fn new(
         messages: Box<dyn Messages>,
         place: Option<&str>,
@@ -164,17 +165,17 @@ impl RosReader {
     }
 }
 
-/// State between two batches.
+/// The decoder of [`RosReader`]: its state between two batches.
 pub struct RosDecoder {
     pub(super) messages: Box<dyn Messages>,
     pub(super) topics: Topics,
-    /// Width and height as the first message tells them.
+    /// Width and height that the first message states.
     pub(super) told: (u32, u32),
     pub(super) events: MessageEvents,
 }
 
 impl RosDecoder {
-    /// Begins the next message; false at the end.
+    /// Begins the next message; returns `false` at the end.
     fn next(&mut self) -> Result<bool> {
         let events = &mut self.events;
         let next =

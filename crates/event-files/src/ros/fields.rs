@@ -1,18 +1,18 @@
-//! The fields of a serialised message, one after the other: ROS 1's packed ones, or CDR's aligned ones.
+//! Reads the fields of a serialised message one after another, in ROS 1's packed form or CDR's aligned one.
 
-/// How a message is serialised.
+/// The serialisation of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Serialisation {
     /// ROS 1: little-endian, without padding.
     Ros1,
-    /// ROS 2: CDR of version 1, either endianness, told by the message's first four bytes.
+    /// ROS 2: CDR version 1, of either endianness, which the message's first four bytes state.
     Cdr,
 }
 
-/// Where CDR counts its alignment from: behind the four bytes of the encapsulation.
+/// Position from which CDR counts its alignment: after the four bytes of the encapsulation.
 const CDR_START: usize = 4;
 
-/// A position in a message and how to read on from there.
+/// A position in a message, and how to read from there.
 #[derive(Debug, Clone, Copy)]
 pub struct Cursor {
     /// Position of the next byte in the message.
@@ -21,11 +21,11 @@ pub struct Cursor {
     big_endian: bool,
 }
 
-/// A message and the position in it. Errors tell what is wrong; [`Cursor::at`] tells where.
+/// A message and the position in it. Errors describe what is wrong; [`Cursor::at`] is where.
 #[derive(Debug)]
 pub struct Fields<'a> {
     bytes: &'a [u8],
-    /// Where the next field, or its padding, begins.
+    /// Position of the next field, or of its padding.
     pub cursor: Cursor,
 }
 
@@ -33,7 +33,7 @@ impl<'a> Fields<'a> {
     /// Begins a message.
     ///
     /// # Errors
-    /// CDR of another kind than version 1's plain one.
+    /// The message is CDR of another kind than plain version 1, or too short.
     pub fn new(bytes: &'a [u8], serialisation: Serialisation) -> Result<Self, String> {
         let (at, aligned, big_endian) = match (serialisation, bytes) {
             (Serialisation::Ros1, _) => (0, false, false),
@@ -54,22 +54,22 @@ impl<'a> Fields<'a> {
         Ok(Self { bytes, cursor })
     }
 
-    /// Goes on with a message at a position of before.
+    /// Continues with a message at a position reached earlier.
     #[must_use]
     pub fn resume(bytes: &'a [u8], cursor: Cursor) -> Self {
         Self { bytes, cursor }
     }
 
-    /// Bytes of the message that are left.
+    /// Returns the number of bytes of the message that are left.
     #[must_use]
     pub fn left(&self) -> usize {
         self.bytes.len().saturating_sub(self.cursor.at)
     }
 
-    /// The next `n` bytes.
+    /// Reads the next `n` bytes.
     ///
     /// # Errors
-    /// The message ends before.
+    /// The message ends before them.
     pub fn bytes(&mut self, n: usize) -> Result<&'a [u8], String> {
         let rest = self.bytes.get(self.cursor.at..).unwrap_or_default();
         let bytes = rest.get(..n).ok_or_else(|| ends(n - rest.len()))?;
@@ -77,7 +77,7 @@ impl<'a> Fields<'a> {
         Ok(bytes)
     }
 
-    /// A number of `N` bytes, in little-endian order.
+    /// Reads a number of `N` bytes; returns them in little-endian order.
     fn number<const N: usize>(&mut self) -> Result<[u8; N], String> {
         if self.cursor.aligned {
             let over = self.cursor.at.saturating_sub(CDR_START) % N;
@@ -91,42 +91,42 @@ impl<'a> Fields<'a> {
         Ok(number)
     }
 
-    /// A bool or `uint8`.
+    /// Reads a bool or `uint8`.
     ///
     /// # Errors
-    /// The message ends before.
+    /// The message ends before it.
     pub fn u8(&mut self) -> Result<u8, String> {
         self.number().map(u8::from_le_bytes)
     }
 
-    /// A `uint16`.
+    /// Reads a `uint16`.
     ///
     /// # Errors
-    /// The message ends before.
+    /// The message ends before it.
     pub fn u16(&mut self) -> Result<u16, String> {
         self.number().map(u16::from_le_bytes)
     }
 
-    /// A `uint32`.
+    /// Reads a `uint32`.
     ///
     /// # Errors
-    /// The message ends before.
+    /// The message ends before it.
     pub fn u32(&mut self) -> Result<u32, String> {
         self.number().map(u32::from_le_bytes)
     }
 
-    /// A `uint64`.
+    /// Reads a `uint64`.
     ///
     /// # Errors
-    /// The message ends before.
+    /// The message ends before it.
     pub fn u64(&mut self) -> Result<u64, String> {
         self.number().map(u64::from_le_bytes)
     }
 
-    /// A time of seconds and nanoseconds, in nanoseconds. ROS 2's signed seconds before 1970 are refused.
+    /// Reads a time in seconds and nanoseconds; returns it in nanoseconds.
     ///
     /// # Errors
-    /// The message ends before, or the time is none.
+    /// The message ends before it; it has 10^9 nanoseconds or more; its seconds, signed in ROS 2, are before 1970.
     pub fn time_ns(&mut self) -> Result<u64, String> {
         let (seconds, nanos) = (self.u32()?, self.u32()?);
         if nanos >= 1_000_000_000 || self.cursor.aligned && seconds > i32::MAX as u32 {
@@ -135,19 +135,19 @@ impl<'a> Fields<'a> {
         Ok(u64::from(seconds) * 1_000_000_000 + u64::from(nanos))
     }
 
-    /// A `uint8[]` or the bytes of a string.
+    /// Reads a `uint8[]` or the bytes of a string.
     ///
     /// # Errors
-    /// The message ends before.
+    /// The message ends before it.
     pub fn sequence(&mut self) -> Result<&'a [u8], String> {
         let n = self.u32()?;
         self.bytes(usize::try_from(n).unwrap_or(usize::MAX))
     }
 
-    /// A string, without the zero that CDR closes it with.
+    /// Reads a string, without the zero at its end in CDR.
     ///
     /// # Errors
-    /// The message ends before, or it is not UTF-8.
+    /// The message ends before it, or it is not UTF-8.
     pub fn string(&mut self) -> Result<&'a str, String> {
         let bytes = self.sequence()?;
         let bytes = bytes.strip_suffix(&[0]).unwrap_or(bytes);

@@ -1,7 +1,7 @@
-//! A bag of ROS 2 in a folder: `metadata.yaml` and files one after the other.
+//! Reads a ROS 2 bag in a folder: `metadata.yaml`, and files that follow one another.
 //!
-//! Of the metadata only the list `relative_file_paths` is read, whose items are on lines of their own;
-//! rosbag2 writes no other form. Compressed messages and compressed files are read as they are.
+//! Only the list `relative_file_paths` of the metadata is read, with its items on lines of their own, the only form
+//! that rosbag2 writes. Compressed messages and compressed files are supported.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -19,10 +19,10 @@ use super::{db3, mcap};
 use crate::Skipped;
 use crate::format::Format;
 
-/// The file that makes a folder a bag.
+/// Name of the file that makes a folder a bag.
 pub use crate::format::METADATA;
 
-/// What messages call it.
+/// The format of a bag in a folder; messages use its names.
 pub const FORMAT: Format = Format {
     name: "rosbag2",
     title: "ROS 2 bag",
@@ -32,13 +32,13 @@ pub const FORMAT: Format = Format {
     ..mcap::FORMAT
 };
 
-/// Longest metadata.
+/// Longest metadata, in bytes.
 const METADATA_MAX: u64 = 1 << 24;
 
-/// Reads the bag in the folder `path`, as [`RosReader::new`].
+/// Reads the bag in the folder `path`, like [`RosReader::new`].
 ///
 /// # Errors
-/// As [`RosReader::new`]; no metadata.
+/// Those of [`RosReader::new`]; the metadata is missing or lists no files.
 pub fn open(path: &Path, place: Option<&str>, size: Option<Sensor>) -> Result<RosReader> {
     let name = path.join(METADATA).display().to_string();
     let metadata = std::fs::metadata(path.join(METADATA)).with_context(|| {
@@ -69,7 +69,7 @@ pub fn open(path: &Path, place: Option<&str>, size: Option<Sensor>) -> Result<Ro
     RosReader::new(Box::new(messages), place, size)
 }
 
-/// The items of the list `relative_file_paths`.
+/// Returns the items of the list `relative_file_paths`.
 fn files(text: &str) -> Vec<&str> {
     let mut lines = text.lines().map(str::trim);
     lines.by_ref().find(|line| *line == "relative_file_paths:");
@@ -83,20 +83,20 @@ fn files(text: &str) -> Vec<&str> {
 struct Folder {
     name: String,
     files: Vec<PathBuf>,
-    /// Number of the file behind the present one.
+    /// Index of the file after the current one.
     next: usize,
     file: Option<Opened>,
-    /// Places of each file, once asked.
+    /// Number of places in each file, once they have been requested.
     places: Vec<u64>,
 }
 
-/// A file of a bag, and where it was decompressed to, if it was compressed.
+/// A file of a bag, and the temporary file with its content if it was compressed.
 struct Opened {
     messages: Box<dyn Messages>,
     _unpacked: Option<TempPath>,
 }
 
-/// Opens one file of a bag; one that rosbag2 has compressed as a whole (`.zstd`) by way of a temporary file.
+/// Opens one file of a bag; a file that rosbag2 compressed as a whole (`.zstd`) is unpacked to a temporary file.
 fn open_file(path: &Path) -> Result<Opened> {
     let name = path.display().to_string();
     if path.extension().is_none_or(|extension| extension != "zstd") {
@@ -120,7 +120,7 @@ fn open_file(path: &Path) -> Result<Opened> {
     })
 }
 
-/// Opens the file at `path`, which was called `called` in the bag.
+/// Opens the file at `path`, whose name in the bag is `called`.
 fn open_plain(path: &Path, called: &Path, name: &str) -> Result<Box<dyn Messages>> {
     match called.extension().and_then(|extension| extension.to_str()) {
         Some("mcap") => {
@@ -164,7 +164,7 @@ impl Messages for Folder {
     fn places(&mut self, topics: &mut Topics) -> Result<Option<u64>> {
         if self.places.is_empty() {
             for file in &self.files {
-                // Without an index a file has its beginning.
+                // A file without an index has one place, its beginning.
                 let places = open_file(file)?.messages.places(topics)?.unwrap_or(1);
                 self.places.push(places);
             }
@@ -177,7 +177,7 @@ impl Messages for Folder {
         for (number, (path, places)) in self.files.iter().zip(&self.places).enumerate() {
             if place < *places {
                 let mut file = open_file(path)?;
-                // Its own index: the topics of earlier files are not met.
+                // The file's own index, since the topics of earlier files are not read again.
                 file.messages.places(topics)?;
                 file.messages.go(place, topics)?;
                 self.file = Some(file);

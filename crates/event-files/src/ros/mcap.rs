@@ -1,17 +1,19 @@
-//! Bags of ROS 2 in MCAP files (`.mcap`), by the specification at mcap.dev.
+//! Reads ROS 2 bags in MCAP files (`.mcap`), by the specification at mcap.dev.
 //!
-//! 8 bytes of magic, then records: u8 opcode, u64 length, content; little-endian, strings with a u32
-//! length. 3 schema (u16 id, name, encoding, definition), 4 channel (u16 id, u16 schema, topic,
-//! message encoding, map), 5 message (u16 channel, u32 sequence, u64 log time and u64 publish time in
-//! ns, data), 6 chunk (u64 first and last time, u64 size, u32 CRC, compression: none, `lz4` or `zstd`,
-//! u64 length, records), F end of the data, 2 footer. The data of a message is CDR, or laid out as in ROS 1 where
-//! the channel's encoding is `ros1`: a converted bag of ROS 1.
+//! A file is 8 bytes of magic, then records: u8 opcode, u64 length, content; little-endian, strings with a u32
+//! length. The opcodes are 3 schema (u16 id, name, encoding, definition), 4 channel (u16 id, u16 schema, topic,
+//! message encoding, map), 5 message (u16 channel, u32 sequence, u64 log time and u64 publish time in ns, data), 6
+//! chunk (u64 first and last time, u64 size, u32 CRC, compression: none, `lz4` or `zstd`, u64 length, records), F
+//! end of the data, 2 footer. The data of a message is CDR, or serialised as in ROS 1 if the channel's encoding is
+//! `ros1`, as in a converted ROS 1 bag.
 //!
-//! Records are read one after the other up to the end of the data, so that a file without its summary,
-//! cut off or still being written is read as far as it goes; the summary tells where chunks are, for
-//! seeking. The CRC of a chunk that has one is checked before its records are read. The reader holds a message and, where it is compressed, a chunk. The crate `mcap` builds
-//! two C libraries for its compressions, and three stacks of derive macros without them; it is the
-//! peer of the tests by its Python twin.
+//! Records are read one after another up to the end of the data, so that a file without a summary, cut off or still
+//! being written, is read as far as it goes. The summary states where chunks are, for seeking. If a chunk has a
+//! CRC, it is checked before the chunk's records are read. The reader holds one message and, if it is compressed,
+//! one chunk.
+//!
+//! The crate `mcap` is not used: it builds two C libraries for its compressions, and three stacks of derive macros
+//! without them. Its Python counterpart checks this reader in the tests.
 
 use event_types::Sensor;
 use event_types::stream::Result;
@@ -31,16 +33,16 @@ use crate::input::{Input, ReadSeek};
 /// First and last bytes of every file.
 pub const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 
-/// The last bytes of a file and the first of another behind it.
+/// The last bytes of a file and the first bytes of another file that was appended to it.
 const JOINED: &[u8] = b"\x89MCAP0\r\n\x89MCAP0\r\n";
 
-/// Longest schema or channel.
+/// Longest schema or channel, in bytes.
 const DESCRIPTION_MAX: u64 = 1 << 20;
 
-/// Longest name of a type: memory for each is kept.
+/// Longest name of a type, in bytes, since memory is kept for each.
 const NAME_MAX: usize = 1 << 10;
 
-/// Kinds of records.
+// Kinds of records.
 pub(super) const HEADER: u8 = 0x01;
 pub(super) const FOOTER: u8 = 0x02;
 pub(super) const SCHEMA: u8 = 0x03;
@@ -53,10 +55,10 @@ pub(super) const STATISTICS: u8 = 0x0b;
 pub(super) const SUMMARY_OFFSET: u8 = 0x0e;
 pub(super) const DATA_END: u8 = 0x0f;
 
-/// Bytes of the footer, with the magic behind it.
+/// Size in bytes of the footer record and the magic after it.
 const FOOTER_BYTES: u64 = 1 + 8 + 8 + 8 + 4 + 8;
 
-/// Bytes of a message before its data.
+/// Size in bytes of a message's head before its data.
 const MESSAGE_HEAD: u64 = 2 + 4 + 8 + 8;
 
 /// This format in the table of formats.
@@ -85,10 +87,10 @@ pub const FORMAT: Format = Format {
     create: Some(|path, sensor| Ok(Box::new(McapWriter::create(path, sensor)?))),
 };
 
-/// Reads the file `source`, which messages call `name`, as [`RosReader::new`].
+/// Reads the file `source`, which messages call `name`, like [`RosReader::new`].
 ///
 /// # Errors
-/// As [`RosReader::new`].
+/// Those of [`RosReader::new`]; `source` is not an MCAP file.
 pub fn open(
     source: Box<dyn ReadSeek>,
     name: &str,
@@ -101,18 +103,18 @@ pub fn open(
 /// The messages of an MCAP file.
 pub struct Mcap {
     bytes: Chunked,
-    /// Names of types by the schema's number.
+    /// Names of types, by the id of their schema.
     schemas: std::collections::HashMap<u16, String>,
     channels: Uses,
     /// Channels whose messages are serialised as in ROS 1.
     ros1: std::collections::HashSet<u16>,
     content: Vec<u8>,
-    /// Position of the latest record.
+    /// Offset of the latest record.
     at: u64,
     ended: bool,
-    /// Where reading can begin, once asked.
+    /// Places where reading can begin, once they have been requested.
     places: Option<Vec<u64>>,
-    /// Messages so far; `None` where reading did not begin at the first one.
+    /// Number of messages read; `None` after a seek, when it cannot be compared with the summary's.
     messages: Option<u64>,
 }
 
@@ -120,7 +122,7 @@ impl Mcap {
     /// Begins at the first record.
     ///
     /// # Errors
-    /// No MCAP file.
+    /// `source` is not an MCAP file of version 0.
     pub fn new(source: Box<dyn ReadSeek>, name: &str) -> Result<Self> {
         let mut input = Input::new(source, name)?;
         let mut start = [0; MAGIC.len()];
@@ -144,9 +146,9 @@ impl Mcap {
         self.bytes.input.error_at(self.at, what)
     }
 
-    /// Takes a schema, or a channel; what is wrong, if anything.
+    /// Adds a schema or a channel; the error is what is wrong with it.
     fn describe(&mut self, opcode: u8, topics: &mut Topics) -> Result<(), String> {
-        // The content is laid out as ROS 1 lays out messages.
+        // The content is laid out like a message of ROS 1.
         let mut fields = Fields::new(&self.content, Serialisation::Ros1)?;
         let id = fields.u16()?;
         if opcode == SCHEMA {
@@ -177,14 +179,14 @@ impl Mcap {
         Ok(())
     }
 
-    /// The file's beginning and its chunks, where the summary tells them and all channels.
+    /// Returns the offsets of the first record and the chunks, if the summary lists all chunks and channels.
     fn index(&mut self, topics: &mut Topics) -> Result<Option<Vec<u64>>> {
         let summary = self.find_summary()?;
         Ok(summary.and_then(|(start, summary)| self.summary(&summary, start, topics)))
     }
 
-    /// Checks at the end of the data what follows it: how many messages its summary counts, and that no other
-    /// file does.
+    /// Checks what follows the end of the data: that the summary counts as many messages as were read, and that no
+    /// other file was appended.
     fn check_end(&mut self) -> Result<()> {
         let start = self.bytes.offset();
         let behind = self
@@ -209,7 +211,7 @@ impl Mcap {
         }
     }
 
-    /// Where the summary begins, and its bytes.
+    /// Returns the offset of the summary and its bytes, if there is one.
     fn find_summary(&mut self) -> Result<Option<(u64, Vec<u8>)>> {
         let length = self.bytes.length()?;
         let Some(footer) = length.checked_sub(FOOTER_BYTES) else {
@@ -227,7 +229,7 @@ impl Mcap {
         Ok(summary.map(|summary| (start, summary)))
     }
 
-    /// What [`Mcap::index`] finds in the records of the summary, which begins at `start`.
+    /// Returns the places of [`Mcap::index`] from the records of the summary, which begins at `start`.
     fn summary(&mut self, summary: &[u8], start: u64, topics: &mut Topics) -> Option<Vec<u64>> {
         let mut places = vec![MAGIC.len() as u64];
         // A file without channels has no events either.
@@ -242,12 +244,12 @@ impl Mcap {
                     self.describe(opcode, topics).ok()?;
                 }
                 STATISTICS => {
-                    // Behind the numbers of messages and of schemas.
+                    // After the numbers of messages and of schemas.
                     let count = content.get(8 + 2..)?.first_chunk()?;
                     channels = u32::from_le_bytes(*count);
                 }
                 CHUNK_INDEX => {
-                    // Behind the first and the last time.
+                    // After the first and the last time.
                     let place = content.get(8 + 8..)?.first_chunk()?;
                     places.push(u64::from_le_bytes(*place));
                 }
@@ -259,14 +261,14 @@ impl Mcap {
         }
         places.sort_unstable();
         let inside = places.last().is_some_and(|last| *last < start);
-        // Messages of a channel that only an earlier chunk tells of would be taken for unknown.
+        // Messages of a channel that only an earlier chunk introduces would be taken for unknown.
         let known = self.channels.len() as u64 >= u64::from(channels);
         (places.len() > 1 && inside && known).then_some(places)
     }
 
-    /// Reads a chunk's head and goes on inside of it.
+    /// Reads a chunk's head and enters the chunk.
     fn enter(&mut self, length: u64) -> Result<()> {
-        // Times, size, CRC.
+        // Times, size, CRC, length of the compression's name.
         self.bytes.take(&mut self.content, 8 + 8 + 8 + 4 + 4)?;
         let mut fields =
             Fields::new(&self.content, Serialisation::Ros1).map_err(|what| self.damaged(&what))?;
@@ -287,7 +289,7 @@ impl Mcap {
             return Err(self.damaged("a chunk's lengths disagree: it is damaged"));
         }
         self.bytes.enter(&compression, packed, size)?;
-        // 0: its writer made none.
+        // 0 means that the writer computed none.
         if crc != 0 {
             self.bytes.check(crc, size)?;
         }
@@ -295,7 +297,7 @@ impl Mcap {
     }
 }
 
-/// The records of a summary, opcode and content, up to one that is not whole.
+/// Returns the records of a summary, as opcode and content, up to the first that is incomplete.
 fn records(mut bytes: &[u8]) -> impl Iterator<Item = (u8, &[u8])> {
     std::iter::from_fn(move || {
         let (opcode, rest) = bytes.split_first()?;

@@ -1,13 +1,13 @@
-//! Writer of MCAP files of one topic: chunks in LZ4, an index of messages behind each, the summary.
+//! Writes MCAP files of one topic: LZ4 chunks, each with an index of its messages after it, and the summary.
 //!
-//! | record | what is in it |
+//! | record | content |
 //! |---|---|
 //! | magic, header | profile `ros2` |
-//! | chunk, index of its messages | repeated; schema and channel stand in the first one |
+//! | chunk, index of its messages | repeated; the first chunk begins with the schema and the channel |
 //! | end of the data | CRC-32 of all bytes before it |
 //! | schema, channel, statistics, index of each chunk | the summary |
 //! | offsets of the summary's groups | |
-//! | footer, magic | where the summary is, and its CRC-32 |
+//! | footer, magic | the summary's offset and its CRC-32 |
 
 use std::io::Write;
 use std::path::Path;
@@ -27,26 +27,26 @@ use super::packets::{
 };
 use crate::output::sequential::Output;
 
-/// The CRC-32 of zip files and Ethernet, which MCAP has chosen.
+/// The CRC-32 of zip files and Ethernet, which MCAP uses.
 pub(super) static CRC: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISO_HDLC);
 
-/// Bytes of a chunk, about.
+/// Size in bytes at which a chunk is closed.
 const CHUNK_BYTES: usize = 1 << 20;
 
-/// The one schema and channel.
+/// Ids of the only schema and the only channel.
 const SCHEMA_ID: u16 = 1;
 const CHANNEL_ID: u16 = 0;
 
-/// Writer of MCAP files, one topic of `event_camera_msgs/EventPacket`.
+/// A writer of MCAP files with one topic of `event_camera_msgs/EventPacket`.
 ///
-/// Events of any order, with times up to what a stamp of ROS 2 holds.
+/// Events may have any order, and times up to the largest stamp of ROS 2.
 pub type McapWriter = PacketWriter<Records>;
 
 impl McapWriter {
     /// Creates the file.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be created or written.
     pub fn create(path: &Path, sensor: Sensor) -> Result<Self> {
         let file = Records::create(path, CHUNK_BYTES)?;
         let packets = Packets::new(file.file.name(), sensor, Serialisation::Cdr);
@@ -54,7 +54,7 @@ impl McapWriter {
     }
 }
 
-/// Appends the schema and the channel.
+/// Appends the records of the schema and the channel.
 fn describe(bytes: &mut Vec<u8>) {
     record(bytes, SCHEMA, &schema());
     record(bytes, CHANNEL, &channel());
@@ -78,14 +78,14 @@ fn channel() -> Vec<u8> {
     channel
 }
 
-/// Appends a record.
+/// Appends a record to `bytes`.
 fn record(bytes: &mut Vec<u8>, opcode: u8, content: &[u8]) {
     bytes.push(opcode);
     bytes.extend_from_slice(&(content.len() as u64).to_le_bytes());
     bytes.extend_from_slice(content);
 }
 
-/// Appends a string; all of them are short.
+/// Appends a string, which must be shorter than 2^32 bytes.
 fn string(bytes: &mut Vec<u8>, text: &str) {
     bytes.extend_from_slice(&(text.len() as u32).to_le_bytes());
     bytes.extend_from_slice(text.as_bytes());
@@ -95,24 +95,24 @@ fn string(bytes: &mut Vec<u8>, text: &str) {
 #[derive(Default)]
 struct Chunk {
     bytes: Vec<u8>,
-    /// Time and position in the chunk of each message.
+    /// Time and position within the chunk of each message.
     messages: Vec<(u64, u64)>,
 }
 
-/// A chunk in the file.
+/// The place of a chunk in the file.
 struct Placed {
     first_ns: u64,
     last_ns: u64,
     offset: u64,
     length: u64,
-    /// Position of the index of its messages, and that record's length.
+    /// Offset of the index of its messages, and length of that record.
     index: u64,
     index_length: u64,
     packed: u64,
     size: u64,
 }
 
-/// The records of the file.
+/// The records of a file that is being written.
 pub struct Records {
     file: Output,
     crc: Digest<'static, u32, Table<16>>,
@@ -129,7 +129,7 @@ impl MessageFile for Records {
         bytes.push(MESSAGE);
         bytes.extend_from_slice(&(message.bytes.len() as u64 + 2 + 4 + 8 + 8).to_le_bytes());
         bytes.extend_from_slice(&CHANNEL_ID.to_le_bytes());
-        // MCAP's number has 32 bits and may wrap.
+        // MCAP's sequence number has 32 bits and may wrap.
         bytes.extend_from_slice(&(message.sequence as u32).to_le_bytes());
         bytes.extend_from_slice(&message.time_ns.to_le_bytes());
         bytes.extend_from_slice(&message.time_ns.to_le_bytes());
@@ -150,7 +150,7 @@ impl MessageFile for Records {
         self.record(DATA_END, &crc.to_le_bytes())?;
         let start = self.file.position();
         self.crc = CRC.digest();
-        // Each group's first byte and number of bytes are told behind them.
+        // The offset and length of each group are written after all of them.
         let mut groups = Vec::new();
         for (opcode, contents) in [
             (SCHEMA, vec![schema()]),
@@ -174,7 +174,7 @@ impl MessageFile for Records {
             content.extend_from_slice(&length.to_le_bytes());
             self.record(SUMMARY_OFFSET, &content)?;
         }
-        // The CRC covers the footer as well, up to itself.
+        // The CRC covers the footer up to the CRC itself.
         let mut footer = vec![FOOTER];
         for number in [8 + 8 + 4, start, offsets] {
             footer.extend_from_slice(&u64::to_le_bytes(number));
@@ -188,10 +188,10 @@ impl MessageFile for Records {
 }
 
 impl Records {
-    /// Creates the file and begins it; a chunk is closed once it has `chunk_bytes`.
+    /// Creates the file and writes its beginning; a chunk is closed once it has `chunk_bytes`.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be created or written.
     pub(super) fn create(path: &Path, chunk_bytes: usize) -> Result<Self> {
         let mut file = Self {
             file: Output::create(path)?,
@@ -225,10 +225,10 @@ impl Records {
     /// Writes the chunk and the index of its messages.
     fn close(&mut self) -> Result<()> {
         let Chunk { bytes, messages } = std::mem::take(&mut self.chunk);
-        // Times do not fall.
+        // The messages' times never fall.
         let first_ns = messages.first().map_or(0, |(time_ns, _)| *time_ns);
         let last_ns = messages.last().map_or(0, |(time_ns, _)| *time_ns);
-        // Of a chunk that was cut off, the blocks before can be read.
+        // Small blocks, so that most of a chunk that was cut off can be read.
         let info = FrameInfo::new()
             .block_size(BlockSize::Max64KB)
             .content_size(Some(bytes.len() as u64));
@@ -271,7 +271,7 @@ impl Records {
 
     fn statistics(&self) -> Vec<u8> {
         let mut content = self.messages.to_le_bytes().to_vec();
-        // Schemas, channels; attachments, metadata, chunks.
+        // Numbers of schemas and channels; of attachments, metadata and chunks.
         content.extend_from_slice(&1_u16.to_le_bytes());
         for count in [1, 0, 0, self.chunks.len() as u32] {
             content.extend_from_slice(&count.to_le_bytes());
@@ -280,7 +280,7 @@ impl Records {
         let last_ns = self.chunks.last().map_or(0, |chunk| chunk.last_ns);
         content.extend_from_slice(&first_ns.to_le_bytes());
         content.extend_from_slice(&last_ns.to_le_bytes());
-        // Messages of each channel.
+        // Number of messages of each channel.
         content.extend_from_slice(&10_u32.to_le_bytes());
         content.extend_from_slice(&CHANNEL_ID.to_le_bytes());
         content.extend_from_slice(&self.messages.to_le_bytes());
@@ -289,7 +289,7 @@ impl Records {
 }
 
 impl Placed {
-    /// The index of this chunk.
+    /// Returns the content of this chunk's index record.
     fn content(&self) -> Vec<u8> {
         let mut content = Vec::new();
         let numbers = [self.first_ns, self.last_ns, self.offset, self.length];

@@ -1,33 +1,33 @@
-//! What a message of events says before its events.
+//! Reads the part of an event message before its events.
 //!
-//! | message | fields |
-//! |---|---|
-//! | `event_camera_msgs/EventPacket` (once `event_array_msgs/EventArray`) | header, uint32 height, uint32 width, uint64 seq, uint64 time_base, string encoding, bool is_bigendian, uint8[] events |
-//! | `dvs_msgs/EventArray`, `prophesee_event_msgs/EventArray` | header, uint32 height, uint32 width, Event[] of uint16 x, uint16 y, time ts, bool polarity |
+//! * `event_camera_msgs/EventPacket` (formerly `event_array_msgs/EventArray`) has the fields header, uint32 height,
+//!   uint32 width, uint64 seq, uint64 time_base, string encoding, bool is_bigendian, `uint8[]` events.
+//! * `dvs_msgs/EventArray` and `prophesee_event_msgs/EventArray` have the fields header, uint32 height, uint32
+//!   width, `Event[]` of uint16 x, uint16 y, time ts, bool polarity.
 //!
-//! A header is (ROS 1 only) uint32 seq, then a time and a string. Its time is the computer's at the
-//! arrival: no event's time is made of it.
+//! A header is uint32 seq (ROS 1 only), a time and a string. Its time is the computer's at the arrival and does not
+//! enter the time of any event.
 
 use super::fields::{Cursor, Fields, Serialisation};
 
-/// Where a message is damaged, and how.
+/// The position of damage in a message, and its description.
 pub type Damage = (usize, String);
 
-/// A message's type.
+/// The type of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// Packed events in one of [`Encoding`].
+    /// Events packed in one of the [`Encoding`]s.
     EventPacket,
-    /// One structure for every event.
+    /// One structure for each event.
     EventArray,
 }
 
 impl Kind {
-    /// The types' names, for messages.
+    /// Names of the types, for messages to the user.
     pub const NAMES: &str = "event_camera_msgs/EventPacket, dvs_msgs/EventArray or \
                              prophesee_event_msgs/EventArray";
 
-    /// The kind of a ROS 1 or ROS 2 type's name.
+    /// Returns the kind of a ROS 1 or ROS 2 type; `None` if its messages are not events.
     #[must_use]
     pub fn of(name: &str) -> Option<Self> {
         match name.replace("/msg/", "/").as_str() {
@@ -40,16 +40,16 @@ impl Kind {
     }
 }
 
-/// How an `EventPacket`'s events are packed, by the names of the package `event_camera_codecs`.
+/// The packing of an `EventPacket`'s events, by the names of the package `event_camera_codecs`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Encoding {
     /// Prophesee's EVT 3.0 words of 16 bits.
     Evt3,
-    /// 8 bytes an event: libcaer's word, then its time in us since `time_base`.
+    /// 8 bytes an event: libcaer's word, then the time in us since `time_base`.
     Libcaer,
-    /// Words of 16 bits like EVT 3.0's, with vectors along y.
+    /// Words of 16 bits like those of EVT 3.0, with vectors along y.
     LibcaerCmp,
-    /// 8 bytes an event, its time in ns since `time_base`.
+    /// 8 bytes an event, with its time in ns since `time_base`.
     Mono,
 }
 
@@ -66,7 +66,7 @@ impl Encoding {
         }
     }
 
-    /// Bytes that belong together.
+    /// Returns the size of a word in bytes.
     #[must_use]
     pub fn word_bytes(self) -> usize {
         match self {
@@ -81,26 +81,26 @@ impl Encoding {
 pub enum Content {
     /// Packed events between two positions of the message.
     Packed {
-        /// How.
+        /// Their encoding.
         encoding: Encoding,
-        /// What times count from, in ns.
+        /// Time from which their times count, in ns.
         base_ns: u64,
         /// Position of the next word.
         at: usize,
-        /// Position behind the last word.
+        /// Position after the last word.
         end: usize,
     },
-    /// Structures.
+    /// A structure for each event.
     Array {
-        /// Position of the next one.
+        /// Position of the next structure.
         cursor: Cursor,
-        /// How many are left.
+        /// Number of structures left.
         left: u32,
     },
 }
 
 impl Content {
-    /// Whether there are no events.
+    /// Returns whether no events are left.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         match self {
@@ -109,7 +109,8 @@ impl Content {
         }
     }
 
-    /// Time of the first event of `message`, whose content this is, where it can be read alone.
+    /// Returns the time in us of the first event of `message`, whose content this is; `None` if it depends on
+    /// earlier words or cannot be read.
     #[must_use]
     pub fn first_us(&self, message: &[u8]) -> Option<u64> {
         let t_ns = match *self {
@@ -137,26 +138,26 @@ impl Content {
     }
 }
 
-/// What stands before a message's events.
+/// The part of a message before its events.
 #[derive(Debug)]
 pub struct Head {
-    /// Columns; 0 where the recorder did not know.
+    /// Number of columns; 0 if the recorder did not know it.
     pub width: u32,
-    /// Rows; 0 where the recorder did not know.
+    /// Number of rows; 0 if the recorder did not know it.
     pub height: u32,
-    /// The computer's time at the arrival, since 1970 in ns.
+    /// The computer's time at the arrival, in ns since 1970.
     pub stamp_ns: u64,
-    /// Number of an `EventPacket` among its publisher's; 0 of other types.
+    /// Sequence number of an `EventPacket`; 0 for other types.
     pub sequence: u64,
-    /// The events, unread.
+    /// The events, not yet read.
     pub content: Content,
 }
 
 impl Head {
-    /// Reads it from a message.
+    /// Reads the head of a message.
     ///
     /// # Errors
-    /// The message is damaged, its encoding unknown: the position and what.
+    /// The message is damaged, or its encoding is unknown; the error is the position and a description.
     pub fn read(bytes: &[u8], kind: Kind, serialisation: Serialisation) -> Result<Self, Damage> {
         let mut fields = Fields::new(bytes, serialisation).map_err(|what| (0, what))?;
         let head = Self::fields(&mut fields, kind, serialisation);
@@ -171,7 +172,7 @@ impl Head {
         if serialisation == Serialisation::Ros1 {
             fields.u32()?;
         }
-        // Whatever it is: only seeking asks.
+        // Not checked, since only seeking uses the stamp.
         let (seconds, nanos) = (fields.u32()?, fields.u32()?);
         let stamp_ns = u64::from(seconds) * 1_000_000_000 + u64::from(nanos);
         fields.sequence()?;

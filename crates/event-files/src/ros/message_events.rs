@@ -1,17 +1,16 @@
-//! Events out of messages that come one after the other, from a file or over a network.
+//! Decodes events from messages that arrive one after another, from a file or over a network.
 //!
-//! Times, always of the sensor or its driver, never the computer's clock at the arrival:
+//! Times are always those of the sensor or its driver, never the computer's clock at the arrival:
 //!
-//! * `evt3`: the words' own, in us since the sensor's start; `time_base` is not used, as the
-//!   package `event_camera_codecs` does not. Everything but the words' place in messages is as in
-//!   EVT 3.0 files: rows, times and wraps carry over from one message to the next.
-//! * `libcaer`: `time_base` + 1000 * the word's 31 bits, in ns; a time below the one before it in the
-//!   same message has rolled over, which adds 2^31 us. Word: polarity bit 1, y bits 2 to 16, x bits
-//!   17 to 31 (bit 0, libcaer's mark of validity, is not asked).
-//! * `libcaer_cmp`: `time_base` + 1000 * 24 bits, which begin at 0 in every message. Words: type in
-//!   the upper 4 bits (0 time bits 23..12, 1 time bits 11..0, 2 x, 3 y with polarity in bit 11: one
-//!   event, 4 first y and polarity of vectors, 5 bit i: an event at y + i, then y advances by 8).
-//!   x, first y and polarity carry over.
+//! * `evt3`: the times of the words, in us since the sensor's start; like the package `event_camera_codecs`, this
+//!   decoder does not use `time_base`. Except for their place in messages, words are as in EVT 3.0 files: rows,
+//!   times and wraps carry over from one message to the next.
+//! * `libcaer`: `time_base` + 1000 * the 31 bits of the time word, in ns; a time below the previous one in the same
+//!   message has rolled over, which adds 2^31 us. Data word: polarity bit 1, y bits 2 to 16, x bits 17 to 31 (bit
+//!   0, libcaer's mark of validity, is ignored).
+//! * `libcaer_cmp`: `time_base` + 1000 * 24 bits, which begin at 0 in every message. Words: type in the upper 4
+//!   bits (0 time bits 23..12; 1 time bits 11..0; 2 x; 3 y, with polarity in bit 11: one event; 4 first y and
+//!   polarity of vectors; 5 bit i: an event at y + i, then y advances by 8). x, first y and polarity carry over.
 //! * `mono`: `time_base` + 32 bits of ns; x bits 32 to 47, y bits 48 to 62, polarity bit 63.
 //! * `EventArray`: the structure's time.
 //!
@@ -26,7 +25,7 @@ use crate::evt::row::Outside;
 use crate::input::{Batch, OUTSIDE};
 use crate::{Assumption, Skipped};
 
-/// What words of `libcaer_cmp` have said.
+/// The state of `libcaer_cmp` words.
 #[derive(Debug, Default)]
 pub(super) struct VectorState {
     high: u16,
@@ -42,12 +41,12 @@ impl VectorState {
         (self.high, self.low) = (0, 0);
     }
 
-    /// Microseconds since the message's `time_base`.
+    /// Returns the microseconds since the message's `time_base`.
     pub fn since_us(&self) -> u64 {
         u64::from(self.high) << 12 | u64::from(self.low)
     }
 
-    /// Takes a word, up to the events of it.
+    /// Updates the state with a word; the word's own events need the state before it.
     pub fn take(&mut self, word: u16) {
         let value = word & 0xfff;
         match word >> 12 {
@@ -61,36 +60,36 @@ impl VectorState {
     }
 }
 
-/// Types of `libcaer_cmp`'s words.
+// Types of `libcaer_cmp` words.
 pub(super) const VECTOR_X: u16 = 2;
 const VECTOR_EVENT: u16 = 3;
 pub(super) const VECTOR_BASE: u16 = 4;
 const VECTOR: u16 = 5;
 
-/// What messages have said so far, and the one whose events are read now.
+/// The state carried over from earlier messages, and the message whose events are being read.
 pub struct MessageEvents {
     sensor: Sensor,
-    /// The message that came last.
+    /// The latest message.
     pub(super) message: Vec<u8>,
-    /// What of it is unread.
+    /// Its part that has not been read.
     pub(super) content: Option<Content>,
     pub(super) evt3: WordDecoder,
-    /// Rolled over within this message.
+    /// For `libcaer`: time added by roll-overs within this message.
     libcaer_high_us: u64,
     libcaer_last_us: u64,
     pub(super) vectors: VectorState,
-    /// Whether every message so far has come from here.
+    /// Whether all messages from the first on have been read, so that event numbers are known.
     pub(super) is_counted: bool,
-    /// Whether events outside of the sensor are counted instead of refused.
+    /// Whether events outside the sensor are left out and counted instead of ending the recording.
     pub(super) leave_out: bool,
     events: u64,
-    /// That times were rounded, if any was.
+    /// Contains the assumption that times were rounded, once one was.
     assumptions: Vec<Assumption>,
     pub(super) skipped: Skipped,
 }
 
 impl MessageEvents {
-    /// Before the first message.
+    /// Starts before the first message.
     #[must_use]
     pub fn new(sensor: Sensor) -> Self {
         Self {
@@ -109,40 +108,40 @@ impl MessageEvents {
         }
     }
 
-    /// Size of the sensor.
+    /// Returns the size of the sensor.
     #[must_use]
     pub const fn sensor(&self) -> Sensor {
         self.sensor
     }
 
-    /// What was taken to be so, so far.
+    /// Returns the assumptions made so far.
     #[must_use]
     pub fn assumptions(&self) -> &[Assumption] {
         &self.assumptions
     }
 
-    /// Words that are no events, so far.
+    /// Returns what has been left out so far: unknown words and events outside the sensor.
     #[must_use]
     pub const fn skipped(&self) -> &Skipped {
         &self.skipped
     }
 
-    /// Begins a message, of which [`super::message::Head::read`] has told the content. What of the one before
-    /// is unread is left out. The memory of that one is returned.
+    /// Begins a message, whose `content` was returned by [`super::message::Head::read`]. Unread events of the
+    /// previous message are dropped; its buffer is returned for reuse.
     pub fn take(&mut self, message: Vec<u8>, content: Content) -> Vec<u8> {
         let before = std::mem::replace(&mut self.message, message);
         self.begin(content);
         before
     }
 
-    /// Begins with the content of the message that came last.
+    /// Begins the content of the latest message.
     pub(super) fn begin(&mut self, content: Content) {
         self.content = Some(content);
         (self.libcaer_high_us, self.libcaer_last_us) = (0, 0);
         self.vectors.message();
     }
 
-    /// Forgets what messages have said.
+    /// Resets the state that messages carry over.
     pub(super) fn forget(&mut self) {
         self.content = None;
         self.is_counted = false;
@@ -150,10 +149,10 @@ impl MessageEvents {
         self.vectors = VectorState::default();
     }
 
-    /// Appends events of the message while the batch has room; whether there is room for another message's.
+    /// Appends events of the message while the batch has room; returns whether there is room for another message's.
     ///
     /// # Errors
-    /// Where the message is damaged, and how. The events before are valid.
+    /// The message is damaged; the error is the position and a description. Events appended before it are valid.
     pub fn read(&mut self, batch: &mut Batch<'_>) -> Result<bool, Damage> {
         self.evt3.leave_out = self.leave_out;
         while batch.room() >= VECTOR_EVENTS {
@@ -196,7 +195,7 @@ impl MessageEvents {
         (at, what)
     }
 
-    /// Gives an event of the message's byte `at`.
+    /// Appends the event at byte `at` of the message.
     fn push(
         &mut self,
         at: usize,
@@ -226,7 +225,7 @@ impl MessageEvents {
         Ok(())
     }
 
-    /// Decodes packed events from position `at` on while the batch has room; returns where it stopped.
+    /// Decodes packed events from position `at` on while the batch has room; returns the position after them.
     fn packed(
         &mut self,
         encoding: Encoding,
@@ -277,7 +276,7 @@ impl MessageEvents {
         Ok(at)
     }
 
-    /// Takes a word of `libcaer_cmp`.
+    /// Decodes a word of `libcaer_cmp`.
     fn vector(
         &mut self,
         at: usize,
@@ -314,7 +313,7 @@ impl MessageEvents {
         })
     }
 
-    /// The word at `at`; the caller asks within the message only.
+    /// Returns the word at `at`, which must lie within the message.
     fn word<const N: usize>(&self, at: usize) -> [u8; N] {
         let rest = self.message.get(at..).unwrap_or_default();
         rest.first_chunk().copied().unwrap_or([0; N])
@@ -325,7 +324,7 @@ impl MessageEvents {
         [[a, b, c, d], [e, f, g, h]].map(u32::from_le_bytes)
     }
 
-    /// Decodes the structure at a position.
+    /// Decodes the next structure.
     fn structure(&mut self, content: &mut Content, batch: &mut Batch<'_>) -> Result<(), Damage> {
         let Content::Array { cursor, left } = content else {
             return Ok(());

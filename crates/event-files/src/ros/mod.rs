@@ -1,10 +1,10 @@
-//! Bags of ROS: recordings of messages, among which those of one topic of events are read.
+//! Reads and writes ROS bags: recordings of messages, of which one topic of events is read.
 //!
-//! One file each: [`bag`] (ROS 1), [`db3`] and [`mcap`] (ROS 2), [`folder`] (a ROS 2 bag of several
-//! files). [`decoder`] reads messages of any of them, [`message_events`] turns them into events and says what times mean;
-//! [`message`] knows the types of messages, `seek` finds a time. The first topic of events is read, in the order in which
-//! the file names topics; another one is named behind the file: `FILE.bag/dvs/right/events`. Messages
-//! come in the order of the file, which is that of their arrival.
+//! Each file format has a module: [`bag`] (ROS 1), [`db3`] and [`mcap`] (ROS 2), [`folder`] (a ROS 2 bag of several
+//! files). [`decoder`] reads the messages of any of them, [`message_events`] turns them into events and describes
+//! their times, [`message`] knows the message types, and `seek` finds a time. The first topic of events, in the
+//! order in which the file introduces topics, is read; the name of another one is appended to the file's:
+//! `FILE.bag/dvs/right/events`. Messages are read in the order of the file, which is that of their arrival.
 
 pub mod bag;
 mod bag_writer;

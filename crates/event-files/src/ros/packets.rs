@@ -1,12 +1,12 @@
-//! Events packed into messages `event_camera_msgs/EventPacket`, for the writers of bags.
+//! Packs events into `event_camera_msgs/EventPacket` messages, for the writers of bags.
 //!
-//! The encoding is `libcaer`, the only one of the package `event_camera_codecs` that holds any events in
-//! any order exactly: 8 bytes an event, whose word has the polarity in bit 1, y in bits 2 to 16 and x in
-//! bits 17 to 31 (bit 0, libcaer's mark of validity, is set), and whose time counts microseconds from
-//! `time_base`, in ns. A reader takes a time below the one before it for a roll-over of 31 bits: a step
-//! back begins a new message, whose `time_base` and stamp are its first event's time.
+//! The encoding is `libcaer`, the only one of the package `event_camera_codecs` that represents any events in any
+//! order exactly: 8 bytes an event. The data word has the polarity in bit 1, y in bits 2 to 16 and x in bits 17 to
+//! 31 (bit 0, libcaer's mark of validity, is set); the time word counts microseconds from `time_base`, which is in
+//! ns. A reader takes a time below the previous one for a roll-over of 31 bits, so a step back begins a new
+//! message, whose `time_base` and stamp are the time of its first event.
 //!
-//! Messages are stored under the largest stamp so far: readers that sort by it keep the file's order.
+//! Messages are stored under the largest stamp so far, so that readers that sort by it keep the file's order.
 
 use event_types::stream::Result;
 use event_types::{Event, Polarity, Sensor, ensure};
@@ -14,26 +14,26 @@ use event_types::{Event, Polarity, Sensor, ensure};
 use super::fields::Serialisation;
 use crate::{EventWriter, check_inside};
 
-/// The topic that events are written on: the drivers' own.
+/// Topic of the events, the same as the drivers'.
 pub const TOPIC: &str = "/event_camera/events";
 
 /// The message's type in ROS 2.
 pub const TYPE_ROS2: &str = "event_camera_msgs/msg/EventPacket";
 
-/// What ROS 2 knows the definition by: the SHA-256 of its description (REP 2016).
+/// Hash that identifies the definition in ROS 2: the SHA-256 of its description (REP 2016).
 pub const HASH_ROS2: &str =
     "RIHS01_d6fa176260b1f37e5a40845305315e150a0f18191241eb64f407442aa29844aa";
 
-/// What message headers call the camera.
+/// Name of the camera in message headers.
 const FRAME_ID: &str = "event_camera";
 
-/// Events of a message, at the most: larger ones than 100 kB get lost between machines.
+/// Largest number of events in a message: messages above 100 kB get lost between machines.
 const PACKET_EVENTS: usize = 12_000;
 
-/// What a message spans at the most, so that a bag plays smoothly.
+/// Longest time that a message spans, so that a bag plays smoothly.
 const PACKET_US: u64 = 10_000;
 
-/// Fields of the message in the language of ROS 2, those of its parts behind it.
+/// Definition of the message in the language of ROS 2, followed by those of its parts.
 pub const DEFINITION_ROS2: &str = "std_msgs/Header header\n\
 uint32 height\n\
 uint32 width\n\
@@ -51,7 +51,7 @@ MSG: builtin_interfaces/Time\n\
 int32 sec\n\
 uint32 nanosec\n";
 
-/// Fields of the message in the language of ROS 1, those of its header behind it.
+/// Definition of the message in the language of ROS 1, followed by that of its header.
 pub const DEFINITION_ROS1: &str = "Header header\n\
 uint32 height\n\
 uint32 width\n\
@@ -66,10 +66,10 @@ uint32 seq\n\
 time stamp\n\
 string frame_id\n";
 
-/// What ROS 1 knows the definition by: the MD5 of its fields.
+/// Hash that identifies the definition in ROS 1: the MD5 of its fields.
 pub const MD5_ROS1: &str = "8a6101b351a64529ac77bd8b71074e52";
 
-/// Largest time whose seconds a stamp holds, in microseconds: 32 bits, signed in ROS 2 (the year 2038).
+/// Returns the largest time of a stamp in microseconds; its seconds have 32 bits, signed in ROS 2 (the year 2038).
 #[must_use]
 pub const fn t_max_us(serialisation: Serialisation) -> u64 {
     let seconds = match serialisation {
@@ -82,37 +82,37 @@ pub const fn t_max_us(serialisation: Serialisation) -> u64 {
 /// A message of events.
 #[derive(Debug, Default)]
 pub struct Message {
-    /// What it is stored under, in ns.
+    /// Time under which it is stored, in ns.
     pub time_ns: u64,
-    /// Number of the message.
+    /// Sequence number of the message.
     pub sequence: u64,
-    /// As it is serialised.
+    /// The serialised message.
     pub bytes: Vec<u8>,
 }
 
-/// A file of messages.
+/// A file to which messages are written.
 pub trait MessageFile {
-    /// Takes the next message.
+    /// Writes the next message.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be written.
     fn message(&mut self, message: &Message) -> Result<()>;
 
-    /// Writes what ends the file.
+    /// Writes the end of the file.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be written.
     fn finish(self) -> Result<()>;
 }
 
-/// Writer of events as messages of one topic, in a file that holds such.
+/// A writer of events as messages of one topic.
 pub struct PacketWriter<F> {
     packets: Packets,
     file: F,
 }
 
 impl<F: MessageFile> PacketWriter<F> {
-    /// Packs events for `file`, which has begun.
+    /// Packs events for `file`, whose beginning has been written.
     pub(super) const fn new(packets: Packets, file: F) -> Self {
         Self { packets, file }
     }
@@ -137,10 +137,10 @@ pub struct Packets {
     sensor: Sensor,
     serialisation: Serialisation,
     words: Vec<u8>,
-    /// Of the message's first and latest event.
+    /// Times of the message's first and latest event.
     first_us: u64,
     last_us: u64,
-    /// Events taken.
+    /// Number of events packed so far.
     events: u64,
     message: Message,
 }
@@ -161,10 +161,10 @@ impl Packets {
         }
     }
 
-    /// Takes events; `put` gets each message that they complete.
+    /// Packs events; `put` gets each message that they complete.
     ///
     /// # Errors
-    /// An event outside of the sensor or of a stamp's seconds; what `put` says.
+    /// An event lies outside the sensor or its time exceeds a stamp's; otherwise those of `put`.
     pub fn write(
         &mut self,
         events: &[Event],
@@ -201,11 +201,11 @@ impl Packets {
         Ok(())
     }
 
-    /// Gives `put` the message that has begun. Without any event it is an empty one: messages alone tell
-    /// the sensor's size.
+    /// Gives `put` the last message. If there were no events, it is empty, since only messages state the sensor's
+    /// size.
     ///
     /// # Errors
-    /// What `put` says.
+    /// Those of `put`.
     pub fn finish(&mut self, mut put: impl FnMut(&Message) -> Result<()>) -> Result<()> {
         if self.words.is_empty() && self.message.sequence > 0 {
             return Ok(());
@@ -217,7 +217,7 @@ impl Packets {
         let Message {
             time_ns, sequence, ..
         } = self.message;
-        // At most the seconds of a stamp: no product is beyond 2^63.
+        // Times have at most a stamp's seconds, so the product is below 2^63.
         let base_ns = self.first_us * 1000;
         let packet = Packet {
             sequence,
@@ -237,25 +237,25 @@ impl Packets {
     }
 }
 
-/// What an `EventPacket` says.
+/// The fields of an `EventPacket`.
 pub(super) struct Packet<'a> {
-    /// Number of the message.
+    /// Sequence number of the message.
     pub sequence: u64,
-    /// Time of the header: its seconds are those of a stamp.
+    /// Time of the header, at most that of a stamp.
     pub stamp_us: u64,
     pub sensor: Sensor,
     pub base_ns: u64,
     pub encoding: &'a str,
-    /// Packed events.
+    /// The packed events.
     pub words: &'a [u8],
 }
 
 impl Packet<'_> {
-    /// Serialises it in place of what `bytes` holds.
+    /// Serialises the packet into `bytes`, replacing its content.
     pub fn put(&self, bytes: Vec<u8>, serialisation: Serialisation) -> Vec<u8> {
         let mut fields = Put::new(bytes, serialisation);
         if serialisation == Serialisation::Ros1 {
-            // ROS 1's own number wraps.
+            // ROS 1's own sequence number has 32 bits and wraps.
             fields.u32(self.sequence as u32);
         }
         fields.u32((self.stamp_us / 1_000_000) as u32);
@@ -272,18 +272,18 @@ impl Packet<'_> {
     }
 }
 
-/// Appends fields of a message: what [`super::fields::Fields`] reads.
+/// Appends fields of a message, the counterpart of [`super::fields::Fields`].
 struct Put {
     bytes: Vec<u8>,
     serialisation: Serialisation,
 }
 
 impl Put {
-    /// Begins a message in place of what `bytes` holds.
+    /// Begins a message in `bytes`, replacing its content.
     fn new(mut bytes: Vec<u8>, serialisation: Serialisation) -> Self {
         bytes.clear();
         if serialisation == Serialisation::Cdr {
-            // CDR of version 1, little-endian.
+            // CDR version 1, little-endian.
             bytes.extend_from_slice(&[0, 1, 0, 0]);
         }
         Self {
@@ -292,7 +292,7 @@ impl Put {
         }
     }
 
-    /// CDR counts its alignment behind its four bytes.
+    /// Pads to a multiple of `to`; CDR counts alignment from the end of its first four bytes.
     fn align(&mut self, to: usize) {
         if self.serialisation == Serialisation::Cdr {
             let length = self.bytes.len() - 4;
@@ -310,7 +310,7 @@ impl Put {
         self.bytes.extend_from_slice(&value.to_le_bytes());
     }
 
-    /// The lengths of this file's strings and sequences are far below 2^32.
+    /// Appends a sequence, whose length must be below 2^32.
     fn sequence(&mut self, bytes: &[u8]) {
         self.u32(bytes.len() as u32);
         self.bytes.extend_from_slice(bytes);
@@ -343,7 +343,7 @@ mod tests {
         }
     }
 
-    /// Stored time, `time_base` and number of events of each message.
+    /// Returns the stored time, `time_base` and number of events of each message.
     fn messages(serialisation: Serialisation, events: &[Event]) -> Vec<(u64, u64, usize)> {
         let mut packets = Packets::new("test", SENSOR, serialisation);
         let mut messages = Vec::new();
@@ -389,7 +389,7 @@ mod tests {
             let many = messages(serialisation, &vec![at(5); 2 * PACKET_EVENTS + 1]);
             let lengths: Vec<usize> = many.iter().map(|message| message.2).collect();
             assert_eq!(lengths, [PACKET_EVENTS, PACKET_EVENTS, 1]);
-            // Who reads it still learns the sensor's size.
+            // A reader still learns the sensor's size.
             assert_eq!(messages(serialisation, &[]), [(0, 0, 0)]);
         }
     }

@@ -1,18 +1,18 @@
-//! Finding a time in a bag.
+//! Finds a time in a bag.
 //!
-//! The index of a file is asked for its places (chunks, or rows of a table) and no times of it: those are the
-//! computer's at the arrival, which need not be the sensor's clock. The place is bisected by the times of
-//! events, of the first ones behind each place that is tried.
+//! A file's index is used only for its places (chunks, or rows of a table), not for its times: those are the
+//! computer's at the arrival and need not follow the sensor's clock. The places are bisected by the times of the
+//! first events after each of them.
 //!
-//! Words of `evt3` and `libcaer_cmp` go on where the message before has ended. Behind a place they are
-//! therefore passed until all has been said that a later one needs: for `evt3` both parts of the time, the row,
-//! and then a column; for `libcaer_cmp` x, and where vectors begin. Where that is known only behind the time
-//! that is sought, reading begins at an earlier place.
+//! Words of `evt3` and `libcaer_cmp` continue where the previous message ended. After a place, they are therefore
+//! skipped until everything is known that later words depend on: for `evt3` both parts of the time, the row, and
+//! then a column; for `libcaer_cmp` x and the start of the vectors. If this is known only after the time sought,
+//! reading begins at an earlier place.
 //!
-//! The 24 bits of time of `evt3` wrap every 16.8 s. How often they have since the bag's start tell the
-//! computer's stamps in the headers, which have to agree with these bits within a second (and a thousandth of
-//! the time in between, up to four seconds) at eight places and wherever is looked. Where they don't, the bag is
-//! read from its start.
+//! The 24-bit time of `evt3` wraps every 16.8 s. How often it has wrapped since the bag's start is inferred from
+//! the computer's stamps in the headers. They must agree with the 24 bits within one second plus a thousandth of
+//! the time since the start, up to four seconds, at eight places and wherever a time is looked up. If they do not,
+//! the bag is read from its start.
 
 use event_types::stream::Result;
 use event_types::{Event, Sensor};
@@ -25,52 +25,53 @@ use crate::Skipped;
 use crate::evt::evt3::{ADDR_X, ADDR_Y, TIME_BITS, TIME_HIGH, TIME_LOW, VECT_BASE_X, WordDecoder};
 use crate::input::Batch;
 
-/// Microseconds after which the time of `evt3` begins again.
+/// Period in microseconds after which the time of `evt3` wraps.
 const PERIOD_US: i64 = 1 << (2 * TIME_BITS);
 
-/// What stamps and the sensor's time may be apart, at once, in so many microseconds one, and at the most.
+/// Largest difference between stamps and the sensor's time: a constant, one microsecond more per this many
+/// microseconds, and an upper limit.
 const APART_US: i64 = 1_000_000;
 const APART_PART: i64 = 1000;
 const APART_MAX_US: i64 = PERIOD_US / 4;
 
-/// Places, spread over the bag, at which the clocks are compared whatever is sought.
+/// Number of places, spread over the bag, at which the clocks are always compared.
 const COMPARED: u128 = 8;
 
-/// Where reading can begin, in the message that was read last.
+/// A position in the latest message from which events can be read.
 struct Start {
-    /// No event that is passed is later.
+    /// Time that no skipped event exceeds.
     t_us: u64,
     /// The computer's time at the arrival of the message.
     stamp_ns: u64,
     content: Content,
-    /// What the words before have said.
+    /// The state that earlier words carry over.
     state: State,
 }
 
-/// What words carry over to later ones.
+/// The state that words carry over to later ones.
 enum State {
-    /// Nothing.
+    /// No state.
     Alone,
     Evt3(WordDecoder),
     Vectors(VectorState),
 }
 
-/// The sensor's and the computer's.
+/// The error that the sensor's clock and the computer's disagree.
 struct ClocksDisagree;
 
 impl RosDecoder {
-    /// Goes to the last place whose first event is before a time, or to the beginning; false where the file
+    /// Goes to the last place whose first event is before a time, or to the beginning; returns `false` if the file
     /// has no places.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be read.
     pub(super) fn seek_to(&mut self, t_us: u64) -> Result<bool> {
         let Some(places) = self.messages.places(&mut self.topics)? else {
             return Ok(false);
         };
         let first = self.start_at(0);
         let place = self.last_before(t_us, places, first.as_ref()).unwrap_or(0);
-        // As at the beginning, unless a place tells more.
+        // As at the beginning, unless a place supplies a state.
         self.events.forget();
         let start = match place {
             0 => None,
@@ -89,10 +90,10 @@ impl RosDecoder {
         Ok(true)
     }
 
-    /// The last of so many places whose start is before a time; the beginning where there is none.
+    /// Returns the last of `places` places whose start is before a time; the first place if there is none.
     ///
     /// # Errors
-    /// The clocks disagree somewhere: that they agree elsewhere may be by chance.
+    /// The clocks disagree at some place; that they agree at others may be chance.
     fn last_before(
         &mut self,
         t_us: u64,
@@ -117,7 +118,8 @@ impl RosDecoder {
         Ok(place)
     }
 
-    /// As [`RosDecoder::start_at`], with the time since the bag's start, whose beginning is `first`.
+    /// Returns the start at a place like [`RosDecoder::start_at`], with its time counted from the bag's start,
+    /// which is `first`.
     fn start_behind(
         &mut self,
         place: u64,
@@ -135,16 +137,16 @@ impl RosDecoder {
                 start.t_us += wraps_us;
                 words.add_us(wraps_us);
             }
-            // Another encoding than at the beginning.
+            // The encoding differs from that at the beginning.
             _ => return Ok(None),
         }
         Ok(Some(start))
     }
 
-    /// Where reading can begin behind a place; `None` where there are no events, too few words, or a damage.
+    /// Returns the first start after a place; `None` if there are no events, too few words, or damage.
     fn start_at(&mut self, place: u64) -> Option<Start> {
         self.messages.go(place, &mut self.topics).ok()?;
-        // What is passed here is not read.
+        // Skipped words must not change the reader's state.
         let mut passed = Passed::new(self.events.sensor());
         loop {
             let (messages, topics) = (self.messages.as_mut(), &mut self.topics);
@@ -161,15 +163,15 @@ impl RosDecoder {
     }
 }
 
-/// The head of the next message.
+/// Returns the head of the next message.
 fn next(messages: &mut dyn Messages, message: &mut Vec<u8>, topics: &mut Topics) -> Option<Head> {
     let mut skipped = Skipped::default();
     let (kind, serialisation) = messages.next(message, topics, &mut skipped).ok()??;
     Head::read(message, kind, serialisation).ok()
 }
 
-/// What to add to a time of `evt3` that counts from its latest wrap: `since_us` after `first_us` by the
-/// computer's clock. `None` where the two clocks disagree.
+/// Returns the time to add to an `evt3` time `t_us` that counts from its latest wrap and was read `since_us` after
+/// `first_us` by the computer's clock; `None` if the two clocks disagree.
 fn wraps_us(first_us: u64, since_us: u64, t_us: u64) -> Option<u64> {
     let since_us = i64::try_from(since_us).ok()?;
     let apart_us =
@@ -180,19 +182,19 @@ fn wraps_us(first_us: u64, since_us: u64, t_us: u64) -> Option<u64> {
     u64::try_from(wraps_us).ok().filter(|_| is_near)
 }
 
-/// Words behind a place, until what they carry over is known.
+/// The words skipped after a place, until the state that they carry over is known.
 struct Passed {
     evt3: WordDecoder,
-    /// Whether both parts of the time, the row, and then a column were told.
+    /// Whether both parts of the time, the row, and then a column have occurred.
     high: bool,
     low: bool,
     row: bool,
     column: bool,
     vectors: VectorState,
-    /// Whether x, and where vectors begin, were told.
+    /// Whether x and the start of the vectors have occurred.
     x: bool,
     base: bool,
-    /// Of the words.
+    /// Encoding of the words.
     encoding: Option<Encoding>,
     events: Vec<Event>,
 }
@@ -213,7 +215,8 @@ impl Passed {
         }
     }
 
-    /// Takes a message; `Some(None)` where words of the next one are wanted.
+    /// Takes a message; returns `Some(None)` if the state is not yet known after it, and `None` on damage or a
+    /// change of encoding.
     fn take(&mut self, message: &[u8], head: &Head) -> Option<Option<Start>> {
         let Head {
             content, stamp_ns, ..
@@ -225,7 +228,7 @@ impl Passed {
             state,
         };
         if let Some(t_us) = content.first_us(message) {
-            // Words of another encoding stand before.
+            // Words of another encoding came before.
             let is_first = self.encoding.is_none();
             return is_first.then(|| Some(start(t_us, content, State::Alone)));
         }
@@ -268,7 +271,7 @@ impl Passed {
         Some(None)
     }
 
-    /// Takes a word of `evt3`; whether all is known behind it, `None` at a damage.
+    /// Takes a word of `evt3`; returns whether the state is known after it, `None` if it is damaged.
     fn evt3(&mut self, word: u16) -> Option<bool> {
         self.events.clear();
         let mut batch = Batch::new(&mut self.events);
@@ -284,7 +287,7 @@ impl Passed {
         Some(self.high && self.low && self.row && self.column)
     }
 
-    /// Takes a word of `libcaer_cmp`; whether all is known behind it.
+    /// Takes a word of `libcaer_cmp`; returns whether the state is known after it.
     fn vector(&mut self, word: u16) -> bool {
         self.vectors.take(word);
         self.x |= word >> 12 == VECTOR_X;
@@ -310,7 +313,7 @@ mod tests {
         height: 260,
     };
 
-    /// Events of several chunks, with many of each time.
+    /// Returns events for several chunks, many of them at the same time.
     fn some_events(from: u64, n: u64) -> Vec<Event> {
         (from..from + n)
             .map(|i| Event {
@@ -334,7 +337,8 @@ mod tests {
         events
     }
 
-    /// Seeks in `path`, to and fro, and reads every event from there on, and few before.
+    /// Seeks in `path` to and fro; each time, every event from there on must be read, and at most `before_max`
+    /// earlier ones.
     fn check_seeks(path: &Path, want: &[Event], before_max: usize) {
         let mut reader = open(path, None).unwrap();
         assert_eq!(rest(reader.as_mut()), want);
@@ -409,7 +413,7 @@ mod tests {
         }
     }
 
-    /// Of a chunk in LZ4 that was cut off, whole blocks of 64 kB can be read.
+    /// From an LZ4 chunk that was cut off, whole blocks of 64 kB can be read.
     #[test]
     fn a_chunk_that_was_cut_off_gives_what_it_has() {
         let folder = tempfile::tempdir().unwrap();
@@ -441,10 +445,10 @@ mod tests {
         }
     }
 
-    /// A message that goes on where the one before has ended: the computer's time, `time_base`, words.
+    /// A message that continues where the previous one ended: the computer's time, `time_base`, words.
     type Carried = (u64, u64, Vec<u16>);
 
-    /// Writes a bag of `messages`, a few of them in a chunk.
+    /// Writes a bag of `messages`, a few in each chunk.
     fn write_carried(path: &Path, encoding: &str, messages: &[Carried]) {
         let mut file = Records::create(path, 4000).unwrap();
         for (number, (stamp_us, base_ns, words)) in messages.iter().enumerate() {
@@ -467,7 +471,7 @@ mod tests {
         file.finish().unwrap();
     }
 
-    /// Events of 70 s in runs along x and alone, and messages of their words, cut anywhere.
+    /// Returns events of 70 s, in runs along x and single, and messages of their words, cut at arbitrary words.
     fn evt3() -> (Vec<Event>, Vec<Carried>) {
         let events: Vec<Event> = (0..60_000_u64)
             .map(|i| {
@@ -499,7 +503,7 @@ mod tests {
                 let mut skipped = Skipped::default();
                 decoder.decode(*word, &mut batch, &mut skipped).unwrap();
             }
-            // The computer's clock goes wrong by one part in 2,000, and stamps come late.
+            // The computer's clock drifts by one part in 2,000, and stamps come late.
             let t_us = decoder.t_us().unwrap();
             let late_us = number as u64 * 7919 % 300_000;
             let stamp_us = 1_700_000_000_000_000 + t_us + t_us / 2000 + late_us;
@@ -518,7 +522,7 @@ mod tests {
         assert!(messages.len() > 100);
         write_carried(&path, "evt3", &messages);
         check_seeks(&path, &want, 6000);
-        // Where the stamps tell nothing, or something else, reading begins at the start.
+        // If the stamps are meaningless or wrong, reading begins at the start.
         let stamps: [fn(u64) -> u64; 4] = [
             |_| 0,
             |t_us| t_us / 2,
@@ -535,7 +539,7 @@ mod tests {
         }
     }
 
-    /// Events of which many stand one below the other, and messages whose words say only what is new.
+    /// Returns events, many in the same column, and messages whose words state only what changes.
     fn libcaer_cmp() -> (Vec<Event>, Vec<Carried>) {
         let base_us = |t_us: u64| t_us / 10_000 * 10_000;
         let (mut events, mut messages) = (Vec::new(), Vec::<Carried>::new());
@@ -611,7 +615,7 @@ mod tests {
             (0, 999_999, period - 1, None),
             (0, period + 1_100_000, 0, None),
             (0, period / 2, 0, None),
-            // A thousandth of what has passed, up to 4 s.
+            // A thousandth of the elapsed time, up to 4 s.
             (0, 100 * period + 2_000_000, 0, Some(100 * period)),
             (0, 10_000 * period + 4_100_000, 0, Some(10_000 * period)),
             (0, 10_000 * period + 4_300_000, 0, None),

@@ -1,32 +1,32 @@
-//! Which of a bag's topics is read.
+//! Chooses the topic of a bag that is read.
 
 use super::message::Kind;
 
-/// Topics of events that are kept for messages, at the most.
+/// Largest number of event topics kept for messages.
 const NAMES_MAX: usize = 64;
 
-/// Letters of a name in messages, at the most.
+/// Largest number of letters of a name in messages.
 const NAME_SHOWN: usize = 100;
 
-/// The topic that is read, named by the caller or else the first one of events.
+/// The topic that is read: the one that the caller named, otherwise the first of events.
 #[derive(Debug, Default)]
 pub struct Topics {
     wanted: Option<String>,
-    /// Topics of events met, for messages.
+    /// The event topics that have occurred, for messages.
     events: Vec<String>,
 }
 
-/// What to do with a topic's messages.
+/// How the messages of a topic are treated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Use {
     /// They are read.
     Read(Kind),
-    /// They are skipped and counted by this name.
+    /// They are skipped and counted under this name.
     Skip(&'static str),
 }
 
 impl Topics {
-    /// Reads the topic `place`, with or without its slash, or the first one.
+    /// Chooses the topic `place`, with or without its leading slash; `None` chooses the first topic of events.
     #[must_use]
     pub fn new(place: Option<&str>) -> Self {
         let wanted = place.map(|place| format!("/{}", place.trim_matches('/')));
@@ -36,10 +36,10 @@ impl Topics {
         }
     }
 
-    /// What to do with the messages of a topic, as topics are met.
+    /// Returns how to treat the messages of a topic; to be called for topics as they occur.
     ///
     /// # Errors
-    /// The topic was asked for, and its messages are no events.
+    /// The caller asked for this topic, and its messages are not events.
     pub fn meet(&mut self, topic: &str, kind_name: &str) -> Result<Use, String> {
         let named = format!("/{}", topic.trim_start_matches('/'));
         let kind = Kind::of(kind_name);
@@ -69,7 +69,7 @@ impl Topics {
         }
     }
 
-    /// What is missing where no message of the topic was met.
+    /// Describes what is missing if there was no message of the topic.
     #[must_use]
     pub fn missing(&self) -> String {
         match (&self.wanted, self.events.as_slice()) {
@@ -85,7 +85,7 @@ impl Topics {
     }
 }
 
-/// A name of a file that may be damaged, on one line.
+/// Returns a name from a file that may be damaged as a single line.
 fn shown(name: &str) -> String {
     let start: String = name.chars().take(NAME_SHOWN).collect();
     start.escape_debug().to_string()

@@ -1,4 +1,4 @@
-//! Which columns of a table, in an Arrow or Parquet file, are t, x, y and p, and what their numbers mean.
+//! Finds t, x, y and p among the columns of an Arrow or Parquet table, and what their numbers mean.
 
 use event_types::Sensor;
 
@@ -10,48 +10,48 @@ use crate::table::stated_size::StatedSize;
 use crate::table::{stated_size, time_unit};
 use crate::{Assumption, reading};
 
-/// Keys of metadata that state the unit of the times.
+/// Metadata keys that state the unit of the times.
 const UNIT_KEYS: [&str; 4] = ["time_unit", "t_unit", "units", "unit"];
 
-/// How a column's values are stored.
+/// The way in which a column's values are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stored {
-    /// Numbers, little-endian.
+    /// Little-endian numbers.
     Number(Dtype),
     /// Bits, the lowest of a byte first.
     Bool,
 }
 
-/// A column of the schema.
+/// A column of a table's schema.
 pub struct Named<'a> {
-    /// Its name.
+    /// The column's name.
     pub name: &'a str,
-    /// How it is stored, if that can be read.
+    /// How its values are stored; `None` if the type is not supported.
     pub stored: Option<Stored>,
-    /// Of a time with a unit: microseconds are its values times 10 to this.
+    /// For times with a unit, its power of ten: a value times 10 to this is in microseconds.
     pub shift: Option<i32>,
 }
 
-/// Where the numbers of the events are.
+/// The place and the meaning of the events' numbers.
 #[derive(Debug, Clone)]
 pub struct Columns {
-    /// Places of t, x, y and p in the schema.
+    /// Positions of t, x, y and p in the schema.
     pub places: [usize; 4],
-    /// How these are stored.
+    /// How t, x, y and p are stored.
     pub stored: [Stored; 4],
-    /// What the file says of its times.
+    /// What the file states about its times.
     pub times: Times,
-    /// From names like `x@320`.
+    /// The size that names such as `x@320` state.
     pub sensor: Option<Sensor>,
-    /// How the columns were found, where that may be wrong.
+    /// How the columns were found, if that may be wrong.
     pub assumption: Option<Assumption>,
 }
 
 impl Columns {
-    /// Finds t, x, y and p: where the caller says, else by their names.
+    /// Finds t, x, y and p as the caller stated, otherwise by their names.
     ///
     /// # Errors
-    /// What is missing or of a type that is not read.
+    /// A column is missing or of a type that is not supported.
     pub fn find(schema: &[Named], reading: &Reading) -> Result<Self, String> {
         let names = || schema.iter().map(|column| column.name);
         let named = find_names(names(), given_names(reading));
@@ -101,7 +101,7 @@ impl Columns {
     }
 }
 
-/// Size of the sensor that the metadata of a table states, and the unit of its times.
+/// Returns the sensor's size and the unit of the times that a table's metadata states.
 pub fn stated<'a>(
     pairs: impl Iterator<Item = (&'a str, &'a str)>,
 ) -> (Option<Sensor>, Option<Scale>) {
@@ -118,7 +118,7 @@ pub fn stated<'a>(
     (size.sensor(), scale)
 }
 
-/// Whether a key of the metadata is one that [`stated`] looks at.
+/// Returns whether [`stated`] uses this metadata key.
 pub fn is_known_key(key: &str) -> bool {
     stated_size::is_known(key) || UNIT_KEYS.contains(&key)
 }
@@ -172,7 +172,7 @@ mod tests {
         let found = columns(&names, None, Some("-xypt")).unwrap();
         assert_eq!(found.places, [4, 1, 2, 3]);
         assert!(columns(&names, None, Some("txyp")).is_err());
-        // Two that could be t: the likelier one, and that is said.
+        // Two columns could be t: the likelier one is taken, and an assumption says so.
         let found = columns(&["time", "x", "y", "p", "t"], None, None).unwrap();
         assert_eq!(found.places, [4, 1, 2, 3]);
         assert!(found.assumption.unwrap().why.contains("time"));

@@ -1,4 +1,4 @@
-//! What the arrays of an array file are: names of t, x, y and p, and the order of unnamed columns.
+//! Recognises t, x, y and p in arrays and tables by their names, or by the values of unnamed columns.
 
 use event_types::Sensor;
 
@@ -8,13 +8,13 @@ use crate::reading::{Columns, Reading, TimeUnit};
 use crate::table::time_unit;
 use crate::text::layout::Layout;
 
-// Places of t, x, y and p in [`NAMES`] and in every row.
+// Positions of t, x, y and p in [`NAMES`] and in every row.
 pub const T: usize = 0;
 pub const X: usize = 1;
 pub const Y: usize = 2;
 pub const P: usize = 3;
 
-/// Names of t, x, y, p, the likelier before the others. Those of t may end in a unit.
+/// Names of t, x, y and p, the likeliest first. Those of t may end in a unit.
 const NAMES: [&[&str]; 4] = [
     &["t", "ts", "time", "times", "timestamp", "timestamps"],
     &["x", "xs", "x_px", "col", "column", "xaddr", "x_addr"],
@@ -22,10 +22,10 @@ const NAMES: [&[&str]; 4] = [
     &["p", "ps", "pol", "polarity", "polarities", "on"],
 ];
 
-/// What messages call t, x, y and p.
+/// Names of t, x, y and p in messages.
 pub const SHORT: [&str; 4] = ["t", "x", "y", "p"];
 
-/// Endings of a time's name that state its unit.
+/// Text before and after the unit at the end of a time's name.
 const UNIT_ENDINGS: [(&str, &str); 12] = [
     ("_s", ""),
     ("_sec", ""),
@@ -41,27 +41,27 @@ const UNIT_ENDINGS: [(&str, &str); 12] = [
     ("(", ")"),
 ];
 
-/// Rows that the columns of an (N, 4) array are found from.
+/// Number of rows from which the columns of an (N, 4) array are recognised.
 pub const SAMPLE_ROWS: usize = 1000;
 
-/// t, x, y, p of an event; `None` is an unsigned number above 2^63 - 1, NaN a missing value.
+/// t, x, y and p of an event. `None` is an unsigned number above 2^63 - 1; NaN is a missing value.
 pub type Row = [Option<Number>; 4];
 
-/// What the name of a column, field or array says.
+/// The meaning of the name of a column, field or array.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Name {
-    /// Which of t, x, y and p.
+    /// Which of t, x, y and p the name stands for.
     pub which: usize,
-    /// Its place among the names of this one: 0 is the likeliest.
+    /// Position of the name among the known ones; 0 is the likeliest.
     rank: usize,
-    /// The unit of the times, where the name states it.
+    /// The unit of the times, if the name states it.
     pub unit: Option<TimeUnit>,
-    /// The sensor's side, of names like `x@320`.
+    /// The sensor's side, from a name such as `x@320`.
     pub side: Option<u16>,
 }
 
 impl Name {
-    /// Parses a name; `None` where it is none of t, x, y or p.
+    /// Parses a name; `None` if it stands for none of t, x, y and p.
     pub fn parse(text: &str) -> Option<Self> {
         let name = text.trim().trim_matches(['"', '\'']).to_ascii_lowercase();
         let (name, side) = match name.split_once('@') {
@@ -100,21 +100,21 @@ impl Name {
     }
 }
 
-/// Which of many names are t, x, y and p.
+/// The names that were recognised as t, x, y and p.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Named {
-    /// Their places.
+    /// Positions of t, x, y and p among all names.
     pub places: [usize; 4],
     /// The unit that the name of t states.
     pub unit: Option<TimeUnit>,
-    /// The size that names like `x@320` state.
+    /// The size that names such as `x@320` state.
     pub sensor: Option<Sensor>,
-    /// Others that could be one of them too.
+    /// Other names that could also stand for one of them.
     pub passed_by: Vec<String>,
 }
 
-/// Finds t, x, y and p: by the names that the caller gave, else by what they are usually called, and there the
-/// likeliest; `None` where one is missing.
+/// Finds t, x, y and p by the names that the caller gave, otherwise by the likeliest of their usual names; `None`
+/// if one is missing.
 pub fn find_names<'a>(
     names: impl Iterator<Item = &'a str>,
     given: Option<&[String; 4]>,
@@ -130,7 +130,7 @@ pub fn find_names<'a>(
             None => {
                 let known = names.iter().enumerate().filter_map(|(place, name)| {
                     let known = Name::parse(name).filter(|known| known.which == which)?;
-                    // Of two that are as likely, the one that states its unit.
+                    // Of two equally likely names, the one that states its unit is preferred.
                     Some((known.rank, known.unit.is_none(), place))
                 });
                 let known: Vec<(usize, bool, usize)> = known.collect();
@@ -158,7 +158,7 @@ pub fn find_names<'a>(
     })
 }
 
-/// Names that the caller gave for t, x, y and p.
+/// Returns the names that the caller gave for t, x, y and p.
 pub fn given_names(reading: &Reading) -> Option<&[String; 4]> {
     match &reading.columns {
         Some(Columns::Names(names)) => Some(names),
@@ -166,7 +166,7 @@ pub fn given_names(reading: &Reading) -> Option<&[String; 4]> {
     }
 }
 
-/// What was taken for t, x, y and p where other names could be one of them too.
+/// Returns the assumption that the likeliest names were meant, if there are others.
 pub fn names_taken(named: &Named) -> Option<Assumption> {
     (!named.passed_by.is_empty()).then(|| Assumption {
         what: "columns",
@@ -178,7 +178,7 @@ pub fn names_taken(named: &Named) -> Option<Assumption> {
     })
 }
 
-/// The order that the columns of a table without names were taken to be in: the columns of t, x, y and p.
+/// Returns the assumption about the order of a table's unnamed columns; `columns` are those of t, x, y and p.
 pub fn order_taken(columns: [usize; 4]) -> Assumption {
     let mut letters = ["t", "x", "y", "p"]
         .into_iter()
@@ -192,14 +192,14 @@ pub fn order_taken(columns: [usize; 4]) -> Assumption {
     }
 }
 
-/// A coordinate of which a sensor can be large enough.
+/// Returns the number as a coordinate; `None` unless it lies within the largest sensor.
 pub fn coordinate(number: Option<Number>) -> Option<u16> {
     let value = u16::try_from(number?.whole()?).ok()?;
     (value < Sensor::SIDE_MAX).then_some(value)
 }
 
-/// Which column of an (N, 4) array is t, x, y and p, told by its first rows as those of a text
-/// file without header; `None` where they do not tell.
+/// Returns which columns of an (N, 4) array are t, x, y and p, judged by its first rows like the columns of a text
+/// file without a header; `None` if this cannot be decided.
 pub fn column_order(rows: &[[Option<Number>; 4]], sensor: Option<Sensor>) -> Option<[usize; 4]> {
     let texts: Vec<Vec<String>> = rows
         .iter()

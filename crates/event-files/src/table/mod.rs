@@ -1,4 +1,4 @@
-//! Columns of numbers, as files of tables and arrays have them, to events.
+//! Turns the columns of numbers in tables and arrays into events.
 
 #[cfg(any(feature = "arrow", feature = "parquet"))]
 pub(crate) mod columns;

@@ -1,11 +1,11 @@
-//! Rows of numbers become events, as the file and the caller say: unit and offset of the times, clocks of 32
-//! bits that wrap, what polarities are, and events that cannot be one.
+//! Turns rows of numbers into events, by what the file and the caller state: the unit and offset of the times,
+//! 32-bit clocks that wrap, the values of polarities, and invalid events.
 //!
-//! * The unit: the caller's, else the file's, else the rule of [`crate::table::time_unit`].
-//! * A time of an unsigned type of 32 bits that falls back by more than 2^31 has wrapped: the clock goes on.
-//! * p: 1 or true is on; 0, false or -1 is off. 0 and -1 cannot both be off: a recording that has both is
-//!   refused. Where it has 1 too, 0 is no event (`CeleX`), and is left out where the caller wants that.
-//! * What cannot be an event ends the recording with an error, or is left out and counted by its cause.
+//! * The unit is the caller's, otherwise the file's, otherwise that of the rule in [`crate::table::time_unit`].
+//! * A time of an unsigned 32-bit type that falls back by more than 2^31 has wrapped: the clock goes on from there.
+//! * p: 1 or true is ON; 0, false or -1 is OFF. 0 and -1 cannot both be OFF: a recording that has both is an error.
+//!   If it also has 1, 0 may mean no event (`CeleX`), which is left out if the caller leaves out invalid events.
+//! * A row that cannot be an event ends the recording with an error, or is left out and counted by its cause.
 
 use event_types::stream::Result;
 use event_types::{Event, Polarity, Sensor, error};
@@ -16,20 +16,20 @@ use crate::table::event_numbers::{P, Row, T, X, Y, coordinate};
 use crate::table::time_unit;
 use crate::{Assumption, Skipped};
 
-/// Half of what a clock of 32 bits counts.
+/// Half the range of a 32-bit clock.
 const HALF_CLOCK: i64 = 1 << 31;
 
-/// How near to its ends a clock of 32 bits may step back over a wrap, in its units.
+/// Largest distance from the ends of a 32-bit clock, in its units, at which a step back over a wrap is recognised.
 const NEAR_WRAP: i64 = 1 << 24;
 
-/// Causes that events are left out for.
+// Causes by which events that are left out are counted.
 const OUTSIDE: &str = "events outside of the sensor";
 const MISSING: &str = "events with a missing value";
 const NO_POLARITY: &str = "events of no polarity";
 const NO_TIME: &str = "events with an impossible time";
 const NO_PIXEL: &str = "events between pixels";
 
-/// A time in microseconds is a number times `times` divided by `by`.
+/// Converts times to microseconds: a number times `times`, divided by `by`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Scale {
     times: i64,
@@ -37,15 +37,15 @@ pub struct Scale {
 }
 
 impl Scale {
-    /// Microseconds.
+    /// The scale of times in microseconds.
     pub const US: Self = Self { times: 1, by: 1 };
 
-    /// Numbers are `times / by` microseconds each; neither is below 1.
+    /// Creates a scale of `times / by` microseconds for each unit; neither may be below 1.
     pub const fn new(times: i64, by: i64) -> Self {
         Self { times, by }
     }
 
-    /// Numbers are microseconds times 10 to this.
+    /// Creates a scale of 10 to the power of `shift` microseconds for each unit.
     pub fn shift(shift: i32) -> Self {
         let power = 10_i64.saturating_pow(shift.unsigned_abs());
         if shift >= 0 {
@@ -55,7 +55,7 @@ impl Scale {
         }
     }
 
-    /// The time in us, rounded to the nearest; `None` where it is no number or beyond 2^63.
+    /// Converts a time to us, rounded to the nearest; `None` if it is not a number or beyond 2^63.
     pub fn us(self, time: Number) -> Option<i64> {
         match time {
             Number::Whole(time) if self.by == 1 => time.checked_mul(self.times),
@@ -68,7 +68,7 @@ impl Scale {
                 i64::try_from(rounded).ok()
             }
             Number::Float(time) => {
-                // Never both of them: seconds are scaled as other programs do it, to the last bit.
+                // No division if `by` is 1, so that seconds are scaled as by other programs, to the last bit.
                 let scaled = if self.by == 1 {
                     time * self.times as f64
                 } else {
@@ -83,11 +83,11 @@ impl Scale {
     }
 }
 
-/// By how much a time in floats may miss a whole microsecond as floats do, in us.
+/// Distance of a float time from a whole microsecond, in us, up to which it counts as a float's own error.
 const FLOAT_NOISE_US: f64 = 1e-3;
 
 impl Scale {
-    /// Whether [`Scale::us`] rounds the time away, beyond what floats do by themselves.
+    /// Returns whether [`Scale::us`] rounds the time by more than the error that floats have anyway.
     fn rounds(self, time: Number) -> bool {
         match time {
             Number::Whole(time) => {
@@ -95,7 +95,7 @@ impl Scale {
             }
             Number::Float(time) => {
                 let us = time * (self.times as f64 / self.by as f64);
-                // A value of 32 bits is as far off as these are.
+                // A value that fits a 32-bit float has that type's error.
                 let epsilon = if f64::from(time as f32) == time {
                     f64::from(f32::EPSILON)
                 } else {
@@ -113,21 +113,21 @@ impl From<TimeUnit> for Scale {
     }
 }
 
-/// What a file says of its times.
+/// What a file states about its times.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Times {
-    /// What a number is, where the file, or the layout that it has, states it.
+    /// The unit, if the file or its layout states one.
     pub scale: Option<Scale>,
-    /// Whether they are of an unsigned type of 32 bits.
+    /// Whether the times are of an unsigned 32-bit type.
     pub is_u32: bool,
-    /// Whether they are of a type of floats.
+    /// Whether the times are of a float type.
     pub is_float: bool,
-    /// What is added to every time, in us.
+    /// Offset added to every time, in us.
     pub offset_us: i64,
 }
 
 impl Times {
-    /// Times of this type.
+    /// Returns what the type of the times states.
     pub fn of(dtype: Option<Dtype>) -> Self {
         Self {
             scale: dtype.and_then(Dtype::scale),
@@ -138,14 +138,14 @@ impl Times {
     }
 }
 
-/// What columns, rows and polarities are counted from.
+/// The numbers from which columns, rows and polarities are counted.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Base {
     pub pixel: i64,
     pub polarity: i64,
 }
 
-/// Which polarities have been met.
+/// The polarities that have occurred.
 #[derive(Debug, Clone, Copy, Default)]
 struct Met {
     zero: bool,
@@ -168,33 +168,33 @@ impl Met {
     }
 }
 
-/// Makes events of rows.
+/// Turns rows into events.
 pub struct RowEvents {
-    /// The sensor.
+    /// The sensor that the events must lie on.
     pub sensor: Sensor,
-    /// What is counted from.
+    /// The numbers from which pixels and polarities are counted.
     base: Base,
-    /// What is no event, and was left out or passed by.
+    /// What was left out, by its cause.
     pub skipped: Skipped,
-    /// What was taken to be so.
+    /// What was assumed.
     pub assumptions: Vec<Assumption>,
     scale: Scale,
     offset_us: i64,
     leave_out: bool,
-    /// Whether polarities of 0 are none.
+    /// Whether a polarity of 0 means no event.
     zero_is_none: bool,
     met: Met,
-    /// Of times of 32 bits: the last one, and what the wraps before it add.
+    /// For times of 32 bits: the last time, and the sum that earlier wraps add.
     clock: Option<(i64, i64)>,
-    /// Whether a time was rounded, which was said.
+    /// Whether a time has been rounded and an assumption says so.
     is_rounded: bool,
 }
 
 impl RowEvents {
-    /// Makes events of rows that begin with `sample`, at most [`time_unit::SAMPLE_TIMES`] of them.
+    /// Prepares for rows that begin with `sample`, at most [`time_unit::SAMPLE_TIMES`] of them.
     ///
     /// # Errors
-    /// The unit of the times is unclear, or more than two polarities.
+    /// The unit of the times is unclear, or the sample has more than two polarities.
     pub fn new(
         reading: &Reading,
         times: Times,
@@ -209,7 +209,7 @@ impl RowEvents {
                 let first = sample.iter().filter_map(|row| row[T]).map(Number::float);
                 let first: Vec<f64> = first.filter(|time| time.is_finite()).collect();
                 let taken = time_unit::unstated(&first, !times.is_float)?;
-                // Of no event there is no time.
+                // Without an event there is no time to judge.
                 if !first.is_empty() {
                     assumptions.push(Assumption {
                         what: "time unit",
@@ -266,23 +266,24 @@ impl RowEvents {
         })
     }
 
-    /// Whether a time does not tell by itself what it is in us.
+    /// Returns whether times may wrap, so that a single one does not determine the time in us.
     pub const fn may_wrap(&self) -> bool {
         self.clock.is_some()
     }
 
-    /// A time in us, of a clock that does not wrap; `None` where it is none.
+    /// Converts a time of a clock that does not wrap to us; `None` if it is not a valid time.
     pub fn t_us(&self, time: Option<Number>) -> Option<u64> {
         let t_us = self.scale.us(time?)?.checked_add(self.offset_us)?;
         u64::try_from(t_us).ok()
     }
 
-    /// Begins again with the first row.
+    /// Prepares for rows from another place, such as the first.
     pub fn rewind(&mut self) {
         self.clock = self.clock.map(|_| (0, 0));
     }
 
-    /// The event of a row, or none where it was left out; else which of t, x, y and p is wrong, and how.
+    /// Converts a row to its event; `None` if the row was left out. The error is which of t, x, y and p is wrong,
+    /// and how.
     #[inline]
     pub fn event(&mut self, row: &Row) -> Result<Option<Event>, (usize, String)> {
         match self.whole(row) {
@@ -343,7 +344,7 @@ impl RowEvents {
                         });
                     }
                 } else if *last < NEAR_WRAP && now > 2 * HALF_CLOCK - NEAR_WRAP && *wraps > 0 {
-                    // A step back over the wrap, as packets out of order make it.
+                    // A step back over the wrap, as happens if packets are out of order.
                     *wraps -= 2 * HALF_CLOCK;
                 }
                 *last = now;
@@ -396,7 +397,7 @@ impl RowEvents {
     }
 }
 
-/// What is wrong with a row.
+/// The reason why a row is not an event.
 enum Bad {
     TooLarge(usize),
     Missing(usize),
@@ -409,8 +410,8 @@ enum Bad {
 }
 
 impl Bad {
-    /// Which of t, x, y and p is wrong, the cause that such events are counted by if they may be left out, and
-    /// what a message says.
+    /// Returns which of t, x, y and p is wrong, the cause by which such an event is counted if it may be left out,
+    /// and the text of a message.
     fn told(&self, row: &Row, sensor: Sensor) -> (usize, Option<&'static str>, String) {
         let value = |which: usize| match row.get(which).copied().flatten() {
             Some(Number::Whole(value)) => value.to_string(),
@@ -461,7 +462,7 @@ impl Bad {
     }
 }
 
-/// Message where both 0 and -1 are there.
+/// Returns the message for a recording that has both 0 and -1.
 fn mixed(has_one: bool) -> String {
     if has_one {
         "more than two polarities: -1, 0 and 1. If 0 is no event, as CeleX has it, --leave-out-bad-events leaves \
@@ -473,7 +474,7 @@ fn mixed(has_one: bool) -> String {
     }
 }
 
-/// Size that holds every event.
+/// Finds the smallest sensor that holds every event.
 pub struct Extent {
     width: u16,
     height: u16,
@@ -481,7 +482,8 @@ pub struct Extent {
 }
 
 impl Extent {
-    /// Of no event yet; with `leave_out`, those that no sensor is large enough for do not end it.
+    /// Starts without events. Coordinates beyond the largest sensor end the search unless `reading` leaves out
+    /// invalid events.
     pub fn new(reading: &Reading) -> Self {
         Self {
             width: 0,
@@ -490,7 +492,7 @@ impl Extent {
         }
     }
 
-    /// Takes an event; false where it is damaged, which ends the search.
+    /// Adds an event; returns `false` if it is invalid and thus ends the search.
     pub fn add(&mut self, x: Option<Number>, y: Option<Number>) -> bool {
         let (Some(x), Some(y)) = (coordinate(x), coordinate(y)) else {
             return self.leave_out;
@@ -500,15 +502,15 @@ impl Extent {
         true
     }
 
-    /// Whether there was none.
+    /// Returns whether no event has been added.
     pub const fn is_empty(&self) -> bool {
         self.width == 0
     }
 
-    /// The size.
+    /// Returns the size.
     ///
     /// # Errors
-    /// No event in the file of this name.
+    /// There was no event; the message names the file `name`.
     pub fn sensor(&self, name: &str) -> Result<Sensor> {
         Sensor::new(self.width, self.height).ok_or_else(|| {
             error!(
@@ -569,7 +571,7 @@ mod tests {
             ]
         );
         assert!(events.assumptions.iter().any(|taken| taken.what == "clock"));
-        // A clock that begins anew is no wrap.
+        // A clock that starts anew has not wrapped.
         let rows = [1 << 30, 7].map(|t| row(t, 1));
         let (got, _) = all_of(times, &rows);
         assert_eq!(got, [1 << 30, 7]);
@@ -592,7 +594,7 @@ mod tests {
         for good in [&[0, 1, 0][..], &[-1, 1], &[1, 1], &[-1, -1], &[0, 0]] {
             assert_eq!(of(&Reading::default(), good), Ok(good.len()));
         }
-        // In the sample, and behind it.
+        // Within the sample, and after it.
         for bad in [
             &[-1, 0, 1][..],
             &[0, -1],
@@ -648,7 +650,7 @@ mod tests {
             want.iter().all(|cause| skipped.contains(cause)),
             "{skipped:?}"
         );
-        // Each of them alone is an error without the option.
+        // Without the option, each of them is an error.
         for row in &rows[1..7] {
             let error = all(&Reading::default(), us, &[*row]).err().unwrap();
             assert!(error.contains("--leave-out-bad-events"), "{error}");

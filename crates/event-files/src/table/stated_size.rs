@@ -1,8 +1,8 @@
-//! The sensor's size as files state it beside their events: two sides, or a pair in one value.
+//! Reads the sensor's size that files state beside their events: two sides, or a pair in one value.
 //!
 //! In a pair the longer side is the width, whichever comes first: `event_utils` writes (height, width), others
-//! (width, height), and no known sensor is higher than wide. In a text with an `x`, as Prophesee's `1280x720`,
-//! the width comes first.
+//! write (width, height), and no known sensor is higher than wide. In a text with an `x`, such as Prophesee's
+//! `1280x720`, the width comes first.
 
 use event_types::Sensor;
 
@@ -18,14 +18,14 @@ const PAIRS: [&str; 7] = [
     "sensor_shape",
 ];
 
-/// Whether a name is one of those that a size is stated by.
+/// Returns whether a name is one under which files state a size.
 pub fn is_known(name: &str) -> bool {
     let all = WIDTHS.iter().chain(&HEIGHTS).chain(&PAIRS);
     all.into_iter()
         .any(|known| name.eq_ignore_ascii_case(known))
 }
 
-/// What has been found of the size.
+/// What has been found of the size so far.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct StatedSize {
     width: Option<u16>,
@@ -34,8 +34,8 @@ pub struct StatedSize {
 }
 
 impl StatedSize {
-    /// Takes what a name holds: one number or two, or three as tonic has them, whose last is the polarities;
-    /// the first that was found counts.
+    /// Adds the numbers stated under a name: a side, a pair, or three numbers as in tonic, the last of which counts
+    /// the polarities. The first value found for each side or pair is kept.
     pub fn numbers(&mut self, name: &str, values: &[f64]) {
         let side = |value: &f64| {
             let is_side =
@@ -55,7 +55,7 @@ impl StatedSize {
         }
     }
 
-    /// Takes a name's text.
+    /// Adds the text stated under a name.
     pub fn text(&mut self, name: &str, text: &str) {
         let parts = text.split(|letter: char| !letter.is_ascii_digit() && letter != '.');
         let numbers: Vec<f64> = parts.filter_map(|part| part.parse().ok()).collect();
@@ -67,7 +67,7 @@ impl StatedSize {
         }
     }
 
-    /// The size, if there is one.
+    /// Returns the size, if it was stated.
     pub fn sensor(&self) -> Option<Sensor> {
         let sides = self.width.zip(self.height);
         let sides = sides.and_then(|(width, height)| Sensor::new(width, height));

@@ -1,46 +1,45 @@
-//! In which unit a file without a word about it holds its times.
+//! Finds the unit of a file's times if the file does not state it.
 //!
 //! [`unstated`] is the rule for every format whose times may be in any unit:
 //!
-//! * Numbers of a whole type are microseconds. Floats are judged by [`TimeSample`]: seconds, or microseconds.
-//! * A time that cannot be in that unit, since it is beyond what a recording may hold (2^60 us) or, in
-//!   seconds, beyond the year 2286, is taken for a time since 1970 in the unit that gives a date from 2008
-//!   to 2096. Where no unit does, the user is asked.
-//! * Where half of the gaps between the first 4,096 times are so long that no camera is so slow, the user is
-//!   asked: 1 s and more (of 16 gaps at the least, of 8 where floats were taken for seconds), or 0.1 s and
-//!   more (of 100 gaps). Whole floats that would be
-//!   so far apart in seconds are microseconds. The median, unlike the mean, is not moved by a stale stamp or a pause.
+//! * Integers are microseconds. [`TimeSample`] decides whether floats are seconds or microseconds.
+//! * If a time is too large for that unit, since it is beyond what a recording may hold (2^60 us) or, in seconds,
+//!   beyond the year 2286, times are taken to count from 1970, in the unit that gives a date from 2008 to 2096. If
+//!   no unit does, the user is asked.
+//! * If the median gap between the first 4,096 times is longer than any camera would leave, the user is asked: 1 s
+//!   or more (from 16 gaps on, or from 8 if floats were taken for seconds), or 0.1 s or more (from 100 gaps on).
+//!   Whole floats that would be so far apart in seconds are microseconds. The median, unlike the mean, is not moved
+//!   by a stale time stamp or a pause.
 
 use crate::reading::TimeUnit;
 
-/// Times that the unit is found from.
+/// Number of times from which the unit is found.
 pub const SAMPLE_TIMES: usize = 4096;
 
 /// Largest time of a recording, in microseconds.
 const LARGEST_US: f64 = (1_u64 << 60) as f64;
 
-/// Seconds since 1970 from 2008 to 2096, in which recordings are believed to have been made.
+/// Plausible dates of recordings, from 2008 to 2096, in seconds since 1970.
 const DATES_S: std::ops::Range<f64> = 1.2e9..4e9;
 
-/// Fewest gaps that speak, and the least of their medians, in seconds, that no camera has: of whole numbers
-/// and of floats.
+/// Numbers of gaps, each with the median in seconds from which on it is too long for a camera: for times in other
+/// units than seconds, and for times in seconds.
 const SLOW: [(usize, f64); 2] = [(16, 1.0), (100, 0.1)];
 const SLOW_FLOATS: [(usize, f64); 2] = [(8, 1.0), (100, 0.1)];
 
 /// Units, the longest first.
 const UNITS: [TimeUnit; 4] = [TimeUnit::S, TimeUnit::Ms, TimeUnit::Us, TimeUnit::Ns];
 
-/// Fewest distinct whole values that speak against seconds.
+/// Number of distinct whole values from which on times are not taken for seconds.
 const WHOLE_VALUES: usize = 16;
 
-/// Largest time in seconds that is believed of whole numbers: beyond the year 2286.
+/// Largest plausible time in seconds since 1970: the year 2286.
 const SECONDS_MAX: f64 = 1e10;
 
-/// Collects the first times of a file whose times are decimals or floats.
+/// Decides from the first times of a file whether decimals or floats are seconds.
 ///
-/// They are seconds, as in the RPG and MVSEC data sets, unless all of the sample are whole
-/// numbers and there are at least 16 different ones, or one of 1e10 and more: whole microseconds
-/// in a float column.
+/// They are, as in the RPG and MVSEC data sets, unless all of the sample are whole numbers and there are at least
+/// 16 different ones, or one of 1e10 or more: these are whole microseconds in a float column.
 #[derive(Debug, Default)]
 pub struct TimeSample {
     fraction: bool,
@@ -49,7 +48,7 @@ pub struct TimeSample {
 }
 
 impl TimeSample {
-    /// Takes one time.
+    /// Adds a time; `whole` states whether it is written as a whole number.
     pub fn add(&mut self, whole: bool, value: f64) {
         self.fraction |= !whole;
         self.large |= value >= SECONDS_MAX;
@@ -58,26 +57,26 @@ impl TimeSample {
         }
     }
 
-    /// Whether the times are seconds.
+    /// Returns whether the times are seconds.
     pub fn seconds(&self) -> bool {
         self.fraction || !(self.large || self.whole.len() >= WHOLE_VALUES)
     }
 }
 
-/// The unit that times without a stated one are taken to be in, and why.
+/// The unit that was assumed, and why.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Taken {
-    /// The unit.
+    /// The unit of the times.
     pub unit: TimeUnit,
-    /// Why, for [`crate::Assumption::why`].
+    /// The reason, for [`crate::Assumption::why`].
     pub why: String,
 }
 
-/// Finds the unit of a file's first times, at most [`SAMPLE_TIMES`] of them, in the file's order; `whole` says
-/// that they are of a type of whole numbers. The module's first lines have the rule.
+/// Finds the unit of a file's first times, at most [`SAMPLE_TIMES`], in the file's order, by the rule in the
+/// module's description. `whole` states that they are of an integer type.
 ///
 /// # Errors
-/// No unit, or more than one, can be believed: the message asks for `--time-unit`.
+/// No unit, or more than one, is plausible; the message asks for `--time-unit`.
 pub fn unstated(times: &[f64], whole: bool) -> Result<Taken, String> {
     let mut sample = TimeSample::default();
     for time in times {
@@ -136,13 +135,13 @@ pub fn unstated(times: &[f64], whole: bool) -> Result<Taken, String> {
     })
 }
 
-/// The unit in which all times, the largest of which is `most`, are dates of our days.
+/// Returns the unit in which most of the times are plausible dates; `most` is the largest time.
 fn since_1970(times: &[f64], most: f64, unit: TimeUnit) -> Result<Taken, String> {
     let is_date = |unit: &&TimeUnit| {
         let dates = times
             .iter()
             .filter(|time| DATES_S.contains(&in_seconds(**time, **unit)));
-        // A stale stamp or two may be among them.
+        // Up to half of the times may be stale time stamps.
         2 * dates.count() > times.len()
     };
     let Some(taken) = UNITS.iter().find(is_date) else {
@@ -164,7 +163,7 @@ fn in_seconds(time: f64, unit: TimeUnit) -> f64 {
     time * 10_f64.powi(unit.shift() - 6)
 }
 
-/// The median of the gaps between times, in order of time: those that run back tell nothing of the rate.
+/// Returns the median gap between the times, sorted, since steps back in time say nothing about the rate.
 fn median_gap(times: &[f64]) -> f64 {
     let mut times = times.to_vec();
     times.sort_by(f64::total_cmp);
@@ -177,7 +176,7 @@ fn median_gap(times: &[f64]) -> f64 {
     gaps.get(gaps.len() / 2).copied().unwrap_or(0.0)
 }
 
-/// The unit that a text states: an attribute `units`, a column's name in brackets.
+/// Returns the unit that a text states, such as an attribute `units` or the brackets in a column's name.
 pub fn named(text: &str) -> Option<TimeUnit> {
     let text = text.trim().to_ascii_lowercase();
     Some(match text.as_str() {
@@ -239,7 +238,7 @@ mod tests {
         ] {
             assert_eq!(taken(every(gap, count), whole), want, "{gap} {count}");
         }
-        // A stale stamp far ahead, and a pause of a day.
+        // A stale time stamp far ahead, and a pause of a day.
         let stale = [9e12].into_iter().chain(every(17.0, 1000));
         assert_eq!(taken(stale, true), Some(TimeUnit::Us));
         let pause = every(17.0, 500).chain(every(17.0, 500).map(|t| t + 8.64e10));

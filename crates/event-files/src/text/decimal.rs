@@ -1,24 +1,24 @@
-//! Exact decimal numbers of text files: digits and a power of ten, never a float.
+//! Parses decimal numbers of text files exactly, as digits and a power of ten rather than a float.
 
-/// A number `sign * digits * 10^exponent`.
+/// A number: sign * `digits` * 10^`exponent`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Decimal {
     negative: bool,
     digits: u64,
     exponent: i32,
-    /// Whether it was written with a point or an exponent.
+    /// Whether the number is written with a point or an exponent.
     pub fractional: bool,
 }
 
-/// A value that does not fit.
+/// The error for a value that is out of range.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct OutOfRange;
 
 impl Decimal {
-    /// Parses `[+-]digits[.digits][e[+-]digits]`, at least one digit, and nothing else.
+    /// Parses `[+-]digits[.digits][e[+-]digits]`, with at least one digit and nothing else; `None` otherwise.
     ///
-    /// Digits from the 20th significant one on only shift the exponent: they are below any
-    /// microsecond of a time that fits.
+    /// From about the 20th significant digit on, where `digits` would overflow, digits only shift the exponent:
+    /// they are below any microsecond of a time that fits.
     pub fn parse(text: &[u8]) -> Option<Self> {
         let (negative, mut rest) = match text.split_first()? {
             (b'-', rest) => (true, rest),
@@ -63,10 +63,10 @@ impl Decimal {
         any.then_some(number)
     }
 
-    /// The value times 10^`shift`, rounded to the nearest whole number, halves away from zero.
+    /// Returns the value times 10^`shift`, rounded to the nearest whole number, halves away from zero.
     ///
     /// # Errors
-    /// Negative after rounding, or above 2^63 - 1.
+    /// The result is negative or above 2^63 - 1.
     pub fn scaled(self, shift: i32) -> Result<u64, OutOfRange> {
         let exponent = self.exponent.saturating_add(shift);
         let power = |n: u32| 10_u64.checked_pow(n);
@@ -76,7 +76,7 @@ impl Decimal {
             let scale = power(exponent.unsigned_abs()).ok_or(OutOfRange)?;
             self.digits.checked_mul(scale).ok_or(OutOfRange)?
         } else {
-            // 10^20 is above 2 * u64::MAX: such a number rounds to 0.
+            // From 10^20 on, more than 2 * u64::MAX, the number rounds to 0.
             power(exponent.unsigned_abs()).map_or(0, |scale| {
                 let (whole, rest) = (self.digits / scale, self.digits % scale);
                 whole + u64::from(rest >= scale - rest)
@@ -86,27 +86,27 @@ impl Decimal {
         fits.then_some(value).ok_or(OutOfRange)
     }
 
-    /// The value times 10^`shift`, rounded as [`Decimal::scaled`] does, of either sign.
+    /// Returns the value times 10^`shift`, of either sign, rounded like [`Decimal::scaled`].
     ///
     /// # Errors
-    /// Beyond 2^63 - 1 either way.
+    /// The magnitude is above 2^63 - 1.
     pub fn signed(self, shift: i32) -> Result<i64, OutOfRange> {
         let size = Self {
             negative: false,
             ..self
         };
-        // At most 2^63 - 1.
+        // `scaled` returns at most 2^63 - 1.
         let size = size.scaled(shift)?.cast_signed();
         Ok(if self.negative { -size } else { size })
     }
 
-    /// The value where it is whole and not negative: `12`, `12.0`, `1.2e1`.
+    /// Returns the value if it is whole and not negative, such as `12`, `12.0` or `1.2e1`.
     pub fn whole(self) -> Option<u64> {
         let value = self.scaled(0).ok()?;
         self.is_whole().then_some(value)
     }
 
-    /// Whether [`Decimal::scaled`] by this rounds nothing away.
+    /// Returns whether [`Decimal::scaled`] with this shift needs no rounding.
     pub fn is_whole_at(self, shift: i32) -> bool {
         Self {
             exponent: self.exponent.saturating_add(shift),
@@ -115,7 +115,7 @@ impl Decimal {
         .is_whole()
     }
 
-    /// Whether the fraction is 0.
+    /// Returns whether the fraction is 0.
     pub fn is_whole(self) -> bool {
         let places = self.exponent.min(0).unsigned_abs();
         self.digits == 0
@@ -124,7 +124,7 @@ impl Decimal {
                 .is_some_and(|p| self.digits.is_multiple_of(p))
     }
 
-    /// Whether the value is exactly -1.
+    /// Returns whether the value is exactly -1.
     pub fn is_minus_one(self) -> bool {
         self.negative
             && Self {

@@ -1,4 +1,4 @@
-//! Which column of a text file is what: from the caller, from its header line, or from its first lines.
+//! Finds which column of a text file is which, from the caller, the header line or the first event lines.
 
 use event_types::Sensor;
 
@@ -27,10 +27,10 @@ enum Field {
     P,
 }
 
-/// Columns of a file, counted from 0.
+/// The columns of a file, counted from 0.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Layout {
-    /// Fields of a line; another number is an error.
+    /// Number of fields in a line; any other number is an error.
     pub columns: usize,
     /// Column of the time.
     pub t: usize,
@@ -40,21 +40,21 @@ pub struct Layout {
     pub y: usize,
     /// Column of the polarity.
     pub p: usize,
-    /// Unit of the time, where a column's name tells it.
+    /// Unit of the time, if the column's name states it.
     pub unit: Option<TimeUnit>,
 }
 
-/// A header line's column names.
+/// The column names in a header line.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Header {
     layout: Layout,
-    /// From names like `x@320`.
+    /// Width and height, from names such as `x@320`.
     pub sensor: Option<(u64, u64)>,
 }
 
 impl Header {
-    /// Parses column names; `None` where t, x, y and p are not all among them exactly once. A name may be in
-    /// quotes, and tell a unit: `t_us`, `timestamp (us)`, `x [px]`.
+    /// Parses column names; `None` unless each of t, x, y and p is among them exactly once. A name may be in quotes
+    /// and state a unit: `t_us`, `timestamp (us)`, `x [px]`.
     pub fn parse(fields: &[&[u8]]) -> Option<Self> {
         let (mut t, mut x, mut y, mut p) = (None, None, None, None);
         let (mut width, mut height) = (None, None);
@@ -100,7 +100,7 @@ impl Header {
         })
     }
 
-    /// The columns that `names` names, in a line of column names; `None` where one is missing or there twice.
+    /// Finds the columns with the given `names` in a line of column names; `None` if one is missing or occurs twice.
     pub fn of_names(fields: &[&[u8]], names: &[String; 4]) -> Option<Self> {
         let all: Vec<String> = fields
             .iter()
@@ -131,19 +131,19 @@ impl Header {
         })
     }
 
-    /// Where the columns are.
+    /// Returns the positions of the columns.
     pub fn layout(&self) -> &Layout {
         &self.layout
     }
 }
 
-/// A column's name without quotes and spaces around it, in small letters.
+/// Returns a column's name in lower case, without quotes and surrounding spaces.
 fn plain_name(field: &[u8]) -> Option<String> {
     let text = std::str::from_utf8(field).ok()?;
     Some(text.trim().trim_matches(['"', '\'']).trim().to_lowercase())
 }
 
-/// What a column's name is without its unit, and the unit of time that it names.
+/// Returns a column's name without its unit, and the unit of time that it states.
 fn stem(name: &str) -> (&str, Option<TimeUnit>) {
     for (open, close) in [('(', ')'), ('[', ']')] {
         if let Some((stem, unit)) = name
@@ -161,7 +161,7 @@ fn stem(name: &str) -> (&str, Option<TimeUnit>) {
     (name, None)
 }
 
-/// Polarity of a field, or `None`.
+/// Returns whether a field is ON (`true`) or OFF (`false`); `None` if it is not a polarity.
 pub fn polarity(field: &[u8]) -> Option<bool> {
     match field {
         b"1" => return Some(true),
@@ -183,17 +183,17 @@ pub fn polarity(field: &[u8]) -> Option<bool> {
     }
 }
 
-/// A layout that was found, and why it was taken; nothing where the file or the caller says it.
+/// A layout that was found, and the reason for choosing it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Found {
-    /// The layout.
+    /// The positions of the columns.
     pub layout: Layout,
-    /// Why.
+    /// The reason; `None` if the file or the caller states the layout.
     pub why: Option<&'static str>,
 }
 
 impl Layout {
-    /// The layout that the caller names by places.
+    /// Returns the layout that the caller states by positions; `None` if the columns are named.
     pub fn of_places(columns: &Columns) -> Option<Self> {
         match columns {
             Columns::Places {
@@ -211,10 +211,10 @@ impl Layout {
         }
     }
 
-    /// The layout that a header tells, or else [`Layout::from_numbers`].
+    /// Returns the layout that a header states, otherwise that of [`Layout::from_numbers`].
     ///
     /// # Errors
-    /// As [`Layout::from_numbers`].
+    /// Those of [`Layout::from_numbers`].
     pub fn detect(
         header: Option<&Header>,
         lines: &[Vec<&[u8]>],
@@ -228,13 +228,12 @@ impl Layout {
 
     /// Finds the layout from the first event lines of a file without names.
     ///
-    /// An order fits where every line has four numbers, p is a polarity, x and y are whole numbers below the
-    /// sensor's sides, and t is the only one that has fractions. Where several fit, the one whose times alone
-    /// never fall, and do not stay the same, is taken. Lines may have further columns behind t x y p, as v2e
-    /// labels events, where t has fractions.
+    /// An order fits if every line has four numbers, p is a polarity, x and y are whole numbers below the sensor's
+    /// sides, and only t has fractions. If several fit, the only one whose times never fall and are not all the
+    /// same is taken. Lines may have further columns after t x y p, such as v2e's labels, if t has fractions.
     ///
     /// # Errors
-    /// No order fits, or more than one.
+    /// No order fits, or several do.
     pub fn from_numbers(
         lines: &[Vec<&[u8]>],
         sensor: Option<Sensor>,
@@ -250,8 +249,8 @@ impl Layout {
             });
         };
         let columns = first.len();
-        // Damage further on must not decide: lines that no order fits any more do not count. The reader
-        // will meet them.
+        // Later damage must not decide: lines that fit none of the remaining orders are ignored here, and the
+        // reader reports them.
         let mut orders: Vec<&[Field; 4]> = ORDERS.iter().collect();
         if columns > 4 {
             orders.truncate(1);
@@ -323,7 +322,7 @@ impl Layout {
         }
     }
 
-    /// Names of the columns in their order, `-` for one that is left out.
+    /// Returns the names of the columns in their order, with `-` for columns that are left out.
     pub fn title(&self) -> String {
         let names: Vec<&str> = (0..self.columns)
             .map(|column| match column {
@@ -358,9 +357,9 @@ fn fits(order: &[Field; 4], line: &[&[u8]], sensor: Option<Sensor>) -> bool {
         })
 }
 
-/// Whether the times in `column` never fall and differ.
+/// Returns whether the times in `column` never fall and are not all the same.
 fn rises(lines: &[&Vec<&[u8]>], column: usize) -> bool {
-    // The unit does not matter here, only the order of the numbers.
+    // The unit does not matter, since only the order of the numbers is examined.
     let times: Option<Vec<i64>> = lines
         .iter()
         .map(|line| Decimal::parse(line.get(column)?)?.signed(6).ok())
@@ -368,8 +367,8 @@ fn rises(lines: &[&Vec<&[u8]>], column: usize) -> bool {
     times.is_some_and(|times| times.is_sorted() && times.first() != times.last())
 }
 
-/// The first times as floats, and whether most of them are written as whole numbers: Python prints some seconds
-/// as 0, and damage must not decide.
+/// Returns the first times as floats, and whether at least half of the lines write them as whole numbers: Python
+/// prints some seconds as 0, and a damaged line must not decide.
 pub fn times_of(lines: &[Vec<&[u8]>], column: usize) -> (Vec<f64>, bool) {
     let mut fractional = 0;
     let mut times = Vec::new();

@@ -1,28 +1,29 @@
-//! Events as lines of text: `t x y p`, `x y t p`, `t,x,y,on` and the like.
+//! Reads and writes events as lines of text: `t x y p`, `x y t p`, `t,x,y,on` and the like.
 //!
-//! Rules, in the order in which they are applied:
+//! Rules for reading, in the order in which they are applied:
 //!
-//! 1. Lines end with LF or CRLF; empty lines and lines that begin with `#` or `%` are skipped and
-//!    counted as comments. A byte-order mark is skipped; UTF-16 with one is read, as `utf16.rs` says.
-//! 2. Fields are separated by commas, semicolons, tabs or spaces, any number of them; quotes around a field are
-//!    left out. Decimal commas are refused.
+//! 1. Lines end with LF or CRLF. Empty lines and lines that begin with `#` or `%` are skipped; the latter are
+//!    counted as comments. A byte-order mark is skipped; UTF-16 with one is read as described in `utf16.rs`.
+//! 2. Fields are separated by any number of commas, semicolons, tabs or spaces; quotes around a field are removed.
+//!    Decimal commas are an error.
 //! 3. A first line of two whole numbers is the sensor's width and height (the RPG data set).
 //! 4. A line whose fields are not numbers names the columns: t (ts, time, timestamp; `_us`, `(us)`, `[us]` and the
-//!    like name the unit), x, y, p (pol, polarity, on), in any order, other columns and those without a name are
-//!    ignored. `x@320` and `y@240` give the size. A comment of as many names as the first event has fields counts
-//!    as well. The caller's columns, by places or names, count more.
-//! 5. Without names the order is the one of `t x y p`, `x y t p`, `x y p t`, `t p x y`, `p t x y`, `p x y t` that
-//!    fits the first 4,096 lines: see [`Layout::from_numbers`]. Where several fit, the reader asks.
-//! 6. The time's unit is the caller's, or the name's; else it is found as `time_unit.rs` says, and said. Decimals
-//!    are parsed exactly and rounded to the nearest microsecond. The caller's offset is added.
-//! 7. p is 1, true or on, or else 0, -1, false or off; a file that has 0 as well as -1 is refused.
-//! 8. Where neither the file nor the caller knows the size, a first pass over the file finds the
-//!    largest x and y, and the size is these plus one.
-//! 9. A last line without a line break is an event; where it ends with a time, x or y, which may have been cut,
-//!    this is said.
-//! 10. A line that is no event ends the recording with an error, or is left out and counted by its cause.
+//!    like state the unit), x, y, p (pol, polarity, on), in any order; other columns and those without a name are
+//!    ignored. `x@320` and `y@240` state the size. A comment with as many names as the first event has fields is
+//!    used likewise. The columns that the caller states, by positions or names, take precedence.
+//! 5. Without names, the order is the one of `t x y p`, `x y t p`, `x y p t`, `t p x y`, `p t x y`, `p x y t` that
+//!    fits the first 4,096 lines: see [`Layout::from_numbers`]. If several fit, the error asks for `--columns`.
+//! 6. The time's unit is the caller's, or the name's; otherwise it is found by the rule in `time_unit.rs` and
+//!    reported as an assumption. Decimals are parsed exactly and rounded to the nearest microsecond. The caller's
+//!    offset is added.
+//! 7. p is 1, true or on; or 0, -1, false or off. Both 0 and -1 in one file are an error.
+//! 8. If neither the file nor the caller states the size, a first pass over the file finds the largest x and y, and
+//!    the size is these plus one.
+//! 9. A last line without a line break is an event; if it ends with a time, x or y, which may have been cut, this
+//!    is reported as an assumption.
+//! 10. A line that is not an event ends the recording with an error, or is left out and counted by its cause.
 //!
-//! Parsing is our own: no CSV crate converts decimals to microseconds without a float.
+//! The parser is part of this crate: no CSV crate converts decimals to microseconds without a float.
 
 pub(crate) mod decimal;
 pub mod layout;
@@ -43,13 +44,13 @@ use crate::text::utf16::{Utf16, is_utf16};
 use crate::text::writer::TextWriter;
 use crate::{Assumption, BadEvents, Skipped, format};
 
-/// Longest line.
+/// Longest line in bytes.
 const LINE_MAX: usize = 4096;
 
-/// Fields kept of a line; a file of more columns is no event file.
+/// Largest number of fields kept of a line; a file with more columns is not an event file.
 const FIELDS_MAX: usize = 32;
 
-/// Event lines that the layout is found from.
+/// Number of event lines from which the layout is found.
 const SAMPLE_LINES: usize = time_unit::SAMPLE_TIMES;
 
 /// This format in the table of formats.
@@ -72,7 +73,7 @@ pub const FORMAT: Format = Format {
     create: Some(|path, sensor| Ok(Box::new(TextWriter::create(path, sensor, ' ')?))),
 };
 
-/// The same with commas and names, which is read as [`FORMAT`].
+/// The format with commas and names, which is read like [`FORMAT`].
 pub const CSV_FORMAT: Format = Format {
     name: "csv",
     title: "CSV",
@@ -81,8 +82,8 @@ pub const CSV_FORMAT: Format = Format {
     ..FORMAT
 };
 
-/// Whether a file may be lines of events: its first line is text without control characters but
-/// separators. What follows may be damaged, which the reader reports after the events before it.
+/// Returns whether a file may hold lines of events: its first line is text without control characters other than
+/// separators. Anything after it may be damaged; the reader reports that after the events before it.
 fn is_text(start: &format::Start) -> bool {
     if let Some(header) = &start.header
         && header
@@ -91,7 +92,7 @@ fn is_text(start: &format::Start) -> bool {
             .err()
             .is_none_or(|other| !other.is_empty())
     {
-        // Words that no reader knows.
+        // Words that no reader recognises.
         return false;
     }
     if is_utf16(start.bytes) {
@@ -104,14 +105,14 @@ fn is_text(start: &format::Start) -> bool {
     std::str::from_utf8(first).is_ok() && !first.iter().any(control) && !is_other_aedat
 }
 
-/// Reader of text files.
+/// A reader of text files.
 pub type TextReader = Reader<TextDecoder>;
 
 impl TextReader {
-    /// Reads `source`, which messages call `name`; the size of `reading` counts where the file names no size.
+    /// Reads `source`, which messages call `name`; the size in `reading` is used if the file states none.
     ///
     /// # Errors
-    /// Columns or a unit that cannot be told, a damaged first line, no size and no event.
+    /// The columns, the unit or the size cannot be determined; the first line is damaged.
     pub fn new(source: Box<dyn ReadSeek>, name: &str, reading: impl Into<Reading>) -> Result<Self> {
         let reading = reading.into();
         let mut input = Input::new(source, name)?;
@@ -206,12 +207,12 @@ impl TextReader {
     }
 }
 
-/// Which values of OFF a file has.
+/// The values of OFF that have occurred in a file.
 #[derive(Debug, Clone, Copy, Default)]
 struct Polarities {
     zero: bool,
     minus: bool,
-    /// Whether the first lines have 0 beside 1 and -1: no change, in CeleX's files.
+    /// Whether the first lines have both 0 and -1; in `CeleX` files 0 means no change.
     third: bool,
 }
 
@@ -227,7 +228,7 @@ impl Polarities {
         }
     }
 
-    /// Takes the polarity of an event; whether it is one of two.
+    /// Adds the polarity of an event; returns whether it is still one of two.
     fn takes(&mut self, field: &[u8]) -> bool {
         match field {
             b"0" if self.third => return false,
@@ -244,14 +245,14 @@ const LARGEST: Sensor = Sensor {
     height: Sensor::SIDE_MAX,
 };
 
-/// Lines with their numbers.
+/// The lines of a file, with their numbers.
 struct Lines {
     input: Input,
     line: Vec<u8>,
-    /// Number of the present line, from 1, and its offset.
+    /// Number of the current line, from 1, and its offset.
     number: u64,
     offset: u64,
-    /// Whether the present line has a line break.
+    /// Whether the current line has a line break.
     is_ended: bool,
 }
 
@@ -266,7 +267,7 @@ impl Lines {
         }
     }
 
-    /// Moves to the next line; `false` at the end.
+    /// Moves to the next line; returns `false` at the end.
     fn advance(&mut self) -> Result<bool> {
         self.line.clear();
         self.offset = self.input.offset();
@@ -285,7 +286,7 @@ impl Lines {
         Ok(read > 0)
     }
 
-    /// Whether the present line holds no event.
+    /// Returns whether the current line is empty or a comment.
     fn is_comment(&self) -> bool {
         let first = self.line.iter().find(|byte| !byte.is_ascii_whitespace());
         matches!(first, None | Some(b'#' | b'%'))
@@ -303,10 +304,10 @@ impl Lines {
     }
 }
 
-/// What the start of a file tells.
+/// What the start of a file states.
 struct Start {
     size: Option<(u64, u64)>,
-    /// From names of columns, or from the caller.
+    /// The layout that column names or the caller state.
     layout: Option<Layout>,
     /// The first event lines.
     sample: Vec<Vec<u8>>,
@@ -337,7 +338,7 @@ impl Start {
             match lines.advance() {
                 Ok(true) => {}
                 Ok(false) => break,
-                // The reader will meet it again, after the events before it.
+                // The reader meets the error again, after the events before it.
                 Err(_) if !start.sample.is_empty() => break,
                 Err(error) => return Err(error),
             }
@@ -355,7 +356,7 @@ impl Start {
             if is_before {
                 let fields = split(&lines.line);
                 let numbers: Vec<_> = fields.iter().map(|field| Decimal::parse(field)).collect();
-                // Below names of columns two numbers are an event of which some is missing.
+                // After column names, two numbers are an event with missing fields.
                 if let ([Some(width), Some(height)], None) = (numbers.as_slice(), start.size)
                     && !has_names
                     && comment.is_none()
@@ -388,7 +389,7 @@ impl Start {
                         "a comma within a field, as of numbers with a decimal comma: write points";
                     return Err(lines.error(what));
                 }
-                // Words of a comment may happen to be names.
+                // The words of a comment may be names by chance.
                 if let Some(header) = &comment
                     && header.layout().columns == fields.len()
                 {
@@ -412,7 +413,7 @@ impl Start {
         Ok(start)
     }
 
-    /// Takes what column names tell that is not known yet.
+    /// Takes from the column names what is not known yet.
     fn take(&mut self, header: &Header) {
         self.layout = self.layout.take().or_else(|| Some(header.layout().clone()));
         self.size = self.size.or(header.sensor);
@@ -423,7 +424,7 @@ const fn is_separator(byte: u8) -> bool {
     matches!(byte, b' ' | b'\t' | b',' | b';')
 }
 
-/// A field without the quotes around it.
+/// Returns a field without the quotes around it.
 fn unquoted(field: &[u8]) -> &[u8] {
     match field {
         [b'"', inner @ .., b'"'] => inner,
@@ -431,7 +432,7 @@ fn unquoted(field: &[u8]) -> &[u8] {
     }
 }
 
-/// Fields of a line.
+/// Returns the fields of a line.
 fn split(line: &[u8]) -> Vec<&[u8]> {
     line.split(|byte| is_separator(*byte))
         .filter(|field| !field.is_empty())
@@ -440,7 +441,8 @@ fn split(line: &[u8]) -> Vec<&[u8]> {
         .collect()
 }
 
-/// Column names of a line; between commas, semicolons or tabs one may be empty, or of several words.
+/// Returns the column names of a line; between commas, semicolons or tabs, a name may be empty or have several
+/// words.
 fn names(line: &[u8]) -> Vec<&[u8]> {
     let separator = [b',', b';', b'\t']
         .into_iter()
@@ -454,30 +456,30 @@ fn names(line: &[u8]) -> Vec<&[u8]> {
     }
 }
 
-/// Whether a comma stands between two digits in a line of another separator.
+/// Returns whether a comma stands between two digits in a line with another separator.
 fn has_decimal_comma(line: &[u8]) -> bool {
     let is_decimal = line.windows(3).any(|letters| {
         matches!(letters, [before, b',', after] if before.is_ascii_digit() && after.is_ascii_digit())
     });
-    // A space beside a comma only pads.
+    // A space beside a comma is only padding.
     let separates = |letters: &[u8]| matches!(letters, [before, b' ', after] if !is_separator(*before) && !is_separator(*after));
     let others = line.contains(&b';') || line.contains(&b'\t') || line.windows(3).any(separates);
     is_decimal && others
 }
 
-/// State between two lines.
+/// The decoder of [`TextReader`]: its state between two lines.
 pub struct TextDecoder {
     lines: Lines,
     layout: Layout,
     unit: TimeUnit,
-    /// Whether the unit rests on times without a fraction.
+    /// Whether the unit was inferred from times without fractions.
     has_whole_times: bool,
     offset_us: i64,
     leaves_out: bool,
     polarities: Polarities,
-    /// Whether a time was rounded, which was said.
+    /// Whether a time has been rounded and an assumption says so.
     is_rounded: bool,
-    /// Whether the last line has no line break, which was said.
+    /// Whether the last line has no line break and an assumption says so.
     is_cut_noted: bool,
     assumptions: Vec<Assumption>,
     sensor: Sensor,
@@ -485,7 +487,7 @@ pub struct TextDecoder {
     skipped: Skipped,
 }
 
-/// Why a line is no event: what it is counted as, and what is said.
+/// The reason why a line is not an event.
 enum Bad {
     Fields(usize),
     NoTime,
@@ -512,16 +514,16 @@ impl Bad {
 }
 
 impl TextDecoder {
-    /// Size that holds every event from here to the end.
+    /// Returns the smallest sensor that holds every event from here to the end or the first damage.
     fn largest(&mut self) -> Result<Sensor> {
         let (mut width, mut height) = (0, 0);
-        // Damage after the first event is for the reader, which returns the events before it.
+        // The reader reports damage after the first event, after it has returned the events before it.
         while let Ok(Some(event)) = self.next_event() {
             width = width.max(event.x + 1);
             height = height.max(event.y + 1);
         }
         if width == 0 && !self.lines.line.is_empty() {
-            // Its first line is no event.
+            // The first line is not an event.
             self.parse().map_err(|bad| self.refusal(&bad))?;
         }
         self.events = 0;
@@ -558,7 +560,8 @@ impl TextDecoder {
         }
     }
 
-    /// Says that the present line may be cut off within a number that is another then: a polarity is not.
+    /// Notes that the current line may be cut within its last number, if it has no line break; a polarity cannot be
+    /// cut to another one.
     fn note_cut(&mut self) {
         let Layout {
             columns, t, x, y, ..
@@ -570,7 +573,7 @@ impl TextDecoder {
         }
     }
 
-    /// What is wrong with the present line.
+    /// Returns the error for the current line.
     fn refusal(&self, bad: &Bad) -> event_types::stream::Error {
         let what = match bad {
             Bad::Fields(count) => format!("{count} fields instead of {}", self.layout.columns),
@@ -775,7 +778,7 @@ mod tests {
             ("\u{feff}t,x,y,p\n1.5,218,15,1\n1.500003,9,76,0\n", found),
         ];
         for (text, sensor) in cases {
-            // Two whole decimals are seconds: this one needs its unit.
+            // Two whole decimals would be taken for seconds, so this case states its unit.
             let text = text.replacen("t,x,y,p\n1500000.0", "t_us,x,y,p\n1500000.0", 1);
             assert_eq!(read(&text), Ok((sensor, want.to_vec())), "{text}");
         }
@@ -818,7 +821,7 @@ mod tests {
     #[test]
     fn rising_times_tell_the_order() {
         let lines = |order: fn(u32) -> String| (0..40).map(order).collect::<String>();
-        // Every column is below 2048, so only the times tell.
+        // Every column is below 2048, so only the times show the order.
         let xytp = lines(|i| format!("{} {} {} {}\n", i * 37 % 300, i * 91 % 200, i * 9, i % 2));
         let (_, events) = read(&xytp).expect("events");
         assert_eq!((events[1].t_us, events[1].x, events[1].y), (9, 37, 91));

@@ -1,32 +1,33 @@
-//! UTF-16 text as bytes of ASCII, for readers of text.
+//! Converts UTF-16 text to ASCII bytes for readers of text.
 //!
-//! PowerShell's redirection and Excel's "Unicode text" write it. Lines of events are ASCII: each unit of two bytes
-//! becomes one byte, a letter beyond ASCII a question mark, so that an offset stays known and text can be sought.
+//! PowerShell's redirection and Excel's "Unicode text" write UTF-16. Lines of events are ASCII: each unit of two
+//! bytes becomes one byte, and a letter beyond ASCII a question mark, so that offsets stay known and the text can
+//! be sought.
 
 use std::io::{Read, Result, Seek, SeekFrom};
 
 use crate::input::ReadSeek;
 
-/// Bytes of the mark in front.
+/// Size in bytes of the byte-order mark.
 const MARK_BYTES: u64 = 2;
 
-/// Whether text begins with a byte-order mark of UTF-16.
+/// Returns whether a text begins with a byte-order mark of UTF-16.
 pub fn is_utf16(start: &[u8]) -> bool {
     let is_utf32 = start.starts_with(&[0xff, 0xfe, 0, 0]);
     (start.starts_with(&[0xff, 0xfe]) || start.starts_with(&[0xfe, 0xff])) && !is_utf32
 }
 
-/// A source of UTF-16, its mark left out.
+/// A source of UTF-16 text, without its byte-order mark.
 pub struct Utf16 {
     source: Box<dyn ReadSeek>,
     big_endian: bool,
-    /// Where it is read on, in letters.
+    /// Position of the next read, in letters.
     at: u64,
     units: Vec<u8>,
 }
 
 impl Utf16 {
-    /// Begins behind the mark, whose first byte is `first`.
+    /// Begins after the byte-order mark, whose first byte is `first`.
     pub fn new(source: Box<dyn ReadSeek>, first: u8) -> Self {
         Self {
             source,
@@ -43,7 +44,7 @@ impl Read for Utf16 {
             .seek(SeekFrom::Start(MARK_BYTES + 2 * self.at))?;
         self.units.resize(2 * bytes.len(), 0);
         let mut filled = 0;
-        // A unit is two bytes, whatever a read gives.
+        // Reads until whole units of two bytes are filled.
         while let Some(free) = self.units.get_mut(filled..)
             && (filled == 0 || filled % 2 == 1)
         {

@@ -1,4 +1,4 @@
-//! Writer of text files.
+//! Writes text files.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -9,11 +9,11 @@ use event_types::{Event, Sensor};
 
 use crate::{EventWriter, create_file};
 
-/// Writer of text files: `.csv` with the header `t,x,y,p` and commas, `.txt` with spaces and no
-/// header; times in whole microseconds, p 0 or 1. The sensor's size is not written.
+/// A writer of text files: `.csv` with the header `t,x,y,p` and commas, `.txt` with spaces and no header; times in
+/// whole microseconds, p 0 or 1. The sensor's size is not written.
 ///
-/// Where the first event's numbers leave it open which of them is the time, `.txt` begins with the comment
-/// `# t x y p`. A recording without events has names that tell the size: `t,x@346,y@260,p`.
+/// If the first event's numbers leave it open which of them is the time, `.txt` begins with the comment
+/// `# t x y p`. A recording without events gets column names that state the size: `t,x@346,y@260,p`.
 pub struct TextWriter {
     file: BufWriter<File>,
     name: String,
@@ -26,7 +26,7 @@ impl TextWriter {
     /// Creates the file; `separator` is a comma or a space.
     ///
     /// # Errors
-    /// I/O.
+    /// The file cannot be created.
     pub(crate) fn create(path: &Path, sensor: Sensor, separator: char) -> Result<Self> {
         let (file, name) = create_file(path)?;
         Ok(Self {
@@ -40,14 +40,14 @@ impl TextWriter {
 }
 
 impl TextWriter {
-    /// Writes what stands before the first event, or before the end where there is none.
+    /// Writes the line before the first event, or before the end of a file without events.
     fn begin(&mut self, first: Option<&Event>) -> Result<()> {
         let Sensor { width, height } = self.sensor;
         let names = match (first, self.separator) {
             (None, ',') => format!("t,x@{width},y@{height},p\n"),
             (None, _) => format!("# t x@{width} y@{height} p\n"),
             (Some(_), ',') => "t,x,y,p\n".to_owned(),
-            // A time below the largest side may be a column, a column below 2 a polarity.
+            // A time below the largest side could be an x or y, an x below 2 a polarity.
             (Some(first), _) if first.t_us < u64::from(Sensor::SIDE_MAX) || first.x < 2 => {
                 "# t x y p\n".to_owned()
             }

@@ -1,7 +1,7 @@
-//! Entries of a zip file, several of them read at once from one source.
+//! Reads several entries of a zip file at once from one source.
 //!
-//! The crate `zip` finds the entries, but lends its source to one entry at a time; columns of an
-//! npz must be read in step. So each entry gets its own view of the source and its own inflater.
+//! The crate `zip` finds the entries but lends its source to one entry at a time, whereas the columns of an npz
+//! file must be read in step. So each entry gets its own view of the source and its own inflater.
 
 use std::io::{self, BufReader, Read, Seek, SeekFrom};
 use std::sync::{Arc, Mutex};
@@ -14,40 +14,39 @@ use crate::input::following::ANOTHER;
 use crate::input::section::{Section, Shared};
 use crate::input::{ReadSeek, following};
 
-/// Bytes read from the source at once.
+/// Number of bytes read from the source at once.
 const BUFFER_BYTES: usize = 1 << 15;
 
-/// The entries of a zip file, or files that are read as such.
+/// The entries of a zip file, or files that are read like entries.
 pub struct Entries {
     entries: Vec<Entry>,
 }
 
-/// Where an entry lies.
+/// The place and attributes of an entry.
 #[derive(Clone)]
 pub struct Entry {
-    /// Its name.
+    /// The entry's name.
     pub name: String,
     /// Offset of its first byte in the zip file.
     pub start: u64,
     source: Shared,
     stored: u64,
-    /// Its bytes, unpacked.
+    /// Unpacked size in bytes.
     pub size: u64,
-    /// CRC-32, of entries of zip files.
+    /// CRC-32; `None` unless the entry is part of a zip file.
     crc: Option<u32>,
     deflated: bool,
-    /// Why it cannot be read.
+    /// Why the entry cannot be read, if it cannot.
     problem: Option<String>,
 }
 
-/// Bytes of a directory's end, before its comment, and of the longest comment.
+/// Size in bytes of a directory's end record without its comment, and of the longest comment.
 const END_BYTES: u64 = 22;
 const COMMENT_MAX: u64 = 0xffff;
 
-/// Where a second zip file begins in a file that holds two; `None` where it is not certain.
+/// Returns where a second zip file begins in a file that consists of two; `None` if that is not certain.
 ///
-/// A directory's end tells how long the directory is and where it begins, counted from the beginning of its own
-/// zip file.
+/// The end record of a directory states the directory's size and its offset from the start of its own zip file.
 fn another(source: &mut dyn ReadSeek) -> io::Result<Option<u64>> {
     let length = source.seek(SeekFrom::End(0))?;
     let start = length.saturating_sub(END_BYTES + COMMENT_MAX);
@@ -68,14 +67,14 @@ fn another(source: &mut dyn ReadSeek) -> io::Result<Option<u64>> {
     let (Some(bytes), Some(offset)) = (number(12), number(16)) else {
         return Ok(None);
     };
-    // Numbers of zip files of more than 4 GiB or 65,535 entries stand elsewhere.
+    // Zip files of more than 4 GiB or 65,535 entries state these numbers in another record.
     let is_large = end >= 20 && following::is_at(source, end - 20, b"PK\x06\x07")?;
     if is_large || bytes == u32::MAX || offset == u32::MAX {
         return Ok(None);
     }
     let begins = end.checked_sub(u64::from(bytes) + u64::from(offset));
     let begins = begins.filter(|begins| *begins > 0);
-    // What else stands before a zip file, such as the program of one that unpacks itself, is no recording.
+    // Anything else before a zip file, such as the program of a self-extracting one, is not a recording.
     match begins {
         Some(at) if following::is_at(source, 0, b"PK\x03\x04")? => Ok(Some(at)),
         _ => Ok(None),
@@ -83,10 +82,11 @@ fn another(source: &mut dyn ReadSeek) -> io::Result<Option<u64>> {
 }
 
 impl Entries {
-    /// Reads the directory. Encrypted entries and methods other than deflate are an error where they are read.
+    /// Reads the directory. Encrypted entries, and methods other than deflate, are reported only when the entry is
+    /// read.
     ///
     /// # Errors
-    /// What is wrong with the file.
+    /// The file is not a valid zip file; the message says why.
     pub fn read(mut source: Box<dyn ReadSeek>) -> Result<Self, String> {
         if let Some(at) = another(source.as_mut()).map_err(|error| error.to_string())? {
             return Err(format!("byte {at}: {ANOTHER}"));
@@ -129,10 +129,10 @@ impl Entries {
         })
     }
 
-    /// Files by their names, each as an entry that is not packed.
+    /// Wraps files, with their names, as entries that are not packed.
     ///
     /// # Errors
-    /// I/O.
+    /// A file cannot seek.
     pub fn files(files: Vec<(String, Box<dyn ReadSeek>)>) -> io::Result<Self> {
         let mut entries = Vec::new();
         for (name, mut source) in files {
@@ -151,12 +151,12 @@ impl Entries {
         Ok(Self { entries })
     }
 
-    /// Every entry.
+    /// Returns all entries.
     pub fn iter(&self) -> impl Iterator<Item = &Entry> {
         self.entries.iter()
     }
 
-    /// Reads an entry from its start.
+    /// Opens an entry for reading from its start.
     pub fn open(&self, entry: &Entry) -> EntryReader {
         let section = Section::new(&entry.source, entry.start, entry.stored);
         let section = BufReader::with_capacity(BUFFER_BYTES, section);
@@ -180,7 +180,7 @@ enum Data {
     Deflated(Box<DeflateDecoder<BufReader<Section>>>),
 }
 
-/// The bytes of an entry; [`EntryReader::is_damaged`] judges them at the end.
+/// The bytes of an entry; [`EntryReader::is_damaged`] checks them at the end.
 pub struct EntryReader {
     data: Data,
     crc: Crc,
@@ -190,12 +190,12 @@ pub struct EntryReader {
 }
 
 impl EntryReader {
-    /// Bytes that have not been read.
+    /// Returns the number of bytes that have not been read.
     pub const fn left(&self) -> u64 {
         self.left
     }
 
-    /// Whether every byte has been read and the CRC-32 says that some of them are wrong.
+    /// Returns whether every byte has been read and the CRC-32 does not match.
     pub fn is_damaged(&self) -> bool {
         self.left == 0 && self.want.is_some_and(|want| self.crc.sum() != want)
     }

@@ -1,9 +1,10 @@
-//! Zip files of one recording, as data sets are published: the Event Camera Dataset's `events.txt` beside
-//! pictures and calibrations, N-MNIST's `.bin`, a `.raw` or `.aedat4` that was zipped to be sent.
+//! Reads zip files of one recording, as data sets are published: the Event Camera Dataset's `events.txt` beside
+//! pictures and calibrations, N-MNIST's `.bin`, or a `.raw` or `.aedat4` that was zipped to be sent.
 //!
-//! The recording is unpacked into an unnamed temporary file, since readers seek. It is the one entry that has
-//! the ending of a recording; of several, the one that is called `events`, or else the one that is no text (which may be a `readme.txt`); else it is named behind the file:
-//! `FILE.zip/NAME`. Zip files within zip files are not read, but npz files are.
+//! The recording is unpacked into an unnamed temporary file, since readers seek. It is the only entry with a
+//! recording's ending; if there are several, the one called `events`, otherwise the only one that is not text (a
+//! text may be a `readme.txt`); otherwise the user appends its name to the file's: `FILE.zip/NAME`. Zip files
+//! inside zip files are not read, but npz files are.
 
 use std::io::{Read, Seek, Write};
 
@@ -17,13 +18,13 @@ use crate::reading::Reading;
 use crate::zipped::entry::{Entries, Entry};
 use crate::{Assumption, EventReader, Pause, Skipped, text};
 
-/// Most names that a message lists.
+/// Largest number of names that a message lists.
 const LIST_MAX: usize = 24;
 
-/// The ending of arrays, of which a zip file is an npz file.
+/// Ending of arrays; a zip file that has one is an npz file.
 const ARRAY: &str = ".npy";
 
-/// Whether a zip file is no npz file, or the place in it is a recording.
+/// Returns whether a zip file holds no arrays, or the named place in it is not an array.
 pub fn holds_one(entries: &Entries, place: Option<&str>) -> bool {
     let is_array = |entry: &Entry| entry.name.ends_with(ARRAY);
     let named = entries.iter().filter(|entry| place == Some(&entry.name));
@@ -33,7 +34,7 @@ pub fn holds_one(entries: &Entries, place: Option<&str>) -> bool {
 /// Opens the recording in a zip file.
 ///
 /// # Errors
-/// No recording in it, several, or what its format finds wrong.
+/// The zip file has no recording or several; the recording is damaged; otherwise those of [`crate::open`].
 pub fn open(
     entries: &Entries,
     name: &str,
@@ -82,7 +83,7 @@ pub fn open(
     }))
 }
 
-/// The entry of the recording.
+/// Finds the recording's entry.
 fn find<'a>(entries: &'a Entries, name: &str, place: Option<&str>) -> Result<&'a Entry> {
     if let Some(place) = place {
         let found = entries.iter().find(|entry| entry.name == place);
@@ -126,7 +127,7 @@ fn find<'a>(entries: &'a Entries, name: &str, place: Option<&str>) -> Result<&'a
     }
 }
 
-/// Entries with endings of recordings, but for what systems and cameras put beside them.
+/// Returns the entries with endings of recordings, without the files that systems and cameras add.
 fn recordings(entries: &Entries) -> impl Iterator<Item = &Entry> {
     entries.iter().filter(|entry| {
         let lower = entry.name.to_ascii_lowercase();
@@ -156,7 +157,7 @@ fn all(one: &Skipped, other: &Skipped) -> Skipped {
     all
 }
 
-/// Reader of the recording, which also counts what is beside it.
+/// A reader of the recording that also counts the other files.
 struct Inside {
     reader: Box<dyn EventReader>,
     others: Skipped,

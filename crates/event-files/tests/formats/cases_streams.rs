@@ -1,5 +1,5 @@
-//! Recordings as other programs write them, which readers of streams have to take as they are: what is read, what is
-//! said of it, and what is asked.
+//! Tests recordings of streams as other programs write them: what is read, what the reader reports, and what it
+//! asks the user for.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -45,7 +45,7 @@ fn sized(width: u16, height: u16) -> Reading {
     Some(sensor(width, height)).into()
 }
 
-/// Events of every pixel of a sensor in turn, at times that rise.
+/// Returns events spread over the pixels of a sensor, at ascending times.
 fn events(count: u32, size: Sensor) -> Vec<Event> {
     (0..count)
         .map(|i| Event {
@@ -197,7 +197,7 @@ fn aedat_1_is_read() {
     assert_eq!((read.sensor, read.events), (sensor(128, 128), want));
 }
 
-/// A packet of AEDAT 3.1.
+/// Returns a packet of AEDAT 3.1.
 fn packet(kind: u16, source: u16, overflow: u32, content: &[[u32; 2]]) -> Vec<u8> {
     let count = content.len() as u32;
     let mut bytes = [kind.to_le_bytes(), source.to_le_bytes()].concat();
@@ -285,7 +285,7 @@ fn dat_without_a_version_is_told_by_its_records() {
             read.said
         );
     }
-    // Nothing but OFF in the upper rows: bits of version 1 are empty.
+    // Only OFF events, in the upper rows, so that bits of version 1 are not set.
     let off: Vec<Event> = events(9_000, sensor(304, 100))
         .into_iter()
         .map(|event| Event {
@@ -322,7 +322,7 @@ fn the_system_tells_the_size_of_a_raw_file() {
     assert_eq!((read.sensor, read.events), (sensor(640, 480), want));
 }
 
-/// The ten events of the texts.
+/// Returns the ten events of the texts.
 fn ten() -> Vec<Event> {
     let times = [1, 20, 33, 47, 60, 1000, 1500, 2000, 2600, 3333];
     let event = |(i, t_us): (u16, u64)| Event {
@@ -587,7 +587,7 @@ fn a_text_of_a_few_events_is_read_back() {
     }
 }
 
-/// The bytes of two event streams in one AEDAT 4 file, made of two files of one.
+/// Returns an AEDAT 4 file of two event streams, joined from two files of one stream.
 fn two_streams(folder: &tempfile::TempDir, parts: [&[Event]; 2]) -> Vec<u8> {
     const POSITION_AT: usize = 14 + 40;
     let one = |events: &[Event]| {
@@ -672,7 +672,7 @@ fn streams_of_an_aedat4_file_have_names() {
     }
 }
 
-/// Fields of a message, aligned as CDR has them, or not at all as in ROS 1.
+/// The fields of a message, aligned as in CDR, or packed as in ROS 1.
 struct Message {
     bytes: Vec<u8>,
     aligned: bool,
@@ -686,7 +686,7 @@ impl Message {
         self.bytes.extend(value);
     }
 
-    /// A `dvs_msgs/EventArray`.
+    /// Returns a `dvs_msgs/EventArray`.
     fn of(events: &[Event], size: Sensor, aligned: bool) -> Vec<u8> {
         let bytes = if aligned {
             vec![0, 1, 0, 0]
@@ -783,7 +783,7 @@ fn bags_of_either_ros_compressed_or_not() {
     assert!(damaged.contains("b_0.mcap.zstd"), "{damaged}");
 }
 
-/// A file of events of a sensor of 64x48 in each format, with the name.
+/// Returns a file of events of a 64x48 sensor in each format, with its name.
 fn of_every_format(folder: &tempfile::TempDir, events: &[Event]) -> Vec<(&'static str, Vec<u8>)> {
     let endings = [
         "evt2",
@@ -877,7 +877,7 @@ fn events_outside_of_the_sensor_are_left_out_and_counted() {
     };
     for (ending, mut bytes) in of_every_format(&folder, &all) {
         let narrow = match ending {
-            // Their sizes stand within compressed or packed headers.
+            // Their sizes are inside compressed or packed headers.
             "aedat4" | "mcap" | "bag" => continue,
             "es" => {
                 bytes[16] = 32;

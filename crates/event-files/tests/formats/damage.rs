@@ -1,5 +1,5 @@
-//! Truncated and damaged recordings: the events before the damage, then an error that names the
-//! offset, or a clean end; never a panic.
+//! Tests truncated and damaged recordings: readers return the events before the damage, then an error that states
+//! the offset, or a clean end; they never panic.
 
 use std::path::Path;
 
@@ -62,10 +62,9 @@ fn truncated_anywhere() {
             );
             errors += u32::from(error.is_some());
             most = most.max(got.len());
-            // What leads to the events of a zip, HDF5 or Parquet file stands at its end, as an LZ4 frame's
-            // checksum does; of a batch of columns, the last begins late; MCAP's blocks are
-            // of 64 kB; Event Stream counts up to the first event's time by bytes;
-            // SQLite refuses a file that is shorter than it says.
+            // The directory of a zip, HDF5 or Parquet file is at its end, and so is an LZ4 frame's checksum; the
+            // last column of a batch begins late; MCAP's blocks have 64 kB; Event Stream counts up to the first
+            // event's time in bytes; SQLite refuses a file that is shorter than it states.
             let is_whole = [
                 "npz", "mat", "h5", "aedat4", "arrow", "arrows", "parquet", "mcap", "db3", "es",
             ]
@@ -99,7 +98,7 @@ fn flipped_bytes() {
                 let (got, error) = read_as(&format!("test.{extension}"), &damaged, Some(sensor));
                 check_error(extension, error.as_ref());
                 noticed += u32::from(error.is_some() || got != events);
-                // Its chunks have a CRC, and its summary counts their messages.
+                // MCAP's chunks have a CRC, and its summary counts their messages.
                 if extension == "mcap" && (1000..bytes.len() - 1000).contains(&at) {
                     assert!(
                         events.starts_with(&got) && (error.is_some() || got == events),
@@ -108,7 +107,7 @@ fn flipped_bytes() {
                         events.len()
                     );
                 }
-                // Formats of fixed words: what was decoded before the damage is right.
+                // In formats of fixed-size words, everything decoded before the damage is right.
                 if matches!(
                     extension,
                     "aedat" | "evt2.raw" | "evt21.raw" | "dat" | "csv" | "txt"
@@ -127,7 +126,7 @@ fn flipped_bytes() {
     }
 }
 
-/// A damaged index is not believed, or leads somewhere in the file.
+/// A damaged index is rejected, or leads to a place in the file.
 #[test]
 fn seeking_in_damaged_bags() {
     for (extension, sensor, events, bytes) in recordings() {
@@ -231,7 +230,7 @@ fn nonsense_is_no_recording() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
-    /// Whatever stands behind a header of Prophesee's.
+    /// Anything may follow one of Prophesee's headers.
     #[test]
     fn any_words_are_survived(
         header in prop::sample::select(vec![
@@ -243,7 +242,7 @@ proptest! {
             b"% Data file containing events\n% Width 999\n% Height 999\n\x00\x08",
             b"% Version 2\n% Width 2048\n% Height 2048\n% T0 1152921504606846976\n\x0c\x08",
         ]),
-        // Types of words in their places, as often as not.
+        // In half of the cases, word types are at their right places.
         words in prop::collection::vec(
             prop_oneof![
                 any::<[u8; 4]>(),
@@ -261,7 +260,7 @@ proptest! {
     }
 }
 
-/// Real recordings hold what our writers do not: frames, triggers, big headers.
+/// Real recordings contain what this crate's writers do not write: frames, triggers, large headers.
 #[test]
 fn truncated_real_recordings() {
     let shared = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data"));

@@ -1,4 +1,4 @@
-//! What kind of failure an error is, which a program that reads files decides by.
+//! Tests the kinds of errors, by which a program that reads files decides what to do.
 
 use std::io;
 use std::path::Path;
@@ -7,7 +7,7 @@ use event_files::{ErrorKind, Reading, create, open};
 use event_types::test_events::event;
 use event_types::{Event, Sensor};
 
-/// The kind of what opening or reading a file ends with.
+/// Returns the kind of error with which opening or reading a file ends, if any.
 fn kind(folder: &Path, name: &str, bytes: &[u8]) -> Option<ErrorKind> {
     let path = folder.join(name);
     std::fs::write(&path, bytes).expect("a file");

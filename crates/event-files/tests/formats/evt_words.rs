@@ -1,4 +1,4 @@
-//! EVT 2, 2.1, 3 and 4 word by word: time overflow, missing state, everything that is no event.
+//! Tests EVT 2, 2.1, 3 and 4 word by word: time overflow, missing state, and everything that is not an event.
 
 use std::collections::BTreeMap;
 use std::io::Cursor;
@@ -32,7 +32,7 @@ fn evt4(words: &[u32]) -> (Vec<Event>, Counted) {
     read("% evt 4.0\n% geometry 640x480\n% end\n", &words)
 }
 
-/// EVT 2.1 words with the lines that tell their order, or do not.
+/// Reads EVT 2.1 words with header lines that may or may not state their order.
 fn evt21(order: Order, lines: &str, words: &[u64]) -> (Vec<Event>, Counted) {
     let words: Vec<u8> = words.iter().flat_map(|word| order.bytes(*word)).collect();
     read(
@@ -78,7 +78,7 @@ fn evt3_vectors() {
     let (events, _) = evt3(&[
         0x8000, 0x6001, 0x0007, 0x3864, 0x4801, 0x5081, 0x2001, 0x4002,
     ]);
-    // Base 100: bits 0 and 11; then 112: bits 0 and 7; a single event does not move the base 120.
+    // Base 100: bits 0 and 11; then base 112: bits 0 and 7. A single event does not move the base of 120.
     let xs = [
         (100, true),
         (111, true),
@@ -210,7 +210,7 @@ fn evt21_words() {
     }
 }
 
-/// Words of one column or of all of them, slow and fast: their order is found without a header's word.
+/// The order of words is found if the header does not state it, for one column or all of them, slow and fast.
 #[test]
 fn evt21_words_tell_their_order() {
     for order in [Order::Little, Order::UpperFirst] {
@@ -302,7 +302,7 @@ fn evt4_that_ends_within_a_vector() {
     );
 }
 
-/// faery takes the first time off and says so.
+/// faery subtracts the first time and states it.
 #[test]
 fn t0_is_added_to_every_time() {
     let lines =

@@ -1,4 +1,4 @@
-//! HDF5 files in the layouts of data sets: read back whole, damaged, and refused with a reason.
+//! Tests HDF5 files in the layouts of data sets: read back whole, damaged, and refused with a reason.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -32,7 +32,7 @@ fn dataset(of: Type, shape: &[usize], storage: &Storage, data: Vec<u8>) -> Node 
     }
 }
 
-/// x, y, t in seconds, p = 1 or -1.
+/// Returns a table of x, y, t in seconds, p = 1 or -1.
 fn mvsec(events: &[Event], storage: &Storage) -> Node {
     let row = |e: &Event| {
         let row = [
@@ -59,7 +59,7 @@ fn mvsec_file(left: &[Event], right: &[Event], storage: &Storage) -> Vec<u8> {
     file(vec![("davis", Node::Group(cameras))])
 }
 
-/// x, y, t in us after `offset_us`, p.
+/// Returns a file of x, y, t in us after `offset_us`, p.
 fn dsec_file(events: &[Event], offset_us: i64, storage: &Storage) -> Vec<u8> {
     let shape = &[events.len()];
     let time = |e: &Event| ((e.t_us as i64 - offset_us) as u32).to_le_bytes();
@@ -89,8 +89,8 @@ fn dsec_file(events: &[Event], offset_us: i64, storage: &Storage) -> Vec<u8> {
     ])
 }
 
-/// Contiguous; chunks in one and in several levels of nodes; with and without filters; chunks that
-/// end beyond the dataset, and that hold some of the columns.
+/// Returns storages: contiguous; chunked with one and with several levels of nodes, with and without filters, with
+/// chunks that end beyond the dataset, and with chunks that hold only some of the columns.
 fn storages(columns: &[usize]) -> Vec<Storage> {
     let chunk =
         |rows: usize, wide: usize| [vec![rows], columns.iter().map(|_| wide).collect()].concat();
@@ -119,7 +119,7 @@ fn check(bytes: &[u8], want: &[Event]) {
     assert!(got == want, "{} events", got.len());
 }
 
-/// More than two batches, and times as MVSEC has them: seconds since 1970.
+/// Number of events, more than two batches, and a start time as in MVSEC, since 1970.
 const EVENTS: u32 = 40_000;
 const START_US: u64 = 1_506_117_862_200_001;
 
@@ -131,7 +131,7 @@ fn mvsec_in_every_storage() {
         check(&bytes, &events);
         let reader = open(&bytes, None);
         assert_eq!(reader.format(), "hdf5");
-        // Known of the data set, not of the largest coordinates.
+        // The size is that of the data set, not of the largest coordinates.
         let Sensor { width, height } = reader.sensor();
         assert_eq!((width, height), (346, 260));
         let skipped: Vec<_> = reader.skipped().iter().collect();
@@ -161,7 +161,7 @@ fn a_place_is_named_behind_the_file() {
     let error = format!("{:#}", error.expect("no such group"));
     assert!(error.contains("no events at davis/middle"), "{error}");
     assert!(error.contains("davis/right/events (200 x 4)"), "{error}");
-    // A path into something else.
+    // A path into a file that is not HDF5.
     std::fs::write(folder.path().join("a.txt"), "1 2 3 1\n").expect("a file");
     let error = event_files::open(&folder.path().join("a.txt/davis"), None).err();
     let error = format!("{:#}", error.expect("a text has no places"));
@@ -251,7 +251,7 @@ fn compounds() {
 
 const FORMS: [Form; 3] = [Form::Yxp, Form::Xp, Form::Runs];
 
-/// Prophesee's compounds at CD/events, in chunks of ECF.
+/// Returns a file of Prophesee's compounds at CD/events, in ECF chunks.
 fn ecf_file(events: &[Event], form: Form, rows: usize) -> Vec<u8> {
     let fields = vec![
         ("x", 0, U16),
@@ -273,7 +273,7 @@ fn ecf_file(events: &[Event], form: Form, rows: usize) -> Vec<u8> {
     file(vec![("CD", Node::Group(vec![("events", node)]))])
 }
 
-/// Chunks of one event, shorter and longer than a batch, with a last one that has only some of its events.
+/// Tests chunks of one event, shorter and longer than a batch, with an incomplete last one.
 #[test]
 fn ecf_in_chunks_of_every_length() {
     let all = events(1_000_000, EVENTS);
@@ -305,7 +305,7 @@ fn ecf_in_chunks_of_every_length() {
     }
 }
 
-/// The error names the file and the event, behind the events of the chunks before.
+/// The error names the file and the event, and comes after the events of earlier chunks.
 #[test]
 fn a_damaged_chunk_of_ecf_is_named() {
     let all = events(1_000_000, 4000);
@@ -359,7 +359,7 @@ fn events_off_the_sensor_in_ecf_are_named() {
     }
 }
 
-/// Files of Prophesee's own encoder, beside which stands what they hold.
+/// Reads files of Prophesee's own encoder, which come with their expected content.
 #[test]
 fn ecf_of_the_plugin() {
     let folder = Path::new(concat!(
@@ -414,7 +414,7 @@ fn tables_of_any_order() {
     }
 }
 
-/// Files that h5py wrote, with the superblocks and indices of newer libraries.
+/// Reads files written by h5py, with the superblocks and indices of newer libraries.
 #[test]
 fn files_of_the_library() {
     let folder = Path::new(concat!(
@@ -552,7 +552,7 @@ fn what_is_wrong_is_named() {
 
 #[test]
 fn more_events_than_bytes_are_refused() {
-    // Chunks that were never written stand for zeros.
+    // Chunks that were never written are read as zeros.
     let events = events(100, 64);
     let mut bytes = dsec_file(
         &events,
@@ -600,8 +600,8 @@ fn events_before_a_damaged_chunk_are_read() {
     }
 }
 
-/// Every byte of small files changed in two ways, and every length: an error, fewer or other events;
-/// never a panic, and no more events than the file says.
+/// Small files with each byte changed in two ways, or cut to each length, give an error or fewer or other events;
+/// never a panic, and no more events than the file states.
 #[test]
 fn damage_anywhere() {
     let events = events(START_US, 200);
@@ -641,7 +641,7 @@ fn damage_anywhere() {
             }
             noticed += u32::from(error.is_some() || got != whole);
         };
-        // Data makes most of a file: structures are met often enough by every third byte.
+        // Most of a file is data; every third byte still covers the structures.
         for at in (0..bytes.len()).step_by(3).chain(0..200) {
             for flip in [0xff, 1 << (at % 8)] {
                 let mut damaged = bytes.clone();
@@ -656,10 +656,10 @@ fn damage_anywhere() {
     }
 }
 
-/// Goes on at `t_us`; the events that follow.
+/// Seeks `t_us` and returns the events that follow.
 fn sought(bytes: &[u8], t_us: u64) -> Vec<Event> {
     let mut reader = open(bytes, None);
-    // From the middle of the file, whatever was read before.
+    // Seeks from the middle of the file rather than from its start.
     reader.read(&mut Vec::new()).expect("a batch");
     assert!(reader.seek(t_us).expect("a place"));
     let (got, error) = drain(reader.as_mut());
@@ -678,7 +678,7 @@ fn seeking_finds_every_event_from_a_time_on() {
         height: 48,
     };
     let files = [
-        // An index that nothing is to be learnt from, none at all, and a whole one.
+        // An index without information, no index, and a complete one.
         (1, dsec_file(&events, 1_000_000, storage)),
         (1, mvsec_file(&events, &events[..9], &Storage::Contiguous)),
         (1, dsec_file(&events, 1_000_000, &chunked(Filter::Blosc2))),

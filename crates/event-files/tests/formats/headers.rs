@@ -1,5 +1,5 @@
-//! The same random events through every variation of its header that a format allows: absent lines, other orders,
-//! CRLF, no size, headers and recordings shorter and longer than each buffer. The events must be the same.
+//! Tests the same random events with every variation of its header that a format allows: missing lines, other
+//! orders, CRLF, no size, headers and recordings shorter and longer than each buffer. The events must be the same.
 
 use std::fmt::Write;
 use std::fs;
@@ -13,10 +13,10 @@ const SENSOR: Sensor = Sensor {
     height: 100,
 };
 
-/// Lengths of what is added to a header: below and above what a format is told by (4,096 bytes).
+/// Lengths added to a header: below and above the number of bytes from which a format is recognised (4,096).
 const PADDINGS: [usize; 3] = [0, 3_950, 9_000];
 
-/// Numbers of events: a few blocks of 64 KiB of each format, and less than one.
+/// Numbers of events: less than one block of 64 KiB of each format, and a few blocks.
 const COUNTS: [usize; 2] = [1_000, 20_000];
 
 fn events(count: usize) -> Vec<Event> {
@@ -41,7 +41,7 @@ fn events(count: usize) -> Vec<Event> {
         .collect()
 }
 
-/// Reads `bytes` with and without the size, where the header need not tell it, and wants `want`.
+/// Reads `bytes` with the size and, unless `needs_size`, without it; the events must equal `want`.
 fn wants(folder: &Path, name: &str, bytes: &[u8], needs_size: bool, want: &[Event], what: &str) {
     let path = folder.join(name);
     fs::write(&path, bytes).unwrap();
@@ -64,7 +64,7 @@ fn wants(folder: &Path, name: &str, bytes: &[u8], needs_size: bool, want: &[Even
     }
 }
 
-/// Every order of up to three lines, and one of the lines reversed.
+/// Returns the lines in the given order, and in every rotation of it, forwards and backwards.
 fn orders(lines: &[&str]) -> Vec<Vec<String>> {
     let of = |indices: &[usize]| -> Vec<String> {
         indices
@@ -84,8 +84,8 @@ fn orders(lines: &[&str]) -> Vec<Vec<String>> {
     orders
 }
 
-/// Headers of `lines` behind `first`: their orders, each line left out that may be, both line ends, paddings of
-/// lines that begin with `mark`.
+/// Returns headers with `lines` after `first`: in their orders, without each line that may be missing, with both
+/// line ends, and with padding lines that begin with `mark`.
 fn headers(first: &str, mark: &str, needed: &[&str], optional: &[&str], end: &str) -> Vec<String> {
     let mut sets = vec![[needed, optional].concat(), needed.to_vec()];
     for left_out in 0..optional.len() {
@@ -186,7 +186,7 @@ fn raw() {
                 ));
                 texts.extend(headers("", "% ", &[sizes], &[kinds[0]], end));
             }
-            // A word that begins with the letters of a header line would be one without `% end`.
+            // A word that begins with the letters of a header line would be one if there is no `% end`.
             for text in texts {
                 let tells_size = ["120x100", "width=120"]
                     .iter()
@@ -211,7 +211,7 @@ fn dat() {
         let lines = ["% Version 2", "% Width 120", "% Height 100"];
         let mut texts = headers("", "% ", &[data], &lines, "");
         texts.extend(headers("", "% ", &[data, "% T0 0"], &lines, "% end"));
-        // Without the line, the type of the events must be seen at the start.
+        // Without the line, the type of the events must be visible at the start.
         let short = |text: &String| text.len() < 4_000;
         texts.extend(
             headers("", "% ", &lines[..1], &lines[1..], "")
@@ -364,7 +364,7 @@ fn text() {
     }
 }
 
-/// An array file of this version whose dictionary has `keys`, and `padding` spaces behind it.
+/// Returns an array file of this version whose dictionary has `keys`, followed by `padding` spaces.
 fn npy(version: u8, keys: &[String], padding: usize, end: &str, data: &[u8]) -> Vec<u8> {
     let dictionary = format!("{{{}{end}}}{}\n", keys.join(", "), " ".repeat(padding));
     let mut bytes = [b"\x93NUMPY".as_slice(), &[version, 0]].concat();
@@ -377,7 +377,7 @@ fn npy(version: u8, keys: &[String], padding: usize, end: &str, data: &[u8]) -> 
     bytes
 }
 
-/// The fields of a structured array in this order, and the bytes of its rows.
+/// Returns the description of a structured array's fields in this order, and the bytes of its rows.
 fn structured(order: [usize; 4], padding: usize, events: &[Event]) -> (String, Vec<u8>) {
     let fields = [("t", "<i8"), ("x", "<u2"), ("y", ">u2"), ("p", "|b1")];
     let mut descr: Vec<String> = order
@@ -428,7 +428,7 @@ fn npy_arrays() {
                 }
             }
         }
-        // A table of four columns, a row or a column after the other.
+        // A table of four columns, stored row by row or column by column.
         let columns: [Vec<f64>; 4] = [
             |event: &Event| event.t_us as f64,
             |event: &Event| f64::from(event.x),
@@ -494,7 +494,7 @@ fn zips() {
                     let bytes = zip.finish().unwrap().into_inner();
                     reads(folder.path(), "a.zip", &bytes, &want, &what);
 
-                    // Sizes behind the data, as of a writer that cannot seek.
+                    // Sizes after the data, as written by a writer that cannot seek.
                     let mut bytes = Vec::new();
                     let mut zip = ZipWriter::new_stream(&mut bytes);
                     zip.start_file(place, options).unwrap();
@@ -513,7 +513,7 @@ fn zips() {
     }
 }
 
-/// Reads `bytes`, whatever else stands in them.
+/// Reads `bytes`, whatever else they contain; the events must equal `want`.
 fn reads(folder: &Path, name: &str, bytes: &[u8], want: &[Event], what: &str) {
     let path = folder.join(name);
     fs::write(&path, bytes).unwrap();
@@ -523,7 +523,8 @@ fn reads(folder: &Path, name: &str, bytes: &[u8], want: &[Event], what: &str) {
     assert!(got == want, "{what}: {} of {}", got.len(), want.len());
 }
 
-/// A MATLAB 5 file of rows of numbers: `doubles`, or the smallest type that holds them as MATLAB saves them.
+/// Returns a MATLAB 5 file of rows of numbers, stored as doubles or, like MATLAB does, as the smallest type that
+/// holds them.
 fn mat(text: &str, is_big: bool, is_deflated: bool, variables: &[(&str, &[f64])]) -> Vec<u8> {
     use std::io::Write as _;
 
@@ -543,7 +544,7 @@ fn mat(text: &str, is_big: bool, is_deflated: bool, variables: &[(&str, &[f64])]
         array.extend(name.as_bytes());
         array.resize(array.len().next_multiple_of(8), 0);
         let is_small = values.iter().all(|value| (0.0..256.0).contains(value));
-        // Doubles are of type 9, bytes of type 2.
+        // Type 9 is doubles, type 2 bytes.
         array.extend(words(&if is_small {
             [2, values.len() as u32]
         } else {

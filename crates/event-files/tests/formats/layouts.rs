@@ -1,6 +1,7 @@
-//! Layouts that other people's tools write: the same events through every one of them.
+//! Tests the layouts that other tools write: the same events in every one of them.
 //!
-//! Arrays and zip files are built here; what no Rust writer makes is in `layouts/`, with the script that wrote it.
+//! Arrays and zip files are built here; files that no Rust writer can produce are in `layouts/`, with the script
+//! that wrote them.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -16,7 +17,7 @@ const SENSOR: Sensor = Sensor {
     height: 48,
 };
 
-/// 1,000 events with steps back, equal times and both polarities, from a fixed random series.
+/// Returns 1,000 events with steps back, equal times and both polarities, from a fixed random series.
 fn random() -> Vec<Event> {
     let mut state = 1_u64;
     let mut next = |below: u64| {
@@ -84,7 +85,7 @@ fn whole(events: &[Event], of: impl Fn(&Event) -> i64) -> Vec<u8> {
         .collect()
 }
 
-/// t, x, y, p as i64, the times in another unit.
+/// Returns t, x, y and p as i64, the times in another unit.
 fn parts(events: &[Event], per_us: i64) -> [Vec<u8>; 4] {
     [
         whole(events, |event| event.t_us as i64 * per_us),
@@ -115,7 +116,7 @@ fn arrays_of_every_layout() {
         format!("({count}, 1)"),
         format!("(1, {count})"),
     ];
-    // Names, type of the times, their unit, what the caller says.
+    // Names, type of the times, their unit, what the caller states.
     let files = [
         (["t", "x", "y", "p"], "<i8", 1, &none),
         (["ts", "xs", "ys", "pol"], "<i8", 1, &none),
@@ -189,7 +190,7 @@ fn tables_and_structures_of_every_order() {
             check(&format!("{letters} {shape}"), array.clone(), &told, &events);
             check(&letters, zip(&[("events.npy", array)]), &told, &events);
         }
-        // Fields of any order tell by themselves.
+        // Named fields are found in any order.
         let fields: Vec<String> = order
             .iter()
             .map(|which| format!("('{}', '<i8')", ["t", "x", "y", "on"][*which]))
@@ -242,7 +243,7 @@ fn flags_that_do_not_fit_are_refused() {
     assert!(error(table, &with_columns("t=t,x=x,y=y,p=p")).contains("have no names"));
 }
 
-/// Times are kept in microseconds: where a file has finer ones, its reader says so, and of nothing else.
+/// Times are kept in microseconds: the reader reports that it has rounded finer ones, and nothing else.
 #[test]
 fn times_that_are_rounded_are_said() {
     let said = |bytes: Vec<u8>, unit: TimeUnit| {
@@ -351,7 +352,7 @@ fn zip_files_of_one_recording() {
         what.contains("a.raw, b.raw") && what.contains("test/a.raw"),
         "{what}"
     );
-    // A zip file within one, which might be itself, is not gone into.
+    // A zip file inside a zip file, which might be itself, is not opened.
     let inner = zip(&[("events.txt", b"0.5 1 2 1\n".to_vec())]);
     let what = error(zip(&[("events.txt", inner)]), &none);
     assert!(what.contains("no npy array"), "{what}");
@@ -385,7 +386,7 @@ fn what_a_file_does_not_say_is_asked() {
         .collect();
     let [t, ..] = parts(&dated, 1000);
     check("since 1970", with("<i8", &t, &p), &none, &dated);
-    // A clock of 32 bits.
+    // A 32-bit clock.
     let late: Vec<Event> = events
         .iter()
         .map(|event| Event {
@@ -398,7 +399,7 @@ fn what_a_file_does_not_say_is_asked() {
         .flat_map(|event| (event.t_us as u32).to_le_bytes())
         .collect();
     check("u32", with("<u4", &t, &p), &none, &late);
-    // Three polarities, and two that would both be off.
+    // Three polarities, and two that would both be OFF.
     let [t, ..] = parts(&events, 1);
     let three = whole(&events, |event| event.t_us as i64 % 3 - 1);
     assert!(error(with("<i8", &t, &three), &none).contains("polarities"));
@@ -416,7 +417,7 @@ fn what_a_file_does_not_say_is_asked() {
     check("CeleX", with("<i8", &t, &three), &leave, &kept);
     let signed = whole(&events, |event| event.t_us as i64 % 2 - 1);
     assert!(error(with("<i8", &t, &signed), &leave).contains("polarities"));
-    // Before 0.
+    // Times before 0.
     let before = whole(&events, |event| event.t_us as i64 - 9_000);
     assert!(error(with("<i8", &before, &p), &none).contains("--time-offset-us"));
     let later = Reading {
@@ -424,12 +425,13 @@ fn what_a_file_does_not_say_is_asked() {
         ..Reading::default()
     };
     check("offset", with("<i8", &before, &p), &later, &events);
-    // Pickled.
+    // A pickled object.
     let objects = npy("'|O'", false, "()", b"pickled");
     assert!(error(objects, &none).contains("objects of Python"));
 }
 
-/// The size, the events and what was left out of a file of `layouts/`, behind which a place may follow.
+/// Reads a file of `layouts/`, whose name a place may follow; returns the size, the events and how many were left
+/// out.
 fn file(name: &str, reading: &Reading) -> event_files::Result<(Sensor, Vec<Event>, u64)> {
     let path = Path::new(concat!(
         env!("CARGO_MANIFEST_DIR"),

@@ -1,4 +1,4 @@
-//! Readers and writers, as their users have them: one module for each kind of question.
+//! Tests readers and writers through the public interface, with one module for each kind of question.
 
 mod cases_streams;
 mod damage;

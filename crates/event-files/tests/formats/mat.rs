@@ -1,4 +1,4 @@
-//! MAT-files as scipy writes them (fuzz/seeds/read_mat.py), and of other byte order, size and content.
+//! Tests MAT-files written by scipy (fuzz/seeds/read_mat.py), and others of different byte order, size and content.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -10,7 +10,7 @@ use crate::support::{read, regular};
 
 const SEEDS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../fuzz/seeds/read_mat");
 
-/// The events of the seeds.
+/// Returns the events of the seeds.
 fn events() -> Vec<Event> {
     regular(1_000_000, 300)
 }
@@ -19,7 +19,7 @@ fn seed(name: &str) -> Vec<u8> {
     std::fs::read(Path::new(SEEDS).join(name)).expect("a committed seed")
 }
 
-/// The events of a file, and the size that it states or that holds them.
+/// Reads a file; returns the size that it states or that holds its events, and the events.
 fn sensor_and_events(bytes: Vec<u8>) -> (Sensor, Vec<Event>) {
     let source = Box::new(Cursor::new(bytes));
     let mut reader = event_files::open_source(source, "test.mat", None).expect("a recording");
@@ -46,7 +46,7 @@ fn seeds_of_scipy() {
     ] {
         let (found, got) = sensor_and_events(seed(name));
         assert_eq!(got, events, "{name}");
-        // Rows 0 to 45 are all that the events need.
+        // The events need only rows 0 to 45.
         let largest = Sensor {
             height: 46,
             ..sensor
@@ -76,7 +76,7 @@ fn a_variable_is_named_behind_the_file() {
     }
 }
 
-/// A file of either byte order with rows of doubles.
+/// Returns a file of either byte order with rows of doubles.
 fn doubles(big_endian: bool, variables: &[(&str, &[f64])]) -> Vec<u8> {
     let word = |value: u32| {
         if big_endian {

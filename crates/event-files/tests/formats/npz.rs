@@ -1,4 +1,4 @@
-//! Layouts and types of npz files beyond those that our writer writes.
+//! Tests layouts and types of npz files that this crate's writer does not produce.
 
 use std::io::{Cursor, Write};
 
@@ -7,7 +7,7 @@ use zip::CompressionMethod::{self, Deflated, Stored};
 
 use crate::support::{read, regular};
 
-/// A version `version` array of any type, shape and content.
+/// Returns an array of version `version` with any type, shape and content.
 fn npy(version: u8, descr: &str, fortran: &str, shape: &str, data: &[u8]) -> Vec<u8> {
     let dict = format!("{{'descr': {descr}, 'fortran_order': {fortran}, 'shape': {shape}, }}\n");
     let mut bytes = vec![0x93, b'N', b'U', b'M', b'P', b'Y', version, 0];
@@ -30,7 +30,7 @@ fn npz(method: CompressionMethod, arrays: &[(&str, Vec<u8>)]) -> Vec<u8> {
     zip.finish().expect("a zip file").into_inner()
 }
 
-/// Events of whole microseconds.
+/// Returns events at whole microseconds.
 fn events(count: u32) -> Vec<Event> {
     regular(1_000_000, count)
 }

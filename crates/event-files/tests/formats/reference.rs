@@ -1,4 +1,4 @@
-//! Every shared recording of a known format against the reference in every key.
+//! Compares every shared recording of a known format with every key of the reference.
 
 use std::path::{Path, PathBuf};
 
@@ -30,7 +30,7 @@ fn recording_info(path: &Path) -> RecordingInfo {
     info(path, &Reading::default(), &mut |_| {}).expect("a readable recording")
 }
 
-/// Checks every key but the times, which a derived file may have shifted.
+/// Checks every key but those of the times, which may be shifted in a derived file.
 fn check_counts(info: &RecordingInfo, want: &Value) {
     assert_eq!(want["width"], info.width, "{info:?}");
     assert_eq!(want["height"], info.height);
@@ -79,7 +79,7 @@ fn dat() {
     check("imx636_sparse_dat", "gen4.dat", "dat");
 }
 
-/// N-CARS names no sensor size; the reference has that of its events.
+/// N-CARS states no sensor size; the reference has the size of its events.
 #[test]
 fn dat_without_a_size() {
     let Some(reference) = reference() else { return };
@@ -107,7 +107,7 @@ fn es() {
     }
 }
 
-/// The file tells no size; the largest x and y are the data set's last column and row.
+/// The file states no size; the largest x and y are the data set's last column and row.
 #[test]
 fn nmnist() {
     check("nmnist", "sample_nmnist.bin", "nmnist");
@@ -157,7 +157,7 @@ fn csv() {
     check("es_csv_1ms_grid", "dvs.csv", "text");
 }
 
-/// A derived file holds the same events from its own time base on, and tells no sensor size.
+/// A derived file holds the same events relative to its own time base, and states no sensor size.
 fn check_derived(file: &str, format: &str) {
     let Some(reference) = reference() else { return };
     let want = entry(&reference, "davis346_building_dense");
@@ -194,7 +194,7 @@ fn derived_npz() {
     check_derived("davis346_building_xytp.npz", "npz");
 }
 
-/// The HDF5 files keep the original's time base: every key is the original's.
+/// The HDF5 files keep the original's time base, so that every key equals the original's.
 fn check_derived_hdf5(file: &str) {
     let Some(reference) = reference() else { return };
     let want = entry(&reference, "davis346_building_dense");

@@ -1,4 +1,4 @@
-//! What a writer writes, its reader and independent readers read back.
+//! Tests that files from the writers are read back by this crate's readers and by independent ones.
 
 use event_files::convert::{Conversion, Converted, Crop, Filter, convert};
 use event_files::{self, Reading};
@@ -20,7 +20,7 @@ proptest! {
         let folder = tempfile::tempdir().expect("a folder");
         let events = fitted(extension, events);
         let bytes = written(folder.path(), extension, sensor, &events);
-        // An empty text file, or one of records alone, has no content to be known by.
+        // An empty text file, or one of records alone, has no content by which it could be recognised.
         prop_assume!(!bytes.is_empty());
         let (got, error) = read_as(&format!("test.{extension}"), &bytes, Some(sensor));
         prop_assert!(error.is_none(), "{error:?}");
@@ -31,7 +31,7 @@ proptest! {
     fn the_evt3_crate_reads_our_evt3(events in events(Sensor { width: 640, height: 480 }, 200)) {
         let folder = tempfile::tempdir().expect("a folder");
         let sensor = Sensor { width: 640, height: 480 };
-        // The crate knows no time base: begin where the wraps are written out.
+        // The other crate supports no time base: begin where the wraps are written out.
         let base = events.first().map_or(0, |event| event.t_us) & !0xffff_ffff;
         prop_assume!(events.iter().all(|event| event.t_us >= base));
         let shifted: Vec<Event> =
@@ -87,7 +87,7 @@ fn some_events(sensor: Sensor, count: u32) -> Vec<Event> {
         .collect()
 }
 
-/// Our own AEDAT4 file with its packets packed by `pack`, and no packet table.
+/// Returns this crate's AEDAT4 file with its packets packed by `pack`, and without a packet table.
 fn repacked(lz4: &[u8], compression: i32, pack: impl Fn(&[u8]) -> Vec<u8>) -> Vec<u8> {
     use std::io::Read;
     let number = |at: usize| i32::from_le_bytes(*lz4[at..].first_chunk().expect("4 bytes"));
@@ -241,7 +241,7 @@ fn of(filter: Filter) -> Conversion {
     }
 }
 
-/// What a format cannot hold is refused by name, or made to fit and counted.
+/// Events that a format cannot hold are refused with a reason, or made to fit and counted.
 #[test]
 fn convert_loses_nothing_unless_it_may() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -318,7 +318,7 @@ fn convert_filters_and_crops() {
         let converted =
             convert(&input, &output, &Reading::default(), &of(filter)).expect("a conversion");
         let events_out = want.len() as u64;
-        // Reading ends a second behind the time that is asked for.
+        // Reading ends one second after the time requested.
         let events_in = 50_000;
         assert_eq!(
             converted,

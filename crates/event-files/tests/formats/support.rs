@@ -1,4 +1,4 @@
-//! Events for the format tests, and a way to read them back.
+//! Provides events for the format tests, and functions to write and read them.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -37,7 +37,7 @@ const fn of(width: u16, height: u16) -> Sensor {
     Sensor { width, height }
 }
 
-/// Events as those in the seeds of `fuzz/seeds/*.py`: 17 us apart from `start_us` on, on 64 x 48 pixels.
+/// Returns events like those in the seeds of `fuzz/seeds/*.py`: every 17 us from `start_us` on, on 64 x 48 pixels.
 pub fn regular(start_us: u64, count: u32) -> Vec<Event> {
     (0..count)
         .map(|i| Event {
@@ -49,8 +49,8 @@ pub fn regular(start_us: u64, count: u32) -> Vec<Event> {
         .collect()
 }
 
-/// Events that begin at any time, with duplicates, equal times, small steps back, both
-/// polarities, rows of neighbours, and gaps that make short time fields wrap.
+/// Generates events that begin at any time, with duplicates, equal times, small steps back, both polarities, rows
+/// of neighbours, and gaps that make short time fields wrap.
 pub fn events(sensor: Sensor, count: usize) -> impl Strategy<Value = Vec<Event>> {
     let step = prop_oneof![
         4 => Just(0_i64),
@@ -66,7 +66,7 @@ pub fn events(sensor: Sensor, count: usize) -> impl Strategy<Value = Vec<Event>>
         for (step, (x, y, on, run)) in steps {
             t_us = t_us.saturating_add_signed(step);
             let polarity = Polarity::from_bool(on);
-            // A run of 13 is a duplicate; longer neighbourhoods are rows.
+            // A run of 13 is a duplicate; other runs are neighbours in a row.
             for i in 0..run {
                 let x = if run == 13 { x } else { (x + i) % sensor.width };
                 events.push(Event {
@@ -81,7 +81,7 @@ pub fn events(sensor: Sensor, count: usize) -> impl Strategy<Value = Vec<Event>>
     })
 }
 
-/// Events with times, and an order of these, that files with such an ending can hold.
+/// Adapts the times of events, and their order, to what files with this ending can hold.
 pub fn fitted(extension: &str, mut events: Vec<Event>) -> Vec<Event> {
     let path = format!("events.{extension}");
     let (format, _) = event_files::writable(Path::new(&path)).expect("a known extension");
@@ -98,7 +98,7 @@ pub fn fitted(extension: &str, mut events: Vec<Event>) -> Vec<Event> {
 pub fn written(folder: &Path, extension: &str, sensor: Sensor, events: &[Event]) -> Vec<u8> {
     let path = folder.join(format!("events.{extension}"));
     let mut writer = event_files::create(&path, sensor).expect("a known extension");
-    // Uneven pieces: a writer must not depend on how the events arrive.
+    // Uneven parts: a writer must not depend on how the events arrive.
     for piece in events.chunks(777) {
         writer.write(piece).expect("events that the format holds");
     }
@@ -129,12 +129,12 @@ pub fn drain(reader: &mut dyn EventReader) -> (Vec<Event>, Option<event_files::E
     }
 }
 
-/// Opens bytes and reads them; an error of opening counts as an error before the first event.
+/// Opens bytes and reads them; an error on opening counts as an error before the first event.
 pub fn read(bytes: &[u8], size: Option<Sensor>) -> (Vec<Event>, Option<event_files::Error>) {
     read_as("test", bytes, size)
 }
 
-/// As [`read`], of a file of that name, which tells some formats.
+/// Reads like [`read`], from a file of this name, by which some formats are recognised.
 pub fn read_as(
     name: &str,
     bytes: &[u8],

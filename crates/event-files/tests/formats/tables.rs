@@ -1,4 +1,5 @@
-//! Arrow and Parquet files: those of pyarrow, read whole; our own, sought in; what is wrong, named.
+//! Tests Arrow and Parquet files: those of pyarrow are read whole, this crate's own are sought in, and errors are
+//! explained.
 
 use std::path::Path;
 
@@ -26,7 +27,7 @@ fn seeds(folder: &str) -> Vec<(String, Vec<u8>)> {
     files.collect()
 }
 
-/// Every type, encoding and compression of `fuzz/seeds/read_tables.py`.
+/// Reads every type, encoding and compression of `fuzz/seeds/read_tables.py`.
 #[test]
 fn files_of_the_library() {
     let want = events(300);
@@ -106,7 +107,7 @@ fn events_before_a_damage_are_read() {
         error.contains("byte ") && error.contains("truncated"),
         "{error}"
     );
-    // The first message of the second group's page of x: its header's type.
+    // Damage at nine tenths of the file lies after the first row group.
     let bytes = written(folder.path(), "parquet", SENSOR, &events);
     let mut damaged = bytes.clone();
     let second = bytes.len() * 9 / 10;

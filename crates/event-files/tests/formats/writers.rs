@@ -1,5 +1,5 @@
-//! Every writer of the table of formats: random events, and every shared recording that fits, come back as they
-//! were, in their order. A recording that a format cannot hold is refused, and the refusal says why.
+//! Tests every writer in the table of formats: random events, and every shared recording that fits, come back
+//! unchanged and in order. A recording that a format cannot hold is refused, and the error says why.
 
 use std::path::{Path, PathBuf};
 
@@ -13,13 +13,13 @@ const SHARED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data"
 
 const EVENTS: u64 = 100_000;
 
-/// Of a recording whose file does not tell.
+/// Size for a recording whose file does not state it.
 const UNTOLD: Sensor = Sensor {
     width: 304,
     height: 240,
 };
 
-/// A sensor that a format holds; AEDAT 2 knows those of its cameras alone.
+/// Returns a sensor that a format can hold; AEDAT 2 has only the sizes of its cameras.
 fn sensor(format: &Format) -> Sensor {
     match format.name {
         "aedat2" => Sensor {
@@ -36,13 +36,13 @@ fn sensor(format: &Format) -> Sensor {
     }
 }
 
-/// Events with equal times, neighbours, duplicates, silences and, where the format holds them, steps back.
+/// Returns events with equal times, neighbours, duplicates, silences and, if the format holds them, steps back.
 fn random(format: &Format) -> Vec<Event> {
     let rng = &mut Xoshiro256PlusPlus::seed_from_u64(8);
     let sensor = sensor(format);
     let mut below = |n: u64| rng.next_u64() % n;
     let mut events: Vec<Event> = Vec::new();
-    // A time since 1970 where there is room for it.
+    // A time since 1970, if the format's times reach that far.
     let start = 1_700_000_000_000_000;
     let mut t_us = if start < format.limits.t_max_us {
         start
@@ -85,14 +85,14 @@ fn read(path: &Path, size: Option<Sensor>) -> event_files::Result<(Sensor, Vec<E
 
 fn write(path: &Path, sensor: Sensor, events: &[Event]) -> event_files::Result<()> {
     let mut writer = event_files::create(path, sensor)?;
-    // Uneven pieces: a writer must not depend on how the events arrive.
+    // Uneven parts: a writer must not depend on how the events arrive.
     for piece in events.chunks(7_777) {
         writer.write(piece)?;
     }
     writer.finish()
 }
 
-/// Reads back what was written; the size is told, as not every format keeps it.
+/// Reads back what was written; the size is passed to the reader, since not every format stores it.
 fn compare(what: &str, path: &Path, sensor: Sensor, events: &[Event]) {
     let (_, got) = read(path, Some(sensor)).expect("what was written is readable");
     let differs = got.iter().zip(events).position(|(got, want)| got != want);
@@ -103,7 +103,7 @@ fn compare(what: &str, path: &Path, sensor: Sensor, events: &[Event]) {
     );
 }
 
-/// Every format that is written, by each of its endings.
+/// Returns every format with a writer, with each of its endings.
 fn writers() -> impl Iterator<Item = (&'static Format, &'static str)> {
     let written = FORMATS.iter().filter(|format| format.create.is_some());
     written.flat_map(|format| format.endings.iter().map(move |ending| (format, *ending)))
@@ -125,7 +125,7 @@ fn random_events_come_back() {
     }
 }
 
-/// Files of the shared recordings that are of a known format.
+/// Returns the shared recordings that are of a known format.
 fn recordings() -> Vec<(PathBuf, Sensor, Vec<Event>)> {
     let Ok(folders) = std::fs::read_dir(SHARED) else {
         eprintln!("skipped: {SHARED} is absent");
@@ -169,7 +169,7 @@ fn recordings_that_fit_come_back_and_others_are_refused() {
                     fits += 1;
                 }
                 Err(error) => {
-                    // AEDAT 2 knows the sizes of its cameras alone, which no limit of an event tells.
+                    // AEDAT 2 has only the sizes of its cameras, which the limits of single events do not express.
                     assert!(
                         refused.is_some() || format.name == "aedat2",
                         "{what}: {error:#}"

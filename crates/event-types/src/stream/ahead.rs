@@ -1,26 +1,27 @@
-//! A recording whose first events have been looked at.
+//! A reader that buffers a recording's first events, so that they can be examined before they are read.
 
 use super::{Assumption, BATCH_EVENTS, Error, EventReader, Pause, Result, Skipped};
 use crate::{Event, Sensor};
 
-/// A reader that has read ahead; what was read comes again.
+/// A reader that has read ahead; [`EventReader::read`] still returns all events.
 pub struct Ahead {
     reader: Box<dyn EventReader>,
     events: Vec<Event>,
     used: usize,
-    /// What reading ahead met, until it is told.
+    /// The error met while reading ahead, until `read` returns it.
     failure: Option<Error>,
 }
 
 impl Ahead {
-    /// Reads `events` events ahead, and up to a batch more, or up to the end or the first error.
+    /// Reads ahead until at least `events` events are buffered (at most a batch more), the source ends or pauses,
+    /// or an error occurs.
     #[must_use]
     pub fn new(mut reader: Box<dyn EventReader>, events: usize) -> Self {
         let mut ahead = Vec::new();
         let mut failure = None;
         while ahead.len() < events {
             match reader.read(&mut ahead) {
-                // A live source that sees nothing is not waited for.
+                // Do not wait for a live source that has no events yet.
                 Ok(0) => break,
                 Ok(_) => {}
                 Err(error) => {
@@ -37,7 +38,7 @@ impl Ahead {
         }
     }
 
-    /// The first events.
+    /// Returns the buffered events, from the recording's first on.
     #[must_use]
     pub fn events(&self) -> &[Event] {
         &self.events
@@ -90,7 +91,7 @@ mod tests {
     use super::super::test_reader::Batches;
     use super::*;
 
-    /// The same events, the error at the same place, however far was read ahead.
+    /// The events and the position of the error do not depend on how far was read ahead.
     #[test]
     fn what_was_read_comes_again() {
         for ahead in [0, 1, 7, 20, 28, 100] {

@@ -1,4 +1,4 @@
-//! Why events could not be read or written.
+//! Errors of reading and writing events.
 
 use std::error::Error as StdError;
 use std::fmt;
@@ -7,40 +7,41 @@ use std::io;
 /// A result whose error is an [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// What is behind an [`Error`], and so what can be done about it.
+/// The kind of an [`Error`], from which a caller can decide what to do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ErrorKind {
-    /// The system: no such file, no right to it, a full disk.
+    /// The operating system reported an error: no such file, no permission, a full disk.
     Io(io::ErrorKind),
-    /// What was read is not what its format says: damaged, cut off, or never right. The events before it were given.
+    /// The input does not follow its format: it is damaged, cut off, or was never valid. All events before that
+    /// point were returned.
     Damaged,
-    /// A format, or a part of one, that is not read or not written.
+    /// A format, or a part of one, that this library does not read or write.
     Unsupported,
-    /// The file leaves open what the caller has to say: a size, a unit, which columns are which.
+    /// The file leaves something open that the caller has to state: a size, a unit, the meaning of the columns.
     Undecided,
-    /// The output's format cannot hold an event or a sensor.
+    /// The output format cannot hold an event or a sensor.
     CannotHold,
-    /// The caller asked for what cannot be done, or what would destroy something; nothing was done.
+    /// The caller asked for something impossible or destructive; nothing was done.
     Refused,
-    /// Something else, in what gives or takes the events.
+    /// An error of another kind in a source or a sink.
     Other,
 }
 
-/// Why events could not be read or written.
+/// An error of reading or writing events.
 ///
-/// Its text is one line for people, which names the file, the offset and what to do; `{:#}` has the causes behind it.
+/// Its text is one line for people that names the file, the offset and the remedy; `{:#}` appends its causes.
 pub struct Error(Box<Inner>);
 
 struct Inner {
     kind: ErrorKind,
-    /// `None`: what `cause` says.
+    /// The text; `None` if it is that of `cause`.
     what: Option<String>,
     cause: Option<Box<dyn StdError + Send + Sync>>,
 }
 
 impl Error {
-    /// An error of `kind`; `what` is its text.
+    /// Creates an error of `kind` with the text `what`.
     pub fn new(kind: ErrorKind, what: impl Into<String>) -> Self {
         Self(Box::new(Inner {
             kind,
@@ -49,13 +50,13 @@ impl Error {
         }))
     }
 
-    /// An error of something that gives or takes events and has errors of its own.
+    /// Wraps an error of a source or a sink that has an error type of its own.
     pub fn other(cause: impl Into<Box<dyn StdError + Send + Sync>>) -> Self {
         Self::caused(ErrorKind::Other, cause.into())
     }
 
     fn caused(kind: ErrorKind, cause: Box<dyn StdError + Send + Sync>) -> Self {
-        // What has been an error of this type stays one.
+        // An error that was already of this type stays as it is.
         let cause = match cause.downcast::<Self>() {
             Ok(error) => return *error,
             Err(cause) => cause,
@@ -71,13 +72,13 @@ impl Error {
         }))
     }
 
-    /// What is behind it.
+    /// Returns the error's kind, which says what went wrong.
     #[must_use]
     pub fn kind(&self) -> ErrorKind {
         self.0.kind
     }
 
-    /// The system's error behind it, where there is one.
+    /// Returns the operating system's error that caused this one, if any.
     #[must_use]
     pub fn io(&self) -> Option<&io::Error> {
         let cause = self.0.cause.as_deref()?;
@@ -85,14 +86,14 @@ impl Error {
         cause.downcast_ref().or_else(inner)
     }
 
-    /// The same error, of another kind.
+    /// Returns the same error with another kind.
     #[must_use]
     pub fn of_kind(mut self, kind: ErrorKind) -> Self {
         self.0.kind = kind;
         self
     }
 
-    /// The same error behind a text that says where it was met.
+    /// Puts a text before the error that says where it occurred; the kind stays.
     #[must_use]
     pub fn context(self, what: impl fmt::Display) -> Self {
         Self(Box::new(Inner {
@@ -141,18 +142,19 @@ impl From<io::Error> for Error {
     }
 }
 
-/// Says of a failure where it was met, and makes it an [`Error`].
+/// Converts a failure into an [`Error`] that says where it occurred.
 pub trait Context<T> {
-    /// Puts `what` before the error: one of the system keeps its kind, and any other is [`ErrorKind::Damaged`].
+    /// Puts `what` before the error. An I/O error and an [`Error`] keep their kind; any other error, and a missing
+    /// value, is [`ErrorKind::Damaged`].
     ///
     /// # Errors
-    /// There was one, or no value.
+    /// `self` is an error, or `None`.
     fn context(self, what: impl fmt::Display) -> Result<T>;
 
-    /// As [`Context::context`], with a text that is made where there is an error.
+    /// Does the same as [`Context::context`], but makes the text only if there is an error.
     ///
     /// # Errors
-    /// As there.
+    /// Those of [`Context::context`].
     fn with_context<D: fmt::Display>(self, what: impl FnOnce() -> D) -> Result<T>;
 }
 
@@ -176,7 +178,7 @@ impl<T> Context<T> for Option<T> {
     }
 }
 
-/// An [`Error`](crate::stream::Error) of a kind, with a text as `format!` takes it.
+/// Makes an [`Error`](crate::stream::Error) of a kind, with a text in the syntax of `format!`.
 ///
 /// ```
 /// use event_types::error;
@@ -194,7 +196,7 @@ macro_rules! error {
     };
 }
 
-/// Returns the [`error!`](crate::error) of a kind and a text.
+/// Returns from the function with the [`error!`](crate::error) of a kind and a text.
 #[macro_export]
 macro_rules! bail {
     ($kind:ident, $($text:tt)+) => {
@@ -202,7 +204,7 @@ macro_rules! bail {
     };
 }
 
-/// Returns the [`error!`](crate::error) of a kind and a text unless a condition holds.
+/// Returns from the function with the [`error!`](crate::error) of a kind and a text unless a condition holds.
 #[macro_export]
 macro_rules! ensure {
     ($condition:expr, $kind:ident, $($text:tt)+) => {

@@ -1,18 +1,19 @@
-//! A recording up to its damage.
+//! A reader of the undamaged part of a recording.
 
 use super::{Assumption, Error, EventReader, Pause, Result, Skipped};
 use crate::{Event, Sensor};
 
-/// A reader whose first error is its end: what was read before it is worth as much as without it.
+/// A reader that ends at its source's first error, so that the events before the damage can be used like any
+/// others.
 ///
-/// Who reads through it has to ask for [`Intact::damage`] at the end, and say it.
+/// At the end its user has to ask for [`Intact::damage`] and report it.
 pub struct Intact {
     reader: Box<dyn EventReader>,
     damage: Option<Error>,
 }
 
 impl Intact {
-    /// Reads what `reader` gives before its first error.
+    /// Creates a reader of the events that `reader` returns before its first error.
     #[must_use]
     pub const fn new(reader: Box<dyn EventReader>) -> Self {
         Self {
@@ -21,7 +22,7 @@ impl Intact {
         }
     }
 
-    /// Why the recording ended, if not because there was no more of it.
+    /// Returns the error that ended the recording, or `None` if it ended regularly.
     #[must_use]
     pub fn damage(self) -> Option<Error> {
         self.damage

@@ -1,9 +1,9 @@
-//! Events in memory.
+//! A reader of events in memory.
 
 use super::{BATCH_EVENTS, EventReader, Result, Skipped};
 use crate::{Event, Sensor};
 
-/// A reader of events that are in memory.
+/// A reader of events that are held in memory.
 ///
 /// ```
 /// use event_types::stream::{EventReader, MemoryReader};
@@ -21,14 +21,14 @@ use crate::{Event, Sensor};
 pub struct MemoryReader {
     sensor: Sensor,
     events: Vec<Event>,
-    /// Events that were read.
+    /// Number of events returned so far.
     used: usize,
     batch: usize,
     skipped: Skipped,
 }
 
 impl MemoryReader {
-    /// Gives `events` in their order; each of them is taken to be inside of the sensor.
+    /// Creates a reader of `events`, in their order; it does not check that they lie inside the sensor.
     #[must_use]
     pub fn new(sensor: Sensor, events: Vec<Event>) -> Self {
         Self {
@@ -40,7 +40,7 @@ impl MemoryReader {
         }
     }
 
-    /// Gives at most `batch` events at a time, 1 to [`BATCH_EVENTS`].
+    /// Sets how many events one call returns at most, clamped to 1 to [`BATCH_EVENTS`].
     #[must_use]
     pub fn in_batches(self, batch: usize) -> Self {
         Self {

@@ -1,6 +1,6 @@
-//! What gives events and what takes them: recordings, cameras, emulated scenes, decoded frames.
+//! Event sources and event sinks: recordings, cameras, emulated scenes, decoded frames.
 //!
-//! Who consumes events takes a `&mut dyn EventReader`, and who makes them implements it.
+//! A consumer of events takes a `&mut dyn EventReader`; a source of events implements [`EventReader`].
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -20,104 +20,108 @@ pub use error::{Context, Error, ErrorKind, Result};
 pub use intact::Intact;
 pub use memory::MemoryReader;
 
-/// Events of one call of [`EventReader::read`], at the most (a reader may return fewer).
+/// Largest number of events that one call of [`EventReader::read`] returns; a reader may return fewer.
 pub const BATCH_EVENTS: usize = 1 << 14;
 
-/// What a recording holds besides events; skipped, counted by name, never silent.
+/// Counts, by kind, of the items of a recording that are not events or were left out: a reader reports them all.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Skipped(BTreeMap<&'static str, u64>);
 
 impl Skipped {
-    /// Counts `n` more items of `kind`.
+    /// Adds `n` to the count of `kind`; does nothing if `n` is 0.
     pub fn add(&mut self, kind: &'static str, n: u64) {
         if n > 0 {
             *self.0.entry(kind).or_default() += n;
         }
     }
 
-    /// Kinds and their counts, in the order of their names.
+    /// Returns the kinds and their counts, ordered by name.
     pub fn iter(&self) -> impl Iterator<Item = (&'static str, u64)> + '_ {
         self.0.iter().map(|(kind, n)| (*kind, *n))
     }
 }
 
-/// A recording being read, from its first event to its last; on a thread of its own, if need be.
+/// A source of the events of one recording, which are read from first to last; it can be moved to another thread.
 pub trait EventReader: Send {
-    /// Format name as `eecvs info` prints it: a short word, such as `evt3`.
+    /// Returns the format's name as `eecvs info` prints it: a short word, such as `evt3`.
     fn format(&self) -> &'static str;
 
-    /// Sensor size from the file's header, or from the caller where the format has none.
+    /// Returns the sensor's size, from the file's header or, if the format has none, from the caller.
     fn sensor(&self) -> Sensor;
 
-    /// Camera or chip as the file names it, where it does.
+    /// Returns the camera or chip, if the file names it.
     fn camera(&self) -> Option<&str> {
         None
     }
 
-    /// What the file does not say and was taken to be so, for the caller to be shown.
+    /// Returns what the reader assumed because the file does not state it; meant to be shown to the user.
     fn assumptions(&self) -> &[Assumption] {
         &[]
     }
 
-    /// Appends the next events to `events`, in file order, at most [`BATCH_EVENTS`] of them.
+    /// Appends the next events to `events`, in file order, at most [`BATCH_EVENTS`] of them, and returns their
+    /// number.
     ///
-    /// `Ok(0)` is the end. After an error everything before the damage has been returned.
+    /// `Ok(0)` means the end, or for a live source what [`EventReader::pause`] says. All events before the damage
+    /// have been returned before an error is.
     ///
     /// # Errors
-    /// A damaged or truncated file: the message names the file, the offset and what to do.
+    /// The file is damaged or truncated: the message names the file, the offset and the remedy.
     fn read(&mut self, events: &mut Vec<Event>) -> Result<usize>;
 
-    /// Goes on at a place behind which every event of `t_us` and later stands, where the format tells it
-    /// without all that is before being read; false where nothing was done. Times are taken to ascend, as
-    /// the format's index does: an event that stands before earlier ones may be left out.
+    /// Moves to a position that has every event at or after `t_us` still ahead of it, if the format can find one
+    /// without reading everything before it. Returns false if nothing was done.
+    ///
+    /// Times are assumed to ascend, as the format's index assumes: an event at or after `t_us` that is stored
+    /// before earlier events may be left out.
     ///
     /// # Errors
-    /// A damaged index.
+    /// The index is damaged.
     fn seek(&mut self, t_us: u64) -> Result<bool> {
         let _ = t_us;
         Ok(false)
     }
 
-    /// Leaves out and counts the events that cannot be ones, from here on, instead of ending with an error;
-    /// false where the reader knows no such events, or was told when it was opened.
+    /// Leaves out and counts invalid events from here on, instead of ending with an error. Returns false if the
+    /// reader knows no invalid events, or takes this choice only when it is opened.
     fn leave_out_bad_events(&mut self) -> bool {
         false
     }
 
-    /// What it means that [`EventReader::read`] gave no events: the end, but for a live source.
+    /// Says why [`EventReader::read`] returned no events: the end of the recording, unless the source is live.
     fn pause(&self) -> Pause {
         Pause::Ended
     }
 
-    /// Non-event items met so far.
+    /// Returns the counts of the items met so far that are not events or were left out.
     fn skipped(&self) -> &Skipped;
 }
 
-/// Why a reader gave no events.
+/// Why a reader returned no events.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pause {
-    /// There are no more.
+    /// The recording has ended.
     Ended,
-    /// A live source has none yet: all those before this time, in microseconds, have been given.
+    /// A live source has no events yet: it has returned all those before this time, in microseconds.
     Until(u64),
 }
 
-/// A recording being written.
+/// A sink that writes one recording.
 pub trait EventWriter {
     /// Appends events.
     ///
     /// # Errors
-    /// I/O, or an event that the format cannot hold (the message names event and field).
+    /// I/O, or an event that the format cannot hold (the message names the event and the field).
     fn write(&mut self, events: &[Event]) -> Result<()>;
 
-    /// Writes what closes the file. Must be called last.
+    /// Completes the file. Must be called last.
     ///
     /// # Errors
     /// I/O.
     fn finish(self: Box<Self>) -> Result<()>;
 
-    /// As [`EventWriter::finish`], of everything before a damage: a file that is there already stays, and what was
-    /// written gets the name that is returned. `None` where the file has no name but its own.
+    /// Completes a file that holds only the events before the damage. An existing file of that name is kept, and
+    /// the new one gets another name, which is returned; `None` if the output has no other name.
     ///
     /// # Errors
     /// I/O.
@@ -126,23 +130,23 @@ pub trait EventWriter {
     }
 }
 
-/// [`Assumption::what`] of a sensor's size that is the largest x and y of the file's events.
+/// [`Assumption::what`] for a sensor size that was taken from the largest x and y of the file's events.
 pub const SIZE_TAKEN: &str = "sensor size";
 
-/// Something that a file does not say and its reader took to be so.
+/// Something that a file does not state, or states otherwise than it was read, and that its reader assumed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Assumption {
-    /// What: `time unit`, `times`, `columns`, `chip`, `polarity`, `sensor size`, `first pixel`,
-    /// `last line`.
+    /// What was assumed: `time unit`, `times`, `clock`, `columns`, `chip`, `polarity`, `sensor size`,
+    /// `stated size`, `first pixel`, `last line`, `recording`, `stream`, `version`.
     pub what: &'static str,
-    /// What it was taken to be.
+    /// The value that was assumed.
     pub taken: String,
-    /// Why, and which option says otherwise.
+    /// The reason, and the option that overrides it.
     pub why: String,
 }
 
 impl Assumption {
-    /// The sensor's size is that of the largest x and y.
+    /// Records that the sensor's size is the largest x and y of the events, plus one.
     #[must_use]
     pub fn size_taken(sensor: Sensor) -> Self {
         Self {
@@ -154,7 +158,7 @@ impl Assumption {
 }
 
 impl Assumption {
-    /// Times were rounded to microseconds.
+    /// Records that times were rounded to microseconds.
     #[must_use]
     pub fn times_rounded(how: &str) -> Self {
         Self {
@@ -166,7 +170,7 @@ impl Assumption {
 }
 
 impl Assumption {
-    /// A text file's last line was taken to be whole.
+    /// Records that a text file's last line was assumed to be complete.
     #[must_use]
     pub fn last_line_whole() -> Self {
         Self {

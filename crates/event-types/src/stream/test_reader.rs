@@ -3,7 +3,7 @@
 use super::{EventReader, Result, Skipped};
 use crate::{Event, Polarity, Sensor};
 
-/// Four batches of 7 events, then an error or none, then the end.
+/// A reader of four batches of 7 events, followed by an error if it is damaged, then by the end.
 pub struct Batches {
     reads: u64,
     is_damaged: bool,
@@ -11,7 +11,7 @@ pub struct Batches {
 }
 
 impl Batches {
-    /// Events of all batches, at the times 7, 8, and so on.
+    /// Number of events in all batches; their times are 7, 8, and so on.
     pub const EVENTS: usize = 4 * 7;
 
     pub fn damaged() -> Self {

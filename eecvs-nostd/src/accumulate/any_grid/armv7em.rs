@@ -1,6 +1,6 @@
-//! The same bits, two events at a time, so that sums are loaded and stored half as often.
+//! Sums two events at a time, with the same bits, so that sums are loaded and stored half as often.
 //!
-//! The compiler takes 13 instructions for a number where these are 5 or, of a complex one, 4.
+//! A number takes 5 instructions here, or 4 in a complex pair; the compiler takes 13.
 
 use core::arch::naked_asm;
 
@@ -8,7 +8,7 @@ use heapless::Vec;
 
 use super::{CHUNK_EVENTS, DISTANCE_AT, LINES, ONE, QUARTER, ROW_AT, Sum, Turn};
 
-/// As the one beside this module.
+/// Implements [`super::cosines`].
 #[inline(always)]
 pub fn cosines(turns: impl Iterator<Item = Turn>, sums: &mut [Sum]) {
     let sums = sums.get_mut(1..).unwrap_or_default();
@@ -17,13 +17,12 @@ pub fn cosines(turns: impl Iterator<Item = Turn>, sums: &mut [Sum]) {
     if turns.is_empty() {
         return sums.fill(Sum::ZERO);
     }
-    // SAFETY: `add_cosines` reads as many turns and writes as many sums as it is told, which are
-    // there, and reads lines at rows below `ROWS`. This file is built only for cores that have the
-    // instructions.
+    // SAFETY: `add_cosines` reads and writes as many turns and sums as the lengths say, all of which exist, and
+    // reads lines of rows below `ROWS`. This file is built only for cores that have the instructions.
     unsafe { add_cosines(sums.as_mut_ptr(), sums.len(), turns.as_ptr(), turns.len()) }
 }
 
-/// As the one beside this module.
+/// Implements [`super::exponentials`].
 #[inline(always)]
 pub fn exponentials(turns: impl Iterator<Item = Turn>, sums: &mut [[Sum; 2]]) {
     let sums = sums.get_mut(1..).unwrap_or_default();
@@ -32,11 +31,11 @@ pub fn exponentials(turns: impl Iterator<Item = Turn>, sums: &mut [[Sum; 2]]) {
     if turns.is_empty() {
         return sums.fill([Sum::ZERO; 2]);
     }
-    // SAFETY: as for `cosines`; imaginary parts are at rows below `ROWS + QUARTER`.
+    // SAFETY: as for `cosines`; imaginary parts are in rows below `ROWS + QUARTER`.
     unsafe { add_exponentials(sums.as_mut_ptr(), sums.len(), turns.as_ptr(), turns.len()) }
 }
 
-/// Into memory of the caller's, so that none is copied.
+/// Collects the turns in the caller's memory, so that they are not copied.
 #[inline(always)]
 fn collect(turns: impl Iterator<Item = Turn>, all: &mut Vec<Turn, CHUNK_EVENTS>) -> &[Turn] {
     for turn in turns {
@@ -47,7 +46,7 @@ fn collect(turns: impl Iterator<Item = Turn>, all: &mut Vec<Turn, CHUNK_EVENTS>)
     all
 }
 
-/// The weights in r9 and the row in r7, of the next phase of `$phase`.
+/// Advances `$phase` by `$step`, and leaves the weights in r9 and the row in r7.
 macro_rules! advance {
     ($phase:literal, $step:literal) => {
         concat!(
@@ -68,11 +67,11 @@ macro_rules! advance {
     };
 }
 
-/// sum p exp(-i k a) of two events for every k of `set`, ascending and side by side; the bits of
+/// Writes sum p exp(-i k a) of two events for every k of `set`, ascending and side by side, with the bits of
 /// [`super::exponentials`].
 ///
 /// # Safety
-/// `sums` has room for as many pairs; the core has the DSP instructions.
+/// `sums` must have room for one pair per k. The core must have the DSP instructions.
 #[unsafe(naked)]
 pub unsafe extern "C" fn two_exponentials(set: u32, sums: *mut Sum, turns: &[Turn; 2]) {
     naked_asm!(
@@ -91,7 +90,7 @@ pub unsafe extern "C" fn two_exponentials(set: u32, sums: *mut Sum, turns: &[Tur
         "2:",
         "clz r7, r0",
         "add r7, r7, #1",
-        // The last one leaves nothing, and nothing below changes the flags.
+        // After the last k nothing is left; no instruction below changes the flags.
         "lsls r0, r0, r7",
         "mla r2, r7, r3, r2",
         "mla r12, r7, lr, r12",
@@ -119,7 +118,7 @@ pub unsafe extern "C" fn two_exponentials(set: u32, sums: *mut Sum, turns: &[Tur
     )
 }
 
-/// Adds the next number of the turn to `$sum`, or begins with it.
+/// Adds the next number of the turn to `$sum`, or starts the sum with it.
 macro_rules! real {
     ($op:literal, $phase:literal, $step:literal, $sum:literal, $plus:literal) => {
         concat!(
@@ -135,7 +134,7 @@ macro_rules! real {
     };
 }
 
-/// Adds the next pair of the turn to r10 and r11, or begins with it.
+/// Adds the next pair of the turn to r10 and r11, or starts the sums with it.
 macro_rules! complex {
     ($op:literal, $phase:literal, $step:literal, $re:literal, $im:literal) => {
         concat!(
@@ -154,7 +153,7 @@ macro_rules! complex {
     };
 }
 
-/// `$unit` as often as r1 says, of which three are in a row.
+/// Repeats `$unit` r1 times, three per iteration of the main loop.
 macro_rules! units {
     ($unit:expr) => {
         concat!(
@@ -178,11 +177,11 @@ macro_rules! units {
     };
 }
 
-/// The frame around the loops over coefficients: `$begin_one` and `$begin_two` write sums,
-/// `$two` and `$one` add to them.
+/// The frame around the loops over coefficients: `$begin_one` and `$begin_two` start the sums with one or two
+/// events, `$two` and `$one` add two or one.
 ///
-/// r0: sums, r1: how many, r2 and r3: phase and step of a turn, r12 and lr: of another, r4: lines,
-/// r5: those of the imaginary parts, r6: [`ONE`] in the upper half. At sp: the four arguments.
+/// r0: sums; r1: their number; r2 and r3: phase and step of a turn; r12 and lr: those of another; r4: lines; r5:
+/// lines of the imaginary parts; r6: [`ONE`] in the upper half. The stack holds the four arguments.
 macro_rules! turns {
     ($begin_one:expr, $begin_two:expr, $two:expr, $one:expr) => {
         concat!(
@@ -208,7 +207,7 @@ macro_rules! turns {
             "str r7, [sp, #8]\n",
             $two,
             "b 6b\n",
-            // One is left, or none.
+            // One event is left, or none.
             "7:\n",
             "adds r3, r3, #2\n",
             "beq 9f\n",
@@ -225,8 +224,11 @@ macro_rules! turns {
     };
 }
 
+/// Writes the sums of [`cosines`].
+///
 /// # Safety
-/// `sums` has `len` numbers, `turns` has `count`, 1 or more; the core has the DSP instructions.
+/// `sums` must have `len` numbers and `turns` must have `count`, at least 1. The core must have the DSP
+/// instructions.
 #[unsafe(naked)]
 unsafe extern "C" fn add_cosines(sums: *mut Sum, len: usize, turns: *const Turn, count: usize) {
     naked_asm!(
@@ -260,8 +262,10 @@ unsafe extern "C" fn add_cosines(sums: *mut Sum, len: usize, turns: *const Turn,
     )
 }
 
+/// Writes the sums of [`exponentials`].
+///
 /// # Safety
-/// As for [`add_cosines`], with pairs.
+/// As for [`add_cosines`], with pairs in `sums`.
 #[unsafe(naked)]
 pub unsafe extern "C" fn add_exponentials(
     sums: *mut [Sum; 2],

@@ -1,5 +1,5 @@
-//! The same bits, eight numbers at a time: `pmaddwd` is `smlad` without its sum. Lines are loaded one
-//! by one, which takes half as long as the processor's own gathering.
+//! Sums eight numbers at a time, with the same bits: `pmaddwd` is `smlad` without the sum. Lines are loaded one by
+//! one, which takes half as long as the processor's gather instruction.
 
 use core::arch::x86_64::{
     __m256i, _mm256_add_epi32, _mm256_blend_epi16, _mm256_madd_epi16, _mm256_mullo_epi32,
@@ -13,16 +13,16 @@ use super::{
 
 cpufeatures::new!(detected, "avx2");
 
-/// Whether this processor has the instructions; looked up once.
+/// Returns whether this processor has AVX2; looked up once.
 #[inline(always)]
 pub fn is_there() -> bool {
     detected::get()
 }
 
-/// Coefficients of a pass over the events.
+/// Number of coefficients per pass over the events.
 const BLOCK: usize = 16;
 
-/// Lines of the imaginary part above those of the real: one load for both.
+/// The lines of the imaginary part above those of the real part, so that one load fetches both.
 static PAIRS: [u64; ROWS] = pairs();
 
 const fn pairs() -> [u64; ROWS] {
@@ -40,13 +40,13 @@ fn row(phase: u32) -> usize {
     (phase >> ROW_AT) as usize
 }
 
-/// As the one beside this module.
+/// Implements [`super::cosines`].
 pub fn cosines(turns: &(impl Iterator<Item = Turn> + Clone), sums: &mut [Sum]) {
     let line = |phase| {
         let line: Line = LINES[row(phase)];
         line.cast_signed()
     };
-    // SAFETY: asked for only where `is_there`.
+    // SAFETY: called only if `is_there`.
     unsafe {
         add::<{ BLOCK / 8 }, 8>(turns, sums, [0, 1, 2, 3, 4, 5, 6, 7], |phases| {
             let [a, b, c, d, e, f, g, h] = phases.map(line);
@@ -55,7 +55,7 @@ pub fn cosines(turns: &(impl Iterator<Item = Turn> + Clone), sums: &mut [Sum]) {
     }
 }
 
-/// As the one beside this module.
+/// Implements [`super::exponentials`].
 pub fn exponentials(turns: &(impl Iterator<Item = Turn> + Clone), sums: &mut [[Sum; 2]]) {
     let sums = sums.as_flattened_mut();
     // SAFETY: as for `cosines`.
@@ -67,8 +67,8 @@ pub fn exponentials(turns: &(impl Iterator<Item = Turn> + Clone), sums: &mut [[S
     }
 }
 
-/// sum p exp(-i k a) for k in 0..4 V as [`super::exponentials`], four pairs of real and imaginary
-/// part in each vector; those of k = 0 are any.
+/// Returns sum p exp(-i k a) for k in 0..4 V like [`super::exponentials`], with four pairs of real and imaginary
+/// part in each vector. The pair of k = 0 is arbitrary.
 #[target_feature(enable = "avx2")]
 #[inline]
 pub fn first_exponentials<const V: usize>(
@@ -84,7 +84,7 @@ pub fn first_exponentials<const V: usize>(
     sums
 }
 
-/// Adds the pairs of an event.
+/// Adds the pairs of one event.
 #[target_feature(enable = "avx2")]
 #[inline]
 fn add_pairs<const V: usize>(Turn { start, step }: Turn, ramp: __m256i, sums: &mut [__m256i; V]) {
@@ -109,7 +109,7 @@ fn add_pairs<const V: usize>(Turn { start, step }: Turn, ramp: __m256i, sums: &m
     }
 }
 
-/// Sums of `V` vectors at a time, in which `K` coefficients are, number i being of coefficient
+/// Writes the sums, `V` vectors at a time. A vector holds `K` coefficients; its number i belongs to coefficient
 /// `ramp[i]`.
 #[target_feature(enable = "avx2")]
 fn add<const V: usize, const K: usize>(
@@ -154,7 +154,7 @@ fn add<const V: usize, const K: usize>(
             *sum = Sum::from_bits(*number);
         }
     }
-    // The sum of k = 0 is not asked for.
+    // The sum of k = 0 must be left as it was.
     for (sum, zeroth) in sums.iter_mut().zip(zeroth).take(8 / K) {
         *sum = zeroth.unwrap_or_default();
     }

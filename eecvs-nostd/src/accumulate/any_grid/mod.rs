@@ -1,20 +1,18 @@
-//! p cos(k a) and p exp(-i k a) for k = 1, 2, ... from a table of one wave with lines between its
-//! rows: the DTFT, and the DCT of grids that [`super::dct8`] and [`super::dct16`] have no atoms of.
+//! Sums p cos(k a) and p exp(-i k a) for k = 1, 2, ... by linear interpolation in a table of one wave: the DTFT,
+//! and the DCT on grids that [`super::dct8`] and [`super::dct16`] do not serve.
 //!
-//! A row holds a line, start and slope, 16 bits each, so that one `smlad` with the weights (`ONE`,
-//! d) adds an atom; d is bits 27 to 12 of the phase as they are, signed: the distance from the row,
-//! 10 bits, and the row's own lowest six, which the line's start allows for. An atom is then five
-//! instructions with its sum, a complex one seven: -sin x is the cosine a quarter of a turn further.
-//! Half a turn changes the signs of both numbers of a line and nothing else, so a polarity is half a
-//! turn to begin with.
+//! A row of the table holds a line: start and slope, 16 bits each. One `smlad` with the weights (`ONE`, d) adds an
+//! atom, where d is bits 27 to 12 of the phase as they are, signed: the distance from the row (10 bits) and the
+//! row's own lowest six bits, which the line's start allows for. An atom and its sum take five instructions, a
+//! complex atom seven: -sin x is the cosine a quarter of a turn later. Half a turn negates both numbers of a line
+//! and changes nothing else, so the polarity is an initial half turn.
 //!
-//! Phases are multiples of a wrapping 32-bit fraction of a turn: no error grows with k but that of
-//! the fraction itself, k times ([`crate::transform::phase`]).
+//! Phases are multiples of a wrapping 32-bit fraction of a turn. The only error that grows with k is that of the
+//! fraction itself, times k ([`crate::transform::phase`]).
 //!
-//! Error of an atom at the most: 2^-16 of the start's rounding, 2^-17 of the slope's over half of a
-//! row, 2^-18.7 of the line, and 2^-18.3 of the distance's: 2^-15.1 where all meet.
-//! `atoms_are_within_the_bound` goes through every row and distance and enforces 2^-15.1, and that
-//! no atom reaches 1.
+//! The error of an atom is at most 2^-16 from rounding the start, 2^-17 from rounding the slope over half a row,
+//! 2^-18.7 from the line and 2^-18.3 from the distance: together 2^-15.1. `atoms_are_within_the_bound` tests every
+//! row and distance and enforces 2^-15.1, and that no atom reaches 1.
 
 #[cfg_attr(eecvs_dsp, allow(dead_code))]
 mod portable;
@@ -34,30 +32,30 @@ use crate::fixed_point::{CHUNK_EVENTS, FRACTION_BITS, Phase, Sum, dot_add};
 use crate::group::impulse::Impulse;
 
 const ROWS_LOG2: u32 = 10;
-/// Rows of a turn.
+/// Number of rows per turn.
 const ROWS: usize = 1 << ROWS_LOG2;
-/// Rows of a quarter of a turn.
+/// Number of rows per quarter turn.
 const QUARTER: usize = ROWS / 4;
-/// Bits of the distance from a row, whose weight is 1 for a whole row.
+/// Number of bits of the distance from a row; its weight is 1 for a whole row.
 const DISTANCE_BITS: u32 = FRACTION_BITS - 15;
-/// Where the row begins in a phase.
+/// Lowest bit of the row in a phase.
 const ROW_AT: u32 = 32 - ROWS_LOG2;
-/// Where the distance begins.
+/// Lowest bit of the distance.
 const DISTANCE_AT: u32 = ROW_AT - DISTANCE_BITS;
-/// Weight of a line's start: as in [`super::dct8`], and so that a start that makes up for six bits
-/// of the row still has 16.
+/// Weight of a line's start, as in [`super::dct8`]. It also keeps a start that allows for six bits of the row
+/// within 16 bits.
 const ONE: i32 = 1056;
-/// Largest atom: |c_k| < n is what lets the levels of n events do without a bit for n itself.
+/// Largest atom. The levels of n events need no extra bit for n itself, because |c_k| < n.
 const ATOM_MAX: i32 = (1 << FRACTION_BITS) - 1;
 
-/// Start in units of [`ONE`] in the upper half, slope in the lower.
+/// The start in units of [`ONE`] in the upper half, the slope in the lower half.
 type Line = u32;
 
-/// Of -cos, since ON is the half turn that begins in one instruction; a quarter of a turn more than
-/// one, for the imaginary parts.
+/// The table of -cos, because an ON event begins half a turn ahead, which takes one instruction. It covers a turn
+/// and a quarter, for the imaginary parts.
 static LINES: [Line; ROWS + QUARTER] = lines();
 
-/// Phase of k = 0, and what each further k adds.
+/// Phase of an event at k = 0, and the step to each further k.
 #[derive(Debug, Clone, Copy)]
 #[repr(C)]
 pub(crate) struct Turn {
@@ -75,21 +73,21 @@ impl Turn {
     }
 }
 
-/// The weights of a line at a phase.
+/// Returns the weights of the line at a phase.
 #[inline(always)]
 const fn weights(phase: u32) -> u32 {
     ((ONE as u32) << 16) | ((phase >> DISTANCE_AT) & 0xffff)
 }
 
-/// The lines of the real and the imaginary part at a phase.
+/// Returns the lines of the real and the imaginary part at a phase.
 #[inline(always)]
 fn pair(phase: u32) -> (Line, Line) {
     let row = (phase >> ROW_AT) as usize;
     (LINES[row], LINES[row + QUARTER])
 }
 
-/// sum p cos(k a) for k in 1..`sums.len()`, over at most [`CHUNK_EVENTS`] impulses; a in turns is
-/// `step` of an impulse. The sum of k = 0 stays.
+/// Writes sum p cos(k a) for k in 1..`sums.len()` over at most [`CHUNK_EVENTS`] impulses to `sums`. `step` maps an
+/// impulse to a in turns. The sum of k = 0 is left as it is.
 #[inline(always)]
 pub fn cosines(
     impulses: impl Iterator<Item = Impulse> + Clone,
@@ -109,7 +107,7 @@ pub fn cosines(
     portable::cosines(turns, sums);
 }
 
-/// sum p exp(-i k a), `sums` being pairs of real and imaginary part; otherwise as [`cosines`].
+/// Writes sum p exp(-i k a) to `sums`, pairs of real and imaginary part; otherwise like [`cosines`].
 #[inline(always)]
 pub fn exponentials(
     impulses: impl Iterator<Item = Impulse> + Clone,
@@ -129,7 +127,7 @@ pub fn exponentials(
     portable::exponentials(turns, sums);
 }
 
-/// The table in constant evaluation: the same bits on every machine.
+/// Builds the table in constant evaluation, which gives the same bits on every machine.
 const fn lines() -> [Line; ROWS + QUARTER] {
     let mut lines = [0; ROWS + QUARTER];
     let mut i = 0;
@@ -140,7 +138,8 @@ const fn lines() -> [Line; ROWS + QUARTER] {
     lines
 }
 
-/// The line of the cosine from `row` to the next: the chord, moved by half of its distance from the curve.
+/// Returns the line of the cosine from `row` to the next row: the chord, moved by half of its distance from the
+/// curve.
 const fn line(row: usize) -> Line {
     if row >= ROWS / 2 {
         let line = line(row - ROWS / 2);
@@ -156,11 +155,11 @@ const fn line(row: usize) -> Line {
     let from = (from + bend + half_bit) * scale;
     let to = (to + bend + half_bit) * scale;
     let slope = round((to - from) / (1 << DISTANCE_BITS) as f64);
-    // The weight of the slope in the middle of the row.
+    // The slope's contribution in the middle of the row.
     let (first, last) = distances(row);
     let middle = slope as f64 * ((first + last) as f64 / 2.0);
     let mut start = round(((from + to) / 2.0 - middle) / ONE as f64);
-    // Below 1 at both ends.
+    // Keep the atom below 1 at both ends.
     while start * ONE + slope * first > ATOM_MAX || start * ONE + slope * last > ATOM_MAX {
         start -= 1;
     }
@@ -171,7 +170,7 @@ const fn line(row: usize) -> Line {
     ((start as u32) << 16) | (slope as u32 & 0xffff)
 }
 
-/// First and last weight of a slope in `row`.
+/// Returns the first and the last weight of a slope in `row`.
 const fn distances(row: usize) -> (i32, i32) {
     let first = ((row << DISTANCE_BITS) & 0xffff) as u16 as i16 as i32;
     (first, first + (1 << DISTANCE_BITS) - 1)

@@ -1,4 +1,4 @@
-//! An atom at a time.
+//! Sums one atom at a time.
 
 use super::{Sum, Turn, dot_add, pair, weights};
 

@@ -1,15 +1,15 @@
-//! p cos(pi k u) for k = 1..15 from a table with lines between its rows: the DCT of grids of 9 to 16.
+//! Sums p cos(pi k u) for k = 1..15 by linear interpolation in a table: the DCT on grids of 9 to 16.
 //!
-//! As [`dct8`](super::dct8), with rows twice as fine for the higher k: a row holds a line for each k,
-//! and one `smlad` with the weights (p, p d), d the distance from the row, adds an atom. The lines of
-//! odd k come first, so that each half of a row has weights of one sign: u and 1 - u share a row,
-//! where odd k change theirs.
+//! Works like [`dct8`](super::dct8), with rows twice as fine for the higher k. A row holds a line for each k, and
+//! one `smlad` with the weights (p, p d), where d is the distance from the row, adds an atom. The lines of odd k
+//! come first, so that each half of a row has weights of one sign: u and 1 - u share a row, with the opposite sign
+//! for odd k.
 //!
-//! Error of an atom at the most, for k = 15: the line's 3.3e-5 where the cosine is largest and, as no
-//! atom may reach 1, 4.5e-5 in the rows around its peaks; 2^-16 of both ends' rounding; and 2^-11 rows
-//! of the distance's, 1.1e-5, which is largest where the line's is not: 6.0e-5 = 2^-14.0 if all met.
-//! `atoms_are_within_the_bound` goes through every row and distance, finds 2^-14.21, and enforces
-//! 2^-14.2, and that no atom reaches 1.
+//! The error of an atom is largest for k = 15. It has three parts: from the line, 3.3e-5 where the cosine is
+//! largest and, as no atom may reach 1, 4.5e-5 in the rows around its peaks; 2^-16 from rounding the line's two
+//! ends; and 2^-11 rows, or 1.1e-5, from rounding the distance, which is largest where the line's part is not. The
+//! sum of all maxima is 6.0e-5 = 2^-14.0. `atoms_are_within_the_bound` tests every row and distance, finds
+//! 2^-14.21, and enforces 2^-14.2, and that no atom reaches 1.
 
 #[cfg_attr(target_feature = "sse2", allow(dead_code))]
 mod portable;
@@ -25,30 +25,30 @@ use crate::accumulate::dct8::{Weights, weigh};
 use crate::fixed_point::{FRACTION_BITS, Phase};
 use crate::group::impulse::Impulse;
 
-/// Largest K.
+/// Largest K that this table serves.
 pub const GRID: usize = 16;
-/// Coefficients but for c_0.
+/// Number of coefficients, c_0 not included.
 const ATOMS: usize = GRID - 1;
-/// Lines of odd k in a row, and those of even k, of which the last one is none.
+/// Places in a row for the lines of odd k, and for those of even k, of which the last is unused.
 const HALF: usize = GRID / 2;
-/// Rows from u = 0 to u = 1/2.
+/// Number of rows, from u = 0 to u = 1/2.
 const ROWS: usize = 1 << ROWS_LOG2;
 pub(crate) const ROWS_LOG2: u32 = 10;
-/// Weight of the cosine: of those below 2^10 + 2^7 the one that leaves the least error.
+/// Weight of the cosine: the value below 2^10 + 2^7 with the smallest error.
 pub(crate) const ONE: i32 = 1026;
-/// Bits of the distance from a row, whose weight is 1 for a whole row.
+/// Number of bits of the distance from a row; its weight is 1 for a whole row.
 const DISTANCE_BITS: u32 = super::dct8::DISTANCE_BITS;
-/// Where the row begins in 30 bits of u / 2, and the distance below it.
+/// Lowest bit of the row within 30 bits of u / 2; the distance lies below it.
 #[allow(dead_code, reason = "assembly alone asks")]
 pub(crate) const ROW_AT: u32 = 30 - ROWS_LOG2;
 #[allow(dead_code, reason = "assembly alone asks")]
 pub(crate) const DISTANCE_AT: u32 = ROW_AT - DISTANCE_BITS;
-/// Largest atom: |c_k| < n is what lets the levels of n events do without a bit for n itself.
+/// Largest atom. The levels of n events need no extra bit for n itself, because |c_k| < n.
 const ATOM_MAX: i32 = (1 << FRACTION_BITS) - 1;
 
-/// -cos in units of [`ONE`] in the upper half, slope per row with 15 fractional bits in the lower.
+/// -cos in units of [`ONE`] in the upper half; the slope per row, with 15 fractional bits, in the lower half.
 type Line = u32;
-/// k = 1, 3, .. 15, 2, 4, .. 14, and none.
+/// Lines of k = 1, 3, .. 15, then 2, 4, .. 14, then an unused one.
 type Row = [Line; GRID];
 
 pub(crate) static LINES: [Row; ROWS] = table();
@@ -58,9 +58,10 @@ use portable::Sums;
 #[cfg(all(target_arch = "x86_64", target_feature = "sse2"))]
 use sse2::Sums;
 
-/// sum p cos(pi k u) for k = 1..16 over at most a chunk of impulses, of which `half` gives u / 2, with
-/// the bits of a [`Sum`](crate::fixed_point::Sum). Apart, so that the loop has the registers for
-/// itself.
+/// Returns sum p cos(pi k u) for k = 1..16 over the impulses, at most a chunk of them, in the units of a
+/// [`Sum`](crate::fixed_point::Sum). `half` maps an impulse to u / 2.
+///
+/// Out of line, so that the loop has all registers to itself.
 #[inline(never)]
 pub fn cosines(
     impulses: impl Iterator<Item = Impulse>,
@@ -74,9 +75,9 @@ pub fn cosines(
     sums.into_array()
 }
 
-/// The table in constant evaluation: the same bits on every machine.
+/// Builds the table in constant evaluation, which gives the same bits on every machine.
 const fn table() -> [Row; ROWS] {
-    // Of the first quarter of a turn.
+    // The cosines of the first quarter turn.
     let mut cos = [0.0; ROWS + 1];
     let mut row = 0;
     while row <= ROWS {
@@ -97,7 +98,7 @@ const fn table() -> [Row; ROWS] {
     lines
 }
 
-/// cos(pi / 2 `at` / [`ROWS`]) from those of the first quarter.
+/// Returns cos(pi / 2 `at` / [`ROWS`]) from the cosines of the first quarter turn.
 const fn cos_at(cos: &[f64; ROWS + 1], at: usize) -> f64 {
     let within = at % ROWS;
     match at / ROWS % 4 {
@@ -108,12 +109,13 @@ const fn cos_at(cos: &[f64; ROWS + 1], at: usize) -> f64 {
     }
 }
 
-/// The line for k from a row, where the cosine is `from`, to the next, where it is `to`: the chord,
-/// moved by half of its distance from the curve at both ends, or, where that is beyond 1 at one of
-/// them, at the other one so much more as makes the errors there and in the middle equal.
+/// Returns the line for k from a row, where the cosine is `from`, to the next, where it is `to`.
+///
+/// It is the chord, moved at both ends by half of its distance from the curve. If that passes 1 at one end, that
+/// end is clamped and the other is moved further, so that the errors there and in the middle are equal.
 const fn line(k: usize, from: f64, to: f64) -> Line {
     let step = k as f64 * (FRAC_PI_2 / ROWS as f64);
-    // What the chord is away from the curve, towards 0.
+    // Distance of the chord from the curve, towards 0.
     let depth = (from + to) / 2.0 * (step * step / 8.0);
     // A distance stands for the middle of its last bit.
     let half_bit = (to - from) / (2 << DISTANCE_BITS) as f64;
@@ -135,7 +137,7 @@ const fn line(k: usize, from: f64, to: f64) -> Line {
     while cos * ONE < -ATOM_MAX {
         cos += 1;
     }
-    // The slope ends where the curve does, whatever the cosine's rounding was.
+    // The slope ends where the curve does, whatever rounding did to the cosine.
     let from = cos * ONE;
     let last = (1 << DISTANCE_BITS) - 1;
     let mut slope = round((to * scale - from as f64) / (1 << DISTANCE_BITS) as f64);

@@ -1,4 +1,4 @@
-//! Sums of the atoms, one by one.
+//! Sums the atoms one by one.
 
 use super::{ATOMS, GRID, HALF, Row, Weights};
 use crate::fixed_point::dot_add;
@@ -22,7 +22,7 @@ impl Sums {
         }
     }
 
-    /// k ascending.
+    /// Returns the sums, k ascending.
     #[inline(always)]
     pub fn into_array(self) -> [i32; ATOMS] {
         let mut all = [0; ATOMS];

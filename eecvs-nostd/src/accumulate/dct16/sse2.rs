@@ -1,4 +1,4 @@
-//! The same bits four at a time: `pmaddwd` is `smlad` without its sum, and every x86-64 has it.
+//! Sums four atoms at a time, with the same bits: `pmaddwd` is `smlad` without the sum. Every x86-64 has it.
 
 use core::arch::x86_64::{
     __m128i, _mm_add_epi32, _mm_loadu_si128, _mm_madd_epi16, _mm_set1_epi32, _mm_setzero_si128,
@@ -13,7 +13,7 @@ pub struct Sums([__m128i; GRID / 4]);
 impl Sums {
     #[inline(always)]
     pub fn zero() -> Self {
-        // SAFETY: the module is there only where the target has SSE2.
+        // SAFETY: this module exists only if the target has SSE2.
         Self([unsafe { _mm_setzero_si128() }; GRID / 4])
     }
 
@@ -33,7 +33,7 @@ impl Sums {
         }
     }
 
-    /// k ascending.
+    /// Returns the sums, k ascending.
     #[inline(always)]
     pub fn into_array(self) -> [i32; ATOMS] {
         let [odd, odd_more, even, even_more] = self.0;

@@ -1,9 +1,8 @@
-//! The sums of [`dct8`] and [`dct16`] over a pixel's list, with all sums in registers, which
-//! leaves the compiler too few for the rest: for 28 instructions per event it takes over 50, for 46
-//! over 100.
+//! Computes the sums of [`dct8`] and [`dct16`] over a pixel's list with all sums in registers.
 //!
-//! The loops in Rust stay for other processors and for impulses that are no list; all give the same
-//! bits.
+//! This leaves a compiler too few registers for the rest: it takes over 50 instructions per event instead of 28,
+//! and over 100 instead of 46. The loops in Rust serve other processors, and impulses that are not a list. All give
+//! the same bits.
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;
@@ -14,10 +13,10 @@ use crate::group::Impulses;
 use crate::transform::phase::PhaseScale;
 use crate::window::{NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot};
 
-/// Adds the atoms of the slot lr to r4 to r10, or begins with them; lr is its link then. As
-/// [`dct8::cosines`] does.
+/// Adds the atoms of the event in slot lr to r4 to r10, or starts the sums with them, as [`dct8::cosines`] does.
+/// Leaves the slot's link in lr.
 ///
-/// At sp: the lines, the slots, and what [`PhaseScale::half`] shifts and multiplies by.
+/// The stack holds the lines, the slots, and the shift and factor of [`PhaseScale::half`].
 macro_rules! event {
     ($begin:literal, $r4:literal, $r5:literal, $r6:literal, $r7:literal, $r8:literal, $r9:literal,
         $r10:literal) => {
@@ -28,10 +27,10 @@ macro_rules! event {
             // r1: u / 2.
             "lsls r1, r2\n",
             "umull r3, r1, r1, r3\n",
-            // r2: all ones in the second half of the window; r1: from the nearer edge.
+            // r2: all ones in the second half of the window; r1: the distance from the nearer edge.
             "sbfx r2, r1, #30, #1\n",
             "eors r1, r2\n",
-            // r3: all ones where it is ON.
+            // r3: all ones for an ON event.
             "sbfx r3, lr, #0, #1\n",
             // r12: the weights for even k; r11: for odd k, whose sign the second half changes.
             "ubfx r11, r1, #{distance_at}, #{distance_bits}\n",
@@ -77,7 +76,7 @@ macro_rules! event {
 }
 pub(crate) use event;
 
-/// As [`dct8::of_list`], of grids of [`dct8::GRID`] and up to [`dct16::GRID`].
+/// [`dct8::of_list`] for grids of [`dct8::GRID`], and of more, up to [`dct16::GRID`].
 #[inline(always)]
 pub(crate) fn of_list<'s>(
     impulses: &Impulses<'s>,
@@ -102,8 +101,8 @@ pub(crate) fn of_list<'s>(
     None
 }
 
-/// sum p cos(pi k u) for k = 1..8 over the first impulses, at most a chunk of them, as
-/// [`dct8::cosines`]; returns the others.
+/// Writes sum p cos(pi k u) for k = 1..8 over the first impulses, at most a chunk of them, with the bits of
+/// [`dct8::cosines`]; returns the remaining impulses.
 #[inline(always)]
 pub fn seven<'s>(
     impulses: &Impulses<'s>,
@@ -116,15 +115,15 @@ pub fn seven<'s>(
         return impulses.clone();
     }
     let (shift, reciprocal) = scale.parts();
-    // SAFETY: the links of a list of `Impulses` are slots that are there, or its end. `add_seven`
-    // reads them and lines at rows below 512, and writes the sums. This file is built only for
-    // cores that have the instructions.
+    // SAFETY: each link of a list of `Impulses` is an existing slot or the list's end. `add_seven` reads those
+    // slots and lines of rows below 512, and writes the sums. This file is built only for cores that have the
+    // instructions.
     let next = unsafe { add_seven(slots.as_ptr(), next, &[shift, reciprocal], sums) };
     impulses.after(next)
 }
 
-/// sum p cos(pi k u) for k = 1..16 over the first impulses, at most a chunk of them, as
-/// [`dct16::cosines`]; returns the others. The sum of k = 0 stays.
+/// Writes sum p cos(pi k u) for k = 1..16 over the first impulses, at most a chunk of them, with the bits of
+/// [`dct16::cosines`]; returns the remaining impulses. The sum of k = 0 is left as it is.
 #[inline(always)]
 pub fn fifteen<'s>(
     impulses: &Impulses<'s>,
@@ -142,12 +141,12 @@ pub fn fifteen<'s>(
     impulses.after(next)
 }
 
-// What the assembly takes for granted: a link's sign tells the end, and its three bits below the next
-// slot's are the column's, which all slots of a list share.
+// The assembly relies on these: the sign of a link marks the list's end, and the three bits below the next slot's
+// number are bits of the column, which all slots of a list share.
 const _: () = assert!(SLOTS_MAX < 0x8000 && NO_SLOT >= 0x8000 && NEXT_SHIFT == 16);
 const _: () = assert!(size_of::<Slot>() == 8 && size_of::<Sum>() == 4);
 
-/// The next event, if there is one: 27 instructions.
+/// Handles an event and steps to the next, or leaves the loop at the end of the list: 27 instructions.
 macro_rules! event_and_next {
     () => {
         concat!(
@@ -161,16 +160,15 @@ macro_rules! event_and_next {
     };
 }
 
-/// Events between two looks at how many there were.
+/// Number of events between two checks of the event count.
 const ROUND: usize = 8;
-// The first round is one short.
+// The first round is one event short.
 const _: () = assert!((CHUNK_EVENTS + 1).is_multiple_of(ROUND));
 
-/// Returns the next slot.
+/// Writes the seven sums over a list; returns the next slot.
 ///
 /// # Safety
-/// The slot at `index` is there, and so are those that its list links; the core has the DSP
-/// instructions.
+/// The slot at `index` and the slots that its list links must exist. The core must have the DSP instructions.
 #[unsafe(naked)]
 unsafe extern "C" fn add_seven(
     slots: *const Slot,
@@ -225,10 +223,10 @@ unsafe extern "C" fn add_seven(
     )
 }
 
-/// Bytes of an event between the passes: its row and both weights.
+/// Bytes that an event takes between the passes: its row and both weights.
 const WEIGHED: usize = 12;
 
-/// Adds the atoms of odd k of the event at r0 to r4 to r11, or begins with them.
+/// Adds the atoms of odd k for the event at r0 to r4 to r11, or starts the sums with them.
 macro_rules! odd {
     ($op:literal, $r4:literal, $r5:literal, $r6:literal, $r7:literal, $r8:literal, $r9:literal,
         $r10:literal, $r11:literal) => {
@@ -274,7 +272,7 @@ macro_rules! odd {
     };
 }
 
-/// Adds the atoms of even k of the event at r0 to r4 to r10, or begins with them.
+/// Adds the atoms of even k for the event at r0 to r4 to r10, or starts the sums with them.
 macro_rules! even {
     ($op:literal, $r4:literal, $r5:literal, $r6:literal, $r7:literal, $r8:literal, $r9:literal,
         $r10:literal) => {
@@ -314,8 +312,10 @@ macro_rules! even {
     };
 }
 
-/// Returns the next slot. The list is gone through once, rows and weights go to the stack, and from
-/// there each half of the row to its sums: 46 instructions per event.
+/// Writes the fifteen sums over a list; returns the next slot.
+///
+/// Walks the list once and stores rows and weights on the stack; from there each half of a row is added to its
+/// sums. Takes 46 instructions per event.
 ///
 /// # Safety
 /// As for [`add_seven`].
@@ -327,10 +327,9 @@ unsafe extern "C" fn add_fifteen(
     sums: &mut [Sum; dct16::GRID],
 ) -> u32 {
     naked_asm!(
-        // r4: slots, less what the column's upper bits come to in `lr, lsr #13`; r5 and r6: what
-        // offsets are shifted and multiplied by; r7: lines of even k; r8: the event's place; r9: how
-        // many more there may be, less 1.
-        // At sp: events, then the last one's link, then the sums' address.
+        // r4: slots, less the column's upper bits, which `lr, lsr #13` includes; r5 and r6: shift and factor of the
+        // offsets; r7: lines of even k; r8: where the event is stored; r9: how many more events are allowed, less
+        // 1. The stack holds the events, then the last one's link, then the address of the sums.
         "push {{r3-r11, lr}}",
         "sub sp, sp, #{link_at} + 4",
         "ldrd r5, r6, [r2]",
@@ -350,10 +349,10 @@ unsafe extern "C" fn add_fifteen(
         // r0: u / 2.
         "lsls r0, r5",
         "umull r1, r0, r0, r6",
-        // r1: all ones in the second half of the window; r0: from the nearer edge.
+        // r1: all ones in the second half of the window; r0: the distance from the nearer edge.
         "sbfx r1, r0, #30, #1",
         "eors r0, r1",
-        // r2: all ones where it is ON.
+        // r2: all ones for an ON event.
         "sbfx r2, lr, #0, #1",
         // r3: the weights for even k; r2: for odd k, whose sign the second half changes.
         "ubfx r3, r0, #{distance_at}, #{distance_bits}",
@@ -366,12 +365,12 @@ unsafe extern "C" fn add_fifteen(
         "ubfx r0, r0, #{row_at}, #{rows_log2}",
         "add r1, r7, r0, lsl #6",
         "stm r8!, {{r1, r2, r3}}",
-        // Either sign ends it.
+        // Ends if either is negative.
         "subs r9, #1",
         "orrs r10, r9, lr",
         "bpl 2b",
         "str lr, [sp, #{link_at}]",
-        // r12: where the events end.
+        // r12: end of the events.
         "mov r12, r8",
         "mov r0, sp",
         odd!("smuad", "", "", "", "", "", "", "", ""),

@@ -1,14 +1,14 @@
-//! p cos(pi k u) for k = 1..7 from a table with lines between its rows: the DCT of small grids.
+//! Sums p cos(pi k u) for k = 1..7 by linear interpolation in a table: the DCT on grids of up to 8.
 //!
-//! A row holds a line for each k from its u to the next row's: cos and slope, 16 bits each, so that
-//! one `smlad` with the weights (p, p d), d the distance from the row, adds an atom. The rows span
-//! half of the window; u and 1 - u share one, of which odd k change the sign.
+//! A row of the table holds, for each k, a line from its u to that of the next row: cosine and slope, 16 bits each.
+//! One `smlad` with the weights (p, p d), where d is the distance from the row, adds an atom. The rows span half of
+//! the window; u and 1 - u share a row, with the opposite sign for odd k.
 //!
-//! Error of an atom at the most, for k = 7: the line's 2.9e-5 (half of the curve's bend, as the
-//! line runs in the middle of it), 2^-16 of both ends' rounding, and 2^-11 rows of the distance's,
-//! 1.0e-5: 5.5e-5 = 2^-14.15. `atoms_are_within_the_bound` goes through every row and distance and
-//! enforces 2^-14.2, and that no atom reaches 1. Grids of up to 16 have rows twice as fine
-//! ([`super::dct16`]), of four times the size.
+//! The error of an atom is largest for k = 7: 2.9e-5 from the line (half of the curve's sagitta, as the line runs
+//! midway through it), 2^-16 from rounding the line's two ends, and 2^-11 rows, or 1.0e-5, from rounding the
+//! distance. Together this is 5.5e-5 = 2^-14.15. `atoms_are_within_the_bound` tests every row and distance and
+//! enforces 2^-14.2, and that no atom reaches 1. Grids of up to 16 use rows twice as fine, in a table four times
+//! the size ([`super::dct16`]).
 
 #[cfg_attr(target_feature = "sse2", allow(dead_code))]
 mod portable;
@@ -30,61 +30,61 @@ use crate::group::Impulses;
 use crate::group::impulse::Impulse;
 use crate::transform::phase::PhaseScale;
 
-/// Largest K.
+/// Largest K that this table serves.
 pub const GRID: usize = 8;
-/// Coefficients but for c_0.
+/// Number of coefficients, c_0 not included.
 const ATOMS: usize = GRID - 1;
-/// Rows from u = 0 to u = 1/2.
+/// Number of rows, from u = 0 to u = 1/2.
 const ROWS: usize = 1 << ROWS_LOG2;
 pub(crate) const ROWS_LOG2: u32 = 9;
 
-/// -cos in units of [`ONE`] in the upper half, slope per row with 15 fractional bits in the lower.
+/// -cos in units of [`ONE`] in the upper half; the slope per row, with 15 fractional bits, in the lower half.
 type Line = u32;
 
 /// The table.
 ///
-/// A row has a place more than it has lines: its address is then one shift and an addition.
+/// A row has one more place than lines, so that its address takes one shift and one addition.
 pub(crate) type Lines = [[Line; GRID]; ROWS];
 
 pub(crate) static LINES: Lines = table();
 
-/// Bits of the distance from a row, whose weight is 1 for a whole row.
+/// Number of bits of the distance from a row; its weight is 1 for a whole row.
 pub(crate) const DISTANCE_BITS: u32 = FRACTION_BITS - 15;
-/// Where the row begins in 30 bits of u / 2, and the distance below it.
+/// Lowest bit of the row within 30 bits of u / 2; the distance lies below it.
 #[allow(dead_code, reason = "assembly alone asks")]
 pub(crate) const ROW_AT: u32 = 30 - ROWS_LOG2;
-/// Where the distance begins.
+/// Lowest bit of the distance.
 #[allow(dead_code, reason = "assembly alone asks")]
 pub(crate) const DISTANCE_AT: u32 = ROW_AT - DISTANCE_BITS;
-/// Weight of the cosine. Not 2^10, whose multiples are up to 2^-15 away from the largest atom.
+/// Weight of the cosine. Not 2^10: its multiples are up to 2^-15 away from the largest atom.
 pub(crate) const ONE: i32 = 1056;
-/// Largest atom: |c_k| < n is what lets the levels of n events do without a bit for n itself.
+/// Largest atom. The levels of n events need no extra bit for n itself, because |c_k| < n.
 const ATOM_MAX: i32 = (1 << FRACTION_BITS) - 1;
 
-/// Weights of an event's lines.
+/// Weights of the lines for one event.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Weights {
-    /// p and p d for even k.
+    /// (p, p d) for even k.
     pub even: u32,
-    /// The same for odd k.
+    /// (p, p d) for odd k.
     pub odd: u32,
 }
 
-/// The row of an event at the `half` turn u / 2, in a table of 2^`ROWS_LOG2` rows that has -cos in
-/// units of `ONE`, and the weights of its lines.
+/// Returns the row of an event and the weights of its lines. `half` is u / 2 in turns; the table has 2^`ROWS_LOG2`
+/// rows and holds -cos in units of `ONE`.
 #[inline(always)]
 pub(crate) fn weigh<const ROWS_LOG2: u32, const ONE: i32>(
     half: Phase,
     is_on: bool,
 ) -> (usize, Weights) {
     let half = half.to_bits();
-    // All ones in the second half of the window, which is turned round: 30 bits are left.
+    // All ones in the second half of the window, which is mirrored onto the first: 30 bits remain.
     let turned = ((half << 1) as i32 >> 31) as u32;
     let from_edge = half ^ turned;
     let row = (from_edge >> (30 - ROWS_LOG2)) as usize % (1 << ROWS_LOG2);
     let distance = (from_edge >> (30 - ROWS_LOG2 - DISTANCE_BITS)) % (1 << DISTANCE_BITS);
     let weights = ((ONE as u32) << 16) | distance;
-    // The table's cosines are negative: it is ON that turns them.
+    // The table's cosines are negative, so it is an ON event whose weights are negated.
     let negative = u32::from(is_on).wrapping_neg();
     let weights = Weights {
         even: negate_halves(weights, negative),
@@ -93,7 +93,7 @@ pub(crate) fn weigh<const ROWS_LOG2: u32, const ONE: i32>(
     (row, weights)
 }
 
-/// An event's lines and their weights.
+/// The lines of one event, with their weights.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Weighted {
     lines: &'static [Line; GRID],
@@ -101,7 +101,7 @@ pub(crate) struct Weighted {
 }
 
 impl Weighted {
-    /// Of an event at the `half` turn u / 2.
+    /// Looks up the lines of an event; `half` is u / 2 in turns.
     #[inline(always)]
     fn new(half: Phase, is_on: bool) -> Self {
         let (row, weights) = weigh::<ROWS_LOG2, ONE>(half, is_on);
@@ -117,8 +117,10 @@ use portable::Sums;
 #[cfg(all(target_arch = "x86_64", target_feature = "sse2"))]
 pub(crate) use sse2::Sums;
 
-/// sum p cos(pi k u) for k = 1..8 over at most a chunk of impulses, of which `half` gives
-/// u / 2, with the bits of a `Sum`. Apart, so that the loop has the registers for itself.
+/// Returns sum p cos(pi k u) for k = 1..8 over the impulses, at most a chunk of them, in the units of `Sum`. `half`
+/// maps an impulse to u / 2.
+///
+/// Out of line, so that the loop has all registers to itself.
 #[inline(never)]
 pub fn cosines(
     impulses: impl Iterator<Item = Impulse>,
@@ -141,7 +143,7 @@ pub(crate) use super::of_list::of_list;
 #[cfg(eecvs_dsp)]
 pub(crate) use armv7em::of_list;
 
-/// [`cosines`] of one window's pixels, with what they have in common.
+/// Computes [`cosines`] for the pixels of one window.
 #[derive(Debug)]
 #[repr(C)]
 pub struct Cosines {
@@ -153,7 +155,7 @@ pub struct Cosines {
 }
 
 impl Cosines {
-    /// For a window of this scale.
+    /// Creates an instance for a window of this scale.
     #[must_use]
     pub fn new(scale: PhaseScale) -> Self {
         Self {
@@ -165,7 +167,7 @@ impl Cosines {
         }
     }
 
-    /// The sums of the pixel that was summed up last.
+    /// Returns the sums of the last pixel.
     #[cfg(not(target_arch = "x86_64"))]
     #[inline(always)]
     #[must_use]
@@ -173,7 +175,7 @@ impl Cosines {
         &self.sums
     }
 
-    /// The bits that are not copies of the sign, of any of them.
+    /// Returns a mask of the bits that differ from the sign bit in at least one sum.
     #[cfg(not(target_arch = "x86_64"))]
     #[inline(always)]
     #[must_use]
@@ -181,11 +183,11 @@ impl Cosines {
         self.spread
     }
 
-    /// Where [`Self::sums`] are, and [`Self::spread`] after them.
+    /// Byte offset of [`Self::sums`]; [`Self::spread`] follows them.
     #[cfg(eecvs_dsp)]
     pub(crate) const SUMS_AT: usize = core::mem::offset_of!(Cosines, sums);
 
-    /// Sums up the events of a pixel, at most [`CHUNK_EVENTS`].
+    /// Sums the events of a pixel, at most [`CHUNK_EVENTS`].
     #[cfg(not(any(eecvs_dsp, target_arch = "x86_64")))]
     pub(crate) fn sum(&mut self, impulses: &Impulses<'_>) {
         let scale = self.scale;
@@ -193,8 +195,8 @@ impl Cosines {
         self.spread = spread(&self.sums);
     }
 
-    /// The sums of a pixel's events, at most [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS), in
-    /// vectors. Apart, as [`cosines`].
+    /// Returns the sums over a pixel's events, at most [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS), in
+    /// vectors. Out of line, like [`cosines`].
     #[cfg(target_arch = "x86_64")]
     #[inline(never)]
     pub(crate) fn sums_of(&self, impulses: &Impulses<'_>) -> Sums {
@@ -202,7 +204,7 @@ impl Cosines {
         sums_of(impulses.clone(), |impulse| scale.half(impulse.offset_us))
     }
 
-    /// The same bits from `armv7em`.
+    /// Sums the events of a pixel with `armv7em`, with the same bits.
     #[cfg(eecvs_dsp)]
     #[inline(always)]
     pub(crate) fn sum(&mut self, impulses: &Impulses<'_>) {
@@ -213,7 +215,7 @@ impl Cosines {
     }
 }
 
-/// The bits that are not copies of the sign, of any of `sums`.
+/// Returns a mask of the bits that differ from the sign bit in at least one of `sums`.
 #[cfg(not(target_arch = "x86_64"))]
 #[inline(always)]
 pub(crate) fn spread(sums: &[i32; ATOMS]) -> u32 {
@@ -221,7 +223,7 @@ pub(crate) fn spread(sums: &[i32; ATOMS]) -> u32 {
     sums.iter().fold(0, spread) as u32
 }
 
-/// The table in constant evaluation: the same bits on every machine.
+/// Builds the table in constant evaluation, which gives the same bits on every machine.
 const fn table() -> Lines {
     let mut lines = [[0; GRID]; ROWS];
     let mut row = 0;
@@ -236,7 +238,7 @@ const fn table() -> Lines {
     lines
 }
 
-/// The line for k from `row` to the next: the chord, moved by half of its distance from the curve.
+/// Returns the line for k from `row` to the next row: the chord, moved by half of its distance from the curve.
 const fn line(row: usize, k: usize) -> Line {
     let step = k as f64 * (FRAC_PI_2 / ROWS as f64);
     let (from, to) = (cos_of_row(k * row, ROWS), cos_of_row(k * (row + 1), ROWS));
@@ -248,10 +250,10 @@ const fn line(row: usize, k: usize) -> Line {
     let to = (to + bend + half_bit) * scale;
     let cos = clamp(round(from / ONE as f64), ATOM_MAX / ONE);
     let from = cos * ONE;
-    // The slope ends where the curve does, whatever the cosine's rounding was.
+    // The slope ends where the curve does, whatever rounding did to the cosine.
     let slope = round((to - from as f64) / (1 << DISTANCE_BITS) as f64);
     let slope = clamp(from + (slope << DISTANCE_BITS), ATOM_MAX) - from;
-    // Towards 0 where it was cut.
+    // Rounds towards 0 if the slope was clamped.
     let slope = slope / (1 << DISTANCE_BITS);
     ((-cos as u32) << 16) | (-slope as u32 & 0xffff)
 }

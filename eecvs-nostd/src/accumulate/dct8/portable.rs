@@ -1,4 +1,4 @@
-//! Sums of the atoms, one by one.
+//! Sums the atoms one by one.
 
 use super::{ATOMS, Weighted, Weights, dot_add};
 

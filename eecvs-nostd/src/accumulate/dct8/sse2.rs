@@ -1,4 +1,4 @@
-//! The same bits four at a time: `pmaddwd` is `smlad` without its sum, and every x86-64 has it.
+//! Sums four atoms at a time, with the same bits: `pmaddwd` is `smlad` without the sum. Every x86-64 has it.
 
 use core::arch::x86_64::{
     __m128i, _mm_add_epi32, _mm_cvtsi32_si128, _mm_cvtsi128_si64, _mm_loadu_si128, _mm_madd_epi16,
@@ -15,7 +15,7 @@ pub struct Sums([__m128i; 2]);
 impl Sums {
     #[inline(always)]
     pub fn zero() -> Self {
-        // SAFETY: the module is there only where the target has SSE2.
+        // SAFETY: this module exists only if the target has SSE2.
         Self([unsafe { _mm_setzero_si128() }; 2])
     }
 
@@ -35,7 +35,7 @@ impl Sums {
         }
     }
 
-    /// floor(sum / 2^`shift`) of each.
+    /// Returns floor(sum / 2^`shift`) for each sum.
     #[inline(always)]
     pub fn levels(self, shift: u32) -> Self {
         // SAFETY: as for `zero`.
@@ -45,7 +45,7 @@ impl Sums {
         )
     }
 
-    /// The bits that are not copies of the sign, of any of them.
+    /// Returns a mask of the bits that differ from the sign bit in at least one sum.
     #[inline(always)]
     pub fn spread(self) -> u32 {
         // SAFETY: as for `zero`.
@@ -59,14 +59,15 @@ impl Sums {
         both as u32 | (both >> 32) as u32
     }
 
-    /// The low `bits` of each, up to 32, of two side by side; the last has no other.
+    /// Returns the low `bits` bits, up to 32, of each number, two side by side per word; the last word has only
+    /// one.
     #[inline(always)]
     pub fn pairs(self, bits: u32) -> [u64; GRID / 2] {
         // SAFETY: as for `zero`.
         let [[a, b], [c, d]] = self.0.map(|numbers| unsafe {
             let unused = _mm_cvtsi32_si128(32 - bits.cast_signed());
             let clean = _mm_srl_epi32(_mm_sll_epi32(numbers, unused), unused);
-            // The upper one comes down to the lower.
+            // Moves the upper number down next to the lower one.
             let upper = _mm_slli_epi64::<32>(_mm_srli_epi64::<32>(clean));
             let pairs = _mm_or_si128(_mm_xor_si128(clean, upper), _mm_srl_epi64(upper, unused));
             let high = _mm_unpackhi_epi64(pairs, pairs);

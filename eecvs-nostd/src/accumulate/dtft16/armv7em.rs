@@ -1,8 +1,7 @@
-//! The sums of [`dtft16`] over a pixel's list, and of two events: as many sums as there are
-//! registers for at a time.
+//! Computes the sums of [`dtft16`] over a pixel's list, and those of two events, with as many sums at a time as fit
+//! the registers.
 //!
-//! The loops in Rust stay for other processors and for impulses that are no list; all give the same
-//! bits.
+//! The loops in Rust serve other processors, and impulses that are not a list. All give the same bits.
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;
@@ -15,7 +14,7 @@ use crate::group::Impulses;
 use crate::transform::phase::PhaseScale;
 use crate::window::{NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot};
 
-/// As [`dtft16::of_list`].
+/// [`dtft16::of_list`] for the grid of [`GRID`].
 #[inline(always)]
 pub(crate) fn of_list<'s>(
     impulses: &Impulses<'s>,
@@ -33,8 +32,8 @@ pub(crate) fn of_list<'s>(
     None
 }
 
-/// sum p exp(-i 2 pi k u) for k = 1..16 over the first impulses, at most a chunk of them, as
-/// [`dtft16::exponentials`]; returns the others. The sum of k = 0 stays.
+/// Writes sum p exp(-i 2 pi k u) for k = 1..16 over the first impulses, at most a chunk of them, with the bits of
+/// [`dtft16::exponentials`]; returns the remaining impulses. The sum of k = 0 is left as it is.
 #[inline(always)]
 pub fn exponentials<'s>(
     impulses: &Impulses<'s>,
@@ -47,42 +46,42 @@ pub fn exponentials<'s>(
         return impulses.clone();
     }
     let (shift, reciprocal) = scale.parts();
-    // SAFETY: the links of a list of `Impulses` are slots that are there, or its end. This file is
-    // built only for cores that have the instructions.
+    // SAFETY: each link of a list of `Impulses` is an existing slot or the list's end. This file is built only for
+    // cores that have the instructions.
     let next = unsafe { add(slots.as_ptr(), next, &[shift, reciprocal], sums) };
     impulses.after(next)
 }
 
-// What the assembly takes for granted: a link's sign tells the end, which makes an address below the
-// slots', and its three bits below the next slot's are the column's, which all slots of a list share.
+// The assembly relies on these: the sign of a link marks the list's end, which then gives an address below the
+// slots, and the three bits below the next slot's number are bits of the column, which all slots of a list share.
 const _: () = assert!(SLOTS_MAX < 0x8000 && NO_SLOT == 0xffff && NEXT_SHIFT == 16);
 const _: () = assert!(size_of::<Slot>() == 8 && size_of::<Sum>() == 4 && size_of::<Turn>() == 8);
-// Seven lines for even k on either side of a place in the row, then eight for odd k likewise.
+// Seven lines for even k on either side of a place in the row, then eight for odd k in the same way.
 const _: () = assert!(place(2) == 0 && place(8) + 1 == EVEN_LINES);
 const _: () = assert!(place(1) == 2 * EVEN_LINES && place(9) == place(1) + ODD_LINES);
 
-/// Lines of a pass over even k, and over odd k.
+/// Number of lines in a pass over even k, and in one over odd k.
 const EVEN_LINES: usize = 7;
 const ODD_LINES: usize = 8;
-/// Bytes of a row.
+/// Number of bytes of a row.
 const ROW: usize = 8 * (GRID - 1);
-/// Bytes from the start of a row to the middle of the lines for even k, and from there to the middle
-/// of those for odd k.
+/// Bytes from the start of a row to the middle of the lines for even k, and from there to the middle of those for
+/// odd k.
 const EVEN_AT: usize = 4 * EVEN_LINES;
 const ODD_AFTER: usize = 4 * (EVEN_LINES + ODD_LINES);
 
-/// Bytes of an event between the passes: the weights for even k, the middle of its lines for even k
-/// and for odd k, the weights for odd k. After the last event's, weights of 0.
+/// Bytes that an event takes between the passes: the weights for even k, the addresses of the middle of its lines
+/// for even k and for odd k, and the weights for odd k. Weights of 0 follow the last event.
 const WEIGHED: usize = 16;
-/// Events between two looks at how many there were.
+/// Number of events between two checks of the event count.
 const ROUND: usize = 7;
 const _: () = assert!(CHUNK_EVENTS.is_multiple_of(ROUND));
 
-/// Weighs the event at r4; goes to 4 where it is the last one.
+/// Weighs the event at r4 and stores the result; jumps to 4 if it is the last event.
 ///
-/// r0: slots, less what the column's upper bits come to in `lr, asr #13`; r1 and r2: what offsets are
-/// shifted and multiplied by; r3: middle of the first row's lines for even k; r11: where it goes; r12:
-/// bytes of a row; lr is the link then.
+/// r0: slots, less the column's upper bits, which `lr, asr #13` includes; r1 and r2: shift and factor of the
+/// offsets; r3: middle of the first row's lines for even k; r11: where the result is stored; r12: bytes of a row.
+/// Leaves the link in lr.
 macro_rules! weigh {
     () => {
         "ldrd r4, lr, [r4]
@@ -106,7 +105,7 @@ macro_rules! weigh {
     };
 }
 
-/// Adds a number of an event to `$sum`, or begins with it. r1: weights.
+/// Adds a number of an event to `$sum`, or starts the sum with it. r1: weights.
 macro_rules! number {
     (first $sum:literal, $line:literal) => {
         concat!("smuad ", $sum, ", ", $line, ", r1\n")
@@ -116,7 +115,7 @@ macro_rules! number {
     };
 }
 
-/// The seven lines below r2.
+/// Adds the seven lines below r2.
 macro_rules! even_below {
     ($how:ident) => {
         concat!(
@@ -133,7 +132,7 @@ macro_rules! even_below {
     };
 }
 
-/// The seven lines from r2 on.
+/// Adds the seven lines from r2 on.
 macro_rules! even_above {
     ($how:ident) => {
         concat!(
@@ -150,7 +149,7 @@ macro_rules! even_above {
     };
 }
 
-/// The eight lines below r2.
+/// Adds the eight lines below r2.
 macro_rules! odd_below {
     ($how:ident) => {
         concat!(
@@ -169,7 +168,7 @@ macro_rules! odd_below {
     };
 }
 
-/// The eight lines from r2 on.
+/// Adds the eight lines from r2 on.
 macro_rules! odd_above {
     ($how:ident) => {
         concat!(
@@ -188,8 +187,8 @@ macro_rules! odd_above {
     };
 }
 
-/// The lines `$lines` of all events, to r4 and on; r1 is where sums go then. `$begin` takes r0 to the
-/// first event, `$load` its weights and lines.
+/// Sums the lines `$lines` of all events in r4 and the registers after it, and leaves the sums' address in r1.
+/// `$begin` sets r0 to the first event; `$load` loads an event's weights and lines.
 macro_rules! pass {
     ($begin:literal, $load:literal, $lines:ident) => {
         concat!(
@@ -200,7 +199,7 @@ macro_rules! pass {
             $lines!(first),
             $load,
             "\n",
-            // The others but a multiple of four come first.
+            // The remaining events, modulo four, come first.
             "ldr r3, [sp, #{count_at}]\n",
             "lsls r3, r3, #27\n",
             "bcs 9f\n",
@@ -233,12 +232,13 @@ macro_rules! pass {
     };
 }
 
-/// Returns the next slot. The list is gone through once, weights and places of lines go to the stack,
-/// and from there each quarter of the lines to its sums: 63 instructions per event.
+/// Writes the sums over a list; returns the next slot.
+///
+/// Walks the list once and stores weights and addresses of lines on the stack; from there each quarter of the lines
+/// is added to its sums. Takes 63 instructions per event.
 ///
 /// # Safety
-/// The slot at `index` is there, and so are those that its list links; the core has the DSP
-/// instructions.
+/// The slot at `index` and the slots that its list links must exist. The core must have the DSP instructions.
 #[unsafe(naked)]
 pub unsafe extern "C" fn add(
     slots: *const Slot,
@@ -247,7 +247,7 @@ pub unsafe extern "C" fn add(
     sums: &mut [[Sum; 2]; GRID],
 ) -> u32 {
     naked_asm!(
-        // At sp: events, then the last one's link, then how many there are, then the sums' address.
+        // The stack holds the events, then the last one's link, then the byte count, then the address of the sums.
         "push {{r3-r11, lr}}",
         "sub sp, sp, #{sums_at}",
         "add r4, r0, r1, lsl #3",
@@ -274,7 +274,7 @@ pub unsafe extern "C" fn add(
         "movs r4, #0",
         "str r4, [r11]",
         "str r4, [r11, #12]",
-        // But for the first one.
+        // Bytes of all events but the first.
         "mov r4, sp",
         "sub r4, r11, r4",
         "subs r4, #{weighed}",
@@ -321,8 +321,8 @@ pub unsafe extern "C" fn add(
     )
 }
 
-/// From the u `$u`, below the polarity `$sign`, the row `$row` and the weights for even and for odd k.
-/// r12: bytes of a row; lr: the table.
+/// Computes the row `$row` and the weights for even and for odd k from the phase u in `$u` and the polarity in
+/// `$sign`. r12: bytes of a row; lr: the table.
 macro_rules! weigh_turn {
     ($sign:literal, $u:literal, $row:literal, $even:literal, $odd:literal) => {
         concat!(
@@ -387,8 +387,8 @@ macro_rules! weigh_turn {
     };
 }
 
-/// Where the set has k, whose lines are `$at` lines after a row's start: its pair of sums, with the
-/// weights `$a` and `$b`. r0: the set from k on; r2 and r3: rows.
+/// If the set contains k, whose lines are `$at` lines after a row's start, stores its pair of sums. `$a` and `$b`:
+/// weights of the two events; r0: the set from k on; r2 and r3: rows.
 macro_rules! one {
     (even $at:literal) => {
         one!($at, "r8", "r10")
@@ -424,10 +424,11 @@ macro_rules! one {
     };
 }
 
-/// sum p exp(-i 2 pi k u) of two events for every k of `set` but 0, ascending and side by side.
+/// Writes sum p exp(-i 2 pi k u) of two events for every k of `set` except 0, ascending and side by side.
 ///
 /// # Safety
-/// `set` has no k above 15, and `sums` has room for as many pairs; the core has the DSP instructions.
+/// `set` must have no k above 15, and `sums` must have room for one pair per k. The core must have the DSP
+/// instructions.
 #[unsafe(naked)]
 pub unsafe extern "C" fn two_exponentials(set: u32, sums: *mut Sum, turns: &[Turn; 2]) {
     naked_asm!(

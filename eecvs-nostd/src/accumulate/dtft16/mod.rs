@@ -1,20 +1,20 @@
-//! p exp(-i 2 pi k u) for k = 1..15 from a table with lines between its rows: the DTFT of 16
-//! frequencies, which is the default for M = 8.
+//! Sums p exp(-i 2 pi k u) for k = 1..15 by linear interpolation in a table: the DTFT of 16 frequencies, the
+//! default for M = 8.
 //!
-//! A row holds two lines for each k, from its u to the next row's: value and slope, 16 bits each, of
-//! the real and of the imaginary part, so that one `smlad` with the weights (p, p d), d the distance
-//! from the row, adds a number. The rows span half of the window: u and u + 1/2 share one, of which
-//! odd k change the sign.
+//! A row of the table holds, for each k, two lines from its u to that of the next row, one for the real and one for
+//! the imaginary part: value and slope, 16 bits each. One `smlad` with the weights (p, p d), where d is the
+//! distance from the row, adds a number. The rows span half of the window; u and u + 1/2 share a row, with the
+//! opposite sign for odd k.
 //!
-//! Error of a number, largest for k = 15: the line's 3.3e-5 where the curve bends (half of its bend, as
-//! the line runs in the middle of it), and 4.4e-5 in the rows next to a peak, as no atom may reach 1;
-//! where it is steep instead, 2^-11 rows of the distance's, 1.1e-5; and up to 2^-16 of both ends'
-//! rounding: 6.0e-5 = 2^-14.0 if all met. `atoms_are_within_the_bound` goes through every row, finds
-//! 2^-14.18 of a part and 2^-14.10 of both together, and enforces 2^-14.15 and 2^-14.08, and that no
-//! atom reaches 1.
+//! The error of a number is largest for k = 15. It has three parts: from the line, 3.3e-5 where the curve bends
+//! (half of its sagitta, as the line runs midway through it) and, as no atom may reach 1, 4.4e-5 in the rows next
+//! to a peak; from rounding the distance, 2^-11 rows, or 1.1e-5, where the curve is steep instead; and up to 2^-16
+//! from rounding the line's two ends. The sum of all maxima is 6.0e-5 = 2^-14.0. `atoms_are_within_the_bound` tests
+//! every row. It finds 2^-14.18 for one part and 2^-14.10 for both together, and enforces 2^-14.15 and 2^-14.08,
+//! and that no atom reaches 1.
 //!
-//! The lines are found in integers. Where flash is scarce (`eecvs_small`) there is no table, and each
-//! line is found when it is asked for.
+//! The lines are computed in integers. If flash is scarce (`eecvs_small`), there is no table and each line is
+//! computed when it is needed.
 
 #[cfg_attr(target_feature = "sse2", allow(dead_code))]
 mod portable;
@@ -32,37 +32,37 @@ use crate::accumulate::cosine::cos_first_quarter;
 use crate::fixed_point::{CHUNK_EVENTS, FRACTION_BITS, Phase, Sum, dot_add, negate_halves};
 use crate::group::impulse::Impulse;
 
-/// K.
+/// K, the number of frequencies.
 pub const GRID: usize = 16;
-/// Rows from u = 0 to u = 1/2.
+/// Number of rows, from u = 0 to u = 1/2.
 const ROWS: usize = 1 << ROWS_LOG2;
 pub(crate) const ROWS_LOG2: u32 = 11;
-/// Rows from u = 0 to u = 1/4.
+/// Number of rows, from u = 0 to u = 1/4.
 const QUARTER: usize = ROWS / 2;
-/// Bits of the distance from a row, whose weight is 1 for a whole row.
+/// Number of bits of the distance from a row; its weight is 1 for a whole row.
 pub(crate) const DISTANCE_BITS: u32 = FRACTION_BITS - 15;
-/// Where the row begins in 30 bits of u / 2, and the distance below it.
+/// Lowest bit of the row within 30 bits of u / 2; the distance lies below it.
 pub(crate) const ROW_AT: u32 = 30 - ROWS_LOG2;
 pub(crate) const DISTANCE_AT: u32 = ROW_AT - DISTANCE_BITS;
-/// Weight of the value: of those from 2^10 + 1 to 2^10 + 36 the one that leaves the least error.
+/// Weight of the value: the one from 2^10 + 1 to 2^10 + 36 with the smallest error.
 pub(crate) const ONE: i32 = 1030;
-/// Largest atom: |c_k| < n is what lets the levels of n events do without a bit for n itself.
+/// Largest atom. The levels of n events need no extra bit for n itself, because |c_k| < n.
 const ATOM_MAX: i32 = (1 << FRACTION_BITS) - 1;
 
-/// A number's negative in units of [`ONE`] in the upper half, slope per row with 15 fractional bits in
-/// the lower.
+/// The negative of a number in units of [`ONE`] in the upper half; the slope per row, with 15 fractional bits, in
+/// the lower half.
 type Line = u32;
-/// The lines of the real and of the imaginary part of each k from [`place`] on.
+/// The lines of the real and the imaginary part of each k, from [`place`] on.
 type Row = [Line; LINES_OF_ROW];
 
-/// Even k but 0, then odd k: each have weights of one sign.
+/// Even k except 0, then odd k; all lines of a group have weights of one sign.
 #[cfg(eecvs_dsp)]
 const LINES_OF_ROW: usize = 2 * (GRID - 1);
-/// With those of k = 0, whose sum the caller knows, as 0: whole vectors.
+/// All k, with zeros for k = 0, whose sum the caller knows: a whole number of vectors.
 #[cfg(not(eecvs_dsp))]
 const LINES_OF_ROW: usize = 2 * GRID;
 
-/// Where the lines of `k`, 1 to 15, are in a row.
+/// Returns the index in a row of the lines of `k`, 1 to 15.
 #[cfg(eecvs_dsp)]
 pub(crate) const fn place(k: usize) -> usize {
     if k.is_multiple_of(2) {
@@ -72,34 +72,34 @@ pub(crate) const fn place(k: usize) -> usize {
     }
 }
 
-/// Where the lines of `k` are in a row.
+/// Returns the index in a row of the lines of `k`.
 #[cfg(not(eecvs_dsp))]
 const fn place(k: usize) -> usize {
     2 * k
 }
 
-/// The table, each row in two of a host's cache lines.
+/// The table. On a host each row fills two cache lines.
 #[cfg(not(eecvs_small))]
 #[cfg_attr(not(eecvs_dsp), repr(align(128)))]
 pub(crate) struct Lines([Row; ROWS]);
 
-// Two seconds of the compiler's time.
+// Takes the compiler two seconds.
 #[cfg(not(eecvs_small))]
 #[allow(long_running_const_eval)]
 pub(crate) static LINES: Lines = table();
 
-/// Where an event is in the table.
+/// The place of an event in the table.
 #[derive(Debug, Clone, Copy)]
 struct Place {
     row: usize,
-    /// ONE and the distance.
+    /// [`ONE`] in the upper half, the distance in the lower.
     weights: u32,
-    /// All ones in the second half of the window.
+    /// All ones if the event is in the second half of the window.
     late: u32,
 }
 
 impl Place {
-    /// Of an event at the `half` turn u / 2.
+    /// Locates an event; `half` is u / 2 in turns.
     #[inline(always)]
     fn new(half: Phase) -> Self {
         let half = half.to_bits();
@@ -111,22 +111,22 @@ impl Place {
         }
     }
 
-    /// Its lines.
+    /// Returns the lines of the event's row.
     #[cfg(not(eecvs_small))]
     #[inline(always)]
     fn lines(self) -> &'static Row {
         &LINES.0[self.row]
     }
 
-    /// Its lines.
+    /// Computes the lines of the event's row.
     #[cfg(eecvs_small)]
     fn lines(self) -> Row {
         row_of(self.row, &COSINES)
     }
 }
 
-/// sum p exp(-i 2 pi k u) for k in 1..16 over at most [`CHUNK_EVENTS`] impulses, of which `half` gives
-/// u / 2; `sums` are pairs of real and imaginary part. The sum of k = 0 stays.
+/// Writes sum p exp(-i 2 pi k u) for k in 1..16 over at most [`CHUNK_EVENTS`] impulses to `sums`, pairs of real and
+/// imaginary part. `half` maps an impulse to u / 2. The sum of k = 0 is left as it is.
 #[inline(always)]
 pub fn exponentials(
     impulses: impl Iterator<Item = Impulse>,
@@ -145,7 +145,7 @@ pub(crate) use super::of_list::of_list;
 #[cfg(eecvs_dsp)]
 pub(crate) use armv7em::of_list;
 
-/// The table in constant evaluation: the same bits on every machine.
+/// Builds the table in constant evaluation, which gives the same bits on every machine.
 #[cfg(not(eecvs_small))]
 const fn table() -> Lines {
     let cosines = cosines();
@@ -158,7 +158,7 @@ const fn table() -> Lines {
     Lines(lines)
 }
 
-/// cos with 30 fractional bits from row to row, from u = 0 to u = 1/4.
+/// Cosines of the rows from u = 0 to u = 1/4, with 30 fractional bits.
 type Cosines = [i32; QUARTER + 1];
 
 #[cfg(eecvs_small)]
@@ -175,12 +175,12 @@ const fn cosines() -> Cosines {
     cosines
 }
 
-/// Fractional bits of what a line is found from.
+/// Fractional bits of the values that a line is computed from.
 const WIDE_BITS: u32 = 30;
-/// Those beyond a sum's.
+/// How many of them exceed a sum's fractional bits.
 const MORE_BITS: u32 = WIDE_BITS - FRACTION_BITS;
 
-/// cos(2 pi `at` / 2 / [`ROWS`]).
+/// Returns cos(2 pi `at` / 2 / [`ROWS`]).
 const fn cos_at(at: usize, cosines: &Cosines) -> i32 {
     let within = at % QUARTER;
     match at / QUARTER % 4 {
@@ -191,14 +191,14 @@ const fn cos_at(at: usize, cosines: &Cosines) -> i32 {
     }
 }
 
-/// The lines from `row` to the next.
+/// Returns the lines from `row` to the next row.
 const fn row_of(row: usize, cosines: &Cosines) -> Row {
     let mut lines = [0; LINES_OF_ROW];
     let mut k = 1;
     while k < GRID {
         let (from, to) = (k * row, k * (row + 1));
         lines[place(k)] = line(k, cos_at(from, cosines), cos_at(to, cosines));
-        // -sin is a quarter of a turn ahead.
+        // -sin is the cosine a quarter of a turn later.
         let (from, to) = (from + QUARTER, to + QUARTER);
         lines[place(k) + 1] = line(k, cos_at(from, cosines), cos_at(to, cosines));
         k += 1;
@@ -206,14 +206,15 @@ const fn row_of(row: usize, cosines: &Cosines) -> Row {
     lines
 }
 
-/// The line for k from a row, where the curve is at `from`, to the next, where it is at `to`: the
-/// chord, moved by half of its distance from the curve at both ends, or, where that is beyond 1 at one
-/// of them, at the other one so much more as makes the errors there and in the middle equal.
+/// Returns the line for k from a row, where the curve is at `from`, to the next, where it is at `to`.
+///
+/// It is the chord, moved at both ends by half of its distance from the curve. If that passes 1 at one end, that
+/// end is clamped and the other is moved further, so that the errors there and in the middle are equal.
 const fn line(k: usize, from: i32, to: i32) -> Line {
     // A distance stands for the middle of its last bit.
     let half_bit = (to - from) >> (DISTANCE_BITS + 1);
     let (chord_from, chord_to) = (from + half_bit, to + half_bit);
-    // What the chord is away from the curve, towards 0.
+    // Distance of the chord from the curve, towards 0.
     let middle = (chord_from as i64 + chord_to as i64) >> 1;
     let depth = ((middle * DEPTHS[k]) >> 32) as i32;
     let (mut from, mut to) = (chord_from + depth / 2, chord_to + depth / 2);
@@ -228,7 +229,7 @@ const fn line(k: usize, from: i32, to: i32) -> Line {
     let half = ONE << (MORE_BITS - 1);
     let half = if from < 0 { -half } else { half };
     let value = clamp((from + half) / (ONE << MORE_BITS), ATOM_MAX / ONE);
-    // The slope ends where the curve does, whatever the value's rounding was.
+    // The slope ends where the curve does, whatever rounding did to the value.
     let start = value * ONE;
     let rise = to - (start << MORE_BITS);
     let mut slope = (rise + (1 << (DISTANCE_BITS + MORE_BITS - 1))) >> (DISTANCE_BITS + MORE_BITS);
@@ -252,8 +253,8 @@ const fn clamp(x: i32, most: i32) -> i32 {
     }
 }
 
-/// 1 - cos of half a row for each k, with 32 fractional bits: how far a chord is from the curve, for
-/// each 1 of the curve's distance from 0.
+/// 1 - cos of half a row for each k, with 32 fractional bits: the distance of a chord from the curve, relative to
+/// the curve's distance from 0.
 const DEPTHS: [i64; GRID] = depths();
 
 const fn depths() -> [i64; GRID] {
@@ -282,7 +283,7 @@ mod tests {
         assert_eq!(digest.finalize(), 1_503_592_566, "the table's checksum");
     }
 
-    /// The number for each part of every k at the `half` turn u / 2.
+    /// Returns both parts of every k for an event; `half` is u / 2 in turns.
     fn atoms(half: u32, is_on: bool) -> [[i32; 2]; GRID] {
         let impulse = Impulse {
             offset_us: 0,
@@ -294,7 +295,7 @@ mod tests {
         sums.map(|pair| pair.map(Sum::to_bits))
     }
 
-    /// What ties at u = 0 go to the lower k by.
+    /// At u = 0 all atoms are equal, so ties go to the lower k.
     #[test]
     fn no_k_is_before_another_at_the_start_of_a_window() {
         let [_, others @ ..] = atoms(0, true);
@@ -307,7 +308,7 @@ mod tests {
         let mut largest = 0;
         let bits = ROWS_LOG2 + DISTANCE_BITS;
         let unit = 1_u32 << (30 - bits);
-        // Every row, at both ends and 33 distances between.
+        // Every row, at both ends and at 33 distances between them.
         for at in (0..1_u32 << bits).step_by(31) {
             for at in [
                 at,

@@ -1,8 +1,8 @@
-//! A number at a time. `armv7em` has the same bits of a pixel's list.
+//! Sums one number at a time. `armv7em` gives the same bits for a pixel's list.
 
 use super::{GRID, Impulse, Phase, Place, Sum, dot_add, negate_halves, place};
 
-/// As the one beside this module. Apart, so that the loop has the registers for itself.
+/// Implements [`super::exponentials`]. Out of line, so that the loop has all registers to itself.
 #[inline(never)]
 pub fn exponentials(
     impulses: impl Iterator<Item = Impulse>,
@@ -14,7 +14,7 @@ pub fn exponentials(
     for impulse in impulses {
         let at = Place::new(half(impulse));
         let lines = at.lines();
-        // The table's numbers are negative: it is ON that turns them.
+        // The table's numbers are negative, so it is an ON event whose weights are negated.
         let even = negate_halves(at.weights, u32::from(impulse.is_on).wrapping_neg());
         let weights = [even, negate_halves(even, at.late)];
         for (i, sums) in sums.iter_mut().enumerate() {

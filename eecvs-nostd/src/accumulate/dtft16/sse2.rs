@@ -1,5 +1,5 @@
-//! The same bits, four or eight numbers at a time: `pmaddwd` is `smlad` without its sum, and every
-//! x86-64 has it.
+//! Sums four or eight numbers at a time, with the same bits: `pmaddwd` is `smlad` without the sum. Every x86-64 has
+//! it.
 
 use core::arch::x86_64::{
     __m128i, __m256i, _mm_add_epi32, _mm_loadu_si128, _mm_madd_epi16, _mm_set1_epi32,
@@ -9,8 +9,8 @@ use core::arch::x86_64::{
 
 use super::{CHUNK_EVENTS, GRID, Impulse, Phase, Place, Row, Sum};
 
-/// What turns the weights of an even and of an odd k: number 2 for ON, 1 for the second half of the
-/// window.
+/// Masks that negate the weights of an even and of an odd k. The index is 2 for ON, plus 1 in the second half of
+/// the window.
 static SIGNS: [[u32; 4]; 4] = [
     [0; 4],
     [0, 0, u32::MAX, u32::MAX],
@@ -18,13 +18,13 @@ static SIGNS: [[u32; 4]; 4] = [
     [u32::MAX, u32::MAX, 0, 0],
 ];
 
-/// Lines of an event, and the weights of two k.
+/// Returns the lines of an event, and the weights of an even and an odd k.
 #[inline(always)]
 fn weigh(half: Phase, is_on: bool) -> (&'static Row, __m128i) {
     let at = Place::new(half);
     let signs = &SIGNS[((u32::from(is_on) << 1) | (at.late & 1)) as usize];
-    // SAFETY: the module is there only where the target has SSE2; four numbers are the 16 bytes
-    // that are read, at any alignment.
+    // SAFETY: this module exists only if the target has SSE2; four numbers are the 16 bytes that are read, at any
+    // alignment.
     let weights = unsafe {
         let signs = _mm_loadu_si128(signs.as_ptr().cast());
         let weights = _mm_set1_epi32(at.weights.cast_signed());
@@ -33,14 +33,14 @@ fn weigh(half: Phase, is_on: bool) -> (&'static Row, __m128i) {
     (at.lines(), weights)
 }
 
-/// As the one beside this module. Apart, so that the loop has the registers for itself.
+/// Implements [`super::exponentials`]. Out of line, so that the loop has all registers to itself.
 #[inline(never)]
 pub fn exponentials(
     impulses: impl Iterator<Item = Impulse>,
     half: impl Fn(Impulse) -> Phase,
     sums: &mut [[Sum; 2]; GRID],
 ) {
-    // SAFETY: the module is there only where the target has SSE2.
+    // SAFETY: this module exists only if the target has SSE2.
     let mut all = [unsafe { _mm_setzero_si128() }; GRID / 2];
     for impulse in impulses {
         let (lines, weights) = weigh(half(impulse), impulse.is_on);
@@ -62,8 +62,8 @@ pub fn exponentials(
     sums[0] = zeroth;
 }
 
-/// The sums of k = 0..16, four pairs of real and imaginary part in each of `V` vectors; that of
-/// k = 0 is 0.
+/// Returns the sums of k = 0..16 as vectors, four pairs of real and imaginary part in each of `V` vectors. The sum
+/// of k = 0 is 0.
 #[target_feature(enable = "avx2")]
 #[inline]
 pub fn first_exponentials<const V: usize>(

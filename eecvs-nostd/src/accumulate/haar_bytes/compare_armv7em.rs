@@ -1,13 +1,13 @@
-//! Comparisons of the lanes of a word: two instructions for four.
+//! Compares the four lanes of a word in two instructions.
 
 use super::ONES;
 
-/// A 1 in the lanes of `word` that are as large as those of `threshold`.
+/// Returns a 1 in each lane of `word` that is at least as large as that of `threshold`.
 #[inline(always)]
 pub fn reach(word: u32, threshold: u32) -> u32 {
     let flags;
-    // SAFETY: reads and writes registers and the flags alone; this file is
-    // only for cores that have the instructions.
+    // SAFETY: reads and writes only registers and the flags. This file is built only for cores that have the
+    // instructions.
     unsafe {
         core::arch::asm!("usub8 {flags}, {word}, {threshold}", "sel {flags}, {ones}, {zero}",
             flags = out(reg) flags, word = in(reg) word, threshold = in(reg) threshold,
@@ -16,7 +16,7 @@ pub fn reach(word: u32, threshold: u32) -> u32 {
     flags
 }
 
-/// A 1 in the lanes of `word` that are not 0.
+/// Returns a 1 in each lane of `word` that is not 0.
 #[inline(always)]
 pub fn nonzero(word: u32) -> u32 {
     reach(word, ONES)

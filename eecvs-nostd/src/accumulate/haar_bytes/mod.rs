@@ -1,10 +1,10 @@
-//! Haar differences of few events on a small grid: D_k as a byte, four of them in a word.
+//! Sums Haar differences of few events on a small grid, with D_k as a byte and four of them in a word.
 //!
-//! A pixel of up to [`CHUNK_EVENTS`] events has |D_k| <= 64, so all its differences are K / 4 words,
-//! k at byte k. An event adds a row of the table of its bin, or subtracts it, as integers: the sum of
-//! +-256^lane, lane by lane, has the lanes' signed sums for digits, whatever was borrowed on the way,
-//! and a half of a lane's range more brings them back apart. No butterflies, and no list of
-//! coefficients: what is 0, what is kept and what a level is are told for four lanes at a time.
+//! A pixel of up to [`CHUNK_EVENTS`] events has |D_k| <= 64, so all its differences fit K / 4 words, with D_k in
+//! byte k. An event adds the table's row of its bin, or subtracts it, as integers. The sum of +-256^lane over the
+//! lanes has the lanes' signed sums as its digits, whatever was borrowed on the way; adding half of a lane's range
+//! to each lane separates them again. There are no butterflies and no list of coefficients: which lanes are 0,
+//! which are kept and what their levels are is computed for at least four lanes at a time.
 
 #[cfg_attr(target_feature = "sse2", allow(dead_code))]
 mod portable;
@@ -31,16 +31,16 @@ use crate::machine::HAS_DSP;
 use crate::transform::haar_scale::scale_of;
 use crate::transform::phase::PhaseScale;
 
-/// Largest K here.
+/// Largest K in this module.
 pub const GRID: usize = 32;
-/// log2 of it.
+/// log2 of [`GRID`].
 pub const GRID_LOG2: u32 = GRID.ilog2();
-/// Words of a row.
+/// Number of words in a row.
 const WORDS: usize = GRID / 4;
-/// What an event of a bin adds to the lanes: in sum +-256^(k % 4) in word k / 4. The first lanes of
-/// a finer grid are those of a coarser one, so every K has its rows here.
+/// What an event in a bin adds to the lanes: +-256^(k % 4) in word k / 4, summed over k. The first lanes of a finer
+/// grid are those of a coarser one, so these rows serve every K.
 pub type Row = [u32; WORDS];
-/// By bin.
+/// One row per bin.
 pub type Rows = [Row; GRID];
 
 const _: () = assert!(CHUNK_EVENTS <= 64);
@@ -51,7 +51,7 @@ const fn rows() -> Rows {
     let mut rows: Rows = [[0; WORDS]; GRID];
     let mut bin = 0;
     while bin < GRID {
-        // c_0, and from the finest scale on one lane of each.
+        // c_0, and then one lane per scale, from the finest to the coarsest.
         rows[bin][0] = 1;
         let mut node = GRID + bin;
         while node > 1 {
@@ -70,17 +70,17 @@ const fn rows() -> Rows {
     rows
 }
 
-/// The table, for assembly.
+/// Returns the table, for the assembly.
 #[allow(dead_code, reason = "assembly alone asks")]
 pub(crate) const fn table() -> &'static Rows {
     &ROWS
 }
 
-/// A byte in every lane.
+/// 1 in every lane.
 const ONES: u32 = 0x0101_0101;
-/// The sign of every lane; and what has a borrow come from no further than its own lane.
+/// The sign bit of every lane. It also keeps a borrow within its own lane.
 const SIGNS: u32 = 0x8080_8080;
-/// The lanes of odd scales, whose magnitudes are B sqrt 2 with an integer B.
+/// The lanes of odd scales as one bit per k. Their magnitudes are B sqrt 2 with an integer B.
 const ODD: u32 = odd_lanes();
 
 const fn odd_lanes() -> u32 {
@@ -93,11 +93,11 @@ const fn odd_lanes() -> u32 {
     lanes
 }
 
-/// Of each word of a row, the least |D| of its lanes whose magnitudes |D| 2^(j/2) reach `a`, 1 to
-/// 255; cut to 127 where lanes are compared as signed, as no lane is above 64.
+/// Returns, for each kind of word in a row, the least |D| per lane for which the magnitude |D| 2^(j/2) is at least
+/// `a`, 1 to 255. Clamped to 127 if lanes are compared as signed numbers, as no lane exceeds 64.
 #[inline(always)]
 const fn thresholds(a: u32) -> [u32; 4] {
-    // ceil(a / 2^(j/2)): sqrt 2 is irrational, and for the others ceil(ceil(a / 2) / 2) = ceil(a / 4).
+    // ceil(a / 2^(j/2)): sqrt 2 is irrational, and for the other scales ceil(ceil(a / 2) / 2) = ceil(a / 4).
     let scale0 = a;
     let scale1 = ((a as u64 * 0xb504_f333) >> 32) as u32 + 1;
     let scale2 = a.div_ceil(2);
@@ -120,7 +120,7 @@ const fn cut(threshold: u32) -> u32 {
     }
 }
 
-/// Where a lane's word has its thresholds.
+/// Index of a word's entry in [`thresholds`].
 const THRESHOLD_OF_WORD: [usize; WORDS] = [0, 1, 2, 2, 3, 3, 3, 3];
 
 #[cfg(not(all(target_arch = "x86_64", target_feature = "sse2")))]
@@ -128,8 +128,7 @@ pub use portable::{Flags, Lanes};
 #[cfg(all(target_arch = "x86_64", target_feature = "sse2"))]
 pub use sse2::{Flags, Lanes};
 
-/// D_k of at most [`CHUNK_EVENTS`] impulses for K = 2^`bins_log2` up to 4 W, whose c_0 = D_0 is
-/// on - off.
+/// Returns D_k of at most [`CHUNK_EVENTS`] impulses for K = 2^`bins_log2` up to 4 W. c_0 = D_0 is on - off.
 #[inline(always)]
 pub fn sum<const W: usize>(
     impulses: impl Iterator<Item = Impulse>,
@@ -147,7 +146,7 @@ pub fn sum<const W: usize>(
     narrow(sums.bytes(), bins_log2)
 }
 
-/// Clears the lanes that a smaller K has not.
+/// Clears the lanes that a smaller K does not have.
 #[inline(always)]
 fn narrow<const W: usize>(sums: Lanes<W>, bins_log2: u32) -> Lanes<W> {
     if 1 << bins_log2 < 4 * W {
@@ -157,20 +156,20 @@ fn narrow<const W: usize>(sums: Lanes<W>, bins_log2: u32) -> Lanes<W> {
     }
 }
 
-/// The `r` largest |D_k| 2^(j/2) of which more, and r is 1 or more, are not 0, as a bit each; ties to
-/// the lower k. `events` only tells where to begin.
+/// Returns the set of the `r` largest |D_k| 2^(j/2), one bit per k, ties to the lower k. `r` is at least 1 and less
+/// than the number of differences that are not 0. `events` only sets where the search begins.
 ///
-/// Bisects for an integer that r magnitudes reach: D_k^2 2^j are compared without a key for each
-/// lane, since what |D_k| 2^(j/2) >= a asks of |D_k| is one number for a whole scale.
+/// Bisects for an integer that exactly r magnitudes reach. This compares D_k^2 2^j without a key per lane, because
+/// |D_k| 2^(j/2) >= a requires the same |D_k| in all lanes of a scale.
 #[inline(never)]
 pub fn largest<const W: usize>(sums: Lanes<W>, events: u32, r: u32) -> u32 {
     let magnitudes = sums.magnitudes();
-    // More than r reach `low`, and fewer `high`; or one reaches 256, and r is 1.
+    // More than r magnitudes reach `low`, and fewer than r reach `high`; or one reaches 256 and r is 1.
     let (mut low, mut high) = (1, 256);
     let mut reach_low = sums.nonzero();
     let mut reach_high = None;
     let mut left = r;
-    // |c_k| of events anywhere is about the root of their number.
+    // |c_k| of events at arbitrary times is about the square root of their number.
     let mut a = 2 + events / 16;
     while high - low > 1 {
         let reached = magnitudes.reach(a);
@@ -183,12 +182,12 @@ pub fn largest<const W: usize>(sums: Lanes<W>, events: u32, r: u32) -> u32 {
         } else {
             (high, reach_high, left) = (a, Some(reached), r - count);
         }
-        // Up by doubling, as most are far below 256.
+        // Upwards by doubling, because most magnitudes are far below 256.
         a = (2 * low).min((low + high) / 2);
     }
     let above = reach_high.map_or(0, Flags::bits);
-    // Of those between, all of the odd scales are B sqrt 2 with one B, above those of the even ones,
-    // which are `low`.
+    // Of the magnitudes in between, those of odd scales are all B sqrt 2 with the same B, and above those of even
+    // scales, which equal `low`.
     let band = reach_low.bits() & !above;
     let mut kept = above;
     for ties in [band & ODD, band & !ODD] {
@@ -210,7 +209,7 @@ mod tests {
     use proptest::prelude::*;
     use std::vec::Vec;
 
-    /// D_k by the definition: h(2^j u - m) at the bin's middle.
+    /// Computes D_k by the definition, h(2^j u - m) at the middle of the bin.
     fn expected(impulses: &[Impulse], duration_us: u32, grid: usize) -> Vec<i32> {
         let bin =
             |impulse: &Impulse| u64::from(impulse.offset_us) * grid as u64 / u64::from(duration_us);
@@ -229,7 +228,7 @@ mod tests {
     }
 
     fn lanes_of<const W: usize>(bytes: &[i32]) -> (portable::Lanes<W>, Lanes<W>) {
-        // As sums of rows, which add up to any lanes.
+        // As sums of rows, which can add up to any lanes.
         let mut row = [0_u32; WORDS];
         for (k, byte) in bytes.iter().enumerate() {
             let place = &mut row[k / 4];
@@ -246,7 +245,7 @@ mod tests {
         bytes.map(|byte| i32::from(byte.cast_signed())).collect()
     }
 
-    /// Everything that is told of lanes, of both kinds, against one lane at a time.
+    /// Checks every operation of both kinds of lanes against one lane at a time.
     fn check<const W: usize>(bytes: &[i32], r: u32) {
         let (portable, lanes) = lanes_of::<W>(bytes);
         let mut all = std::vec![0; 4 * W];
@@ -360,7 +359,7 @@ mod tests {
         fn lanes_of_any_differences(
             bytes in prop::collection::vec(-64..=64_i32, 32), shift in 0..7, r in 1..=32_u32,
         ) {
-            // Small ones tie more often.
+            // Small differences tie more often.
             let bytes: Vec<i32> = bytes.iter().map(|d| d >> shift).collect();
             check::<8>(&bytes, r);
             check::<4>(&bytes[..16], r);

@@ -1,25 +1,25 @@
-//! Words one by one.
+//! Handles one word at a time.
 
 use super::compare::{nonzero, reach};
 use super::{ONES, Row, SIGNS, THRESHOLD_OF_WORD, WORDS, thresholds};
 
-/// D_k of K = 4 W, k at byte k.
+/// D_k for K = 4 W, with D_k in byte k.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Lanes<const W: usize>([u32; W]);
 
-/// A 1 in some lanes of [`Lanes`].
+/// A set of lanes of [`Lanes`], marked by a 1.
 #[derive(Debug, Clone, Copy)]
 pub struct Flags<const W: usize>([u32; W]);
 
 impl<const W: usize> Flags<W> {
-    /// How many.
+    /// Returns the number of lanes in the set.
     #[inline(always)]
     pub fn count(self) -> u32 {
         let all: u32 = self.0.iter().sum();
         all.wrapping_mul(ONES) >> 24
     }
 
-    /// A bit each.
+    /// Returns the set as one bit per lane.
     #[inline(always)]
     pub fn bits(self) -> u32 {
         let words = self.0.iter().rev();
@@ -27,13 +27,13 @@ impl<const W: usize> Flags<W> {
     }
 }
 
-/// All bits of the lanes whose sign is set in `signs`, which has no others.
+/// Sets all bits of the lanes whose sign bit is set in `signs`, which has no other bits.
 #[inline(always)]
 const fn spread_signs(signs: u32) -> u32 {
     (signs >> 7) * 0xff
 }
 
-/// Lanes of 0 and 1 as a bit each.
+/// Gathers four lanes of 0 or 1 into one bit each.
 #[inline(always)]
 const fn gather(ones: u32) -> u32 {
     ones.wrapping_mul(0x1020_4080) >> 28
@@ -45,7 +45,7 @@ impl<const W: usize> Lanes<W> {
         Self([0; W])
     }
 
-    /// Adds the row where `negative` is 0, subtracts it where that is all ones.
+    /// Adds the row if `negative` is 0, or subtracts it if `negative` is all ones.
     #[inline(always)]
     pub fn add(&mut self, row: &Row, negative: u32) {
         for (sum, word) in self.0.iter_mut().zip(row) {
@@ -53,19 +53,19 @@ impl<const W: usize> Lanes<W> {
         }
     }
 
-    /// From sums of rows to bytes in two's complement.
+    /// Converts sums of rows to bytes in two's complement.
     #[inline(always)]
     pub fn bytes(self) -> Self {
         Self(self.0.map(|word| word.wrapping_add(SIGNS) ^ SIGNS))
     }
 
-    /// The lanes that are not 0.
+    /// Returns the lanes that are not 0.
     #[inline(always)]
     pub fn nonzero(self) -> Flags<W> {
         Flags(self.0.map(nonzero))
     }
 
-    /// |D_k|
+    /// Returns |D_k|.
     #[inline(always)]
     pub fn magnitudes(self) -> Self {
         Self(self.0.map(|word| {
@@ -74,7 +74,7 @@ impl<const W: usize> Lanes<W> {
         }))
     }
 
-    /// The lanes of magnitudes that reach `a`.
+    /// Returns the lanes whose magnitudes are at least `a`.
     #[inline(always)]
     pub fn reach(self, a: u32) -> Flags<W> {
         let thresholds = thresholds(a);
@@ -96,7 +96,7 @@ impl<const W: usize> Lanes<W> {
         Self(words)
     }
 
-    /// The levels: positive ones move down by one.
+    /// Returns the levels: positive differences move down by one.
     #[inline(always)]
     pub fn levels(self) -> Self {
         Self(self.0.map(|word| {
@@ -105,7 +105,7 @@ impl<const W: usize> Lanes<W> {
         }))
     }
 
-    /// The bits that are not copies of the sign, of any lane but that of c_0.
+    /// Returns a mask of the bits that differ from the sign bit in at least one lane, except that of c_0.
     #[inline(always)]
     pub fn spread(self) -> u32 {
         let mut spread = 0;
@@ -117,28 +117,28 @@ impl<const W: usize> Lanes<W> {
         (spread | (spread >> 8)) & 0xff
     }
 
-    /// From sums of rows that began from half of a lane's range.
+    /// Converts sums of rows that started at half of a lane's range.
     #[allow(dead_code, reason = "assembly alone asks")]
     #[inline(always)]
     pub fn of_biased(words: [u32; W]) -> Self {
         Self(words.map(|word| word ^ SIGNS))
     }
 
-    /// From words of bytes.
+    /// Creates lanes from words of bytes.
     #[allow(dead_code, reason = "assembly alone asks")]
     #[inline(always)]
     pub const fn new(words: [u32; W]) -> Self {
         Self(words)
     }
 
-    /// The words of bytes.
+    /// Returns the words of bytes.
     #[allow(dead_code, reason = "assembly alone asks")]
     #[inline(always)]
     pub const fn into_words(self) -> [u32; W] {
         self.0
     }
 
-    /// Byte k is D_k, or its level.
+    /// Returns D_k, or its level, in byte k.
     #[inline(always)]
     pub fn into_bytes(self) -> [[u8; 4]; W] {
         self.0.map(u32::to_le_bytes)

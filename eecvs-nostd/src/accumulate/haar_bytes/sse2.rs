@@ -1,4 +1,4 @@
-//! The same bits sixteen lanes at a time: every x86-64 has it.
+//! Handles sixteen lanes at a time, with the same bits. Every x86-64 has SSE2.
 
 use core::arch::x86_64::{
     __m128i, _mm_add_epi8, _mm_add_epi32, _mm_and_si128, _mm_andnot_si128, _mm_cmpeq_epi8,
@@ -10,11 +10,11 @@ use core::arch::x86_64::{
 
 use super::{Row, SIGNS, thresholds};
 
-/// As the portable ones; the upper half is 0 where W is 4.
+/// Like the portable `Lanes`; the upper half is 0 if W is 4.
 #[derive(Debug, Clone, Copy)]
 pub struct Lanes<const W: usize>([__m128i; 2]);
 
-/// All bits in some lanes of [`Lanes`].
+/// A set of lanes of [`Lanes`], marked by all ones.
 #[derive(Debug, Clone, Copy)]
 pub struct Flags<const W: usize>(Lanes<W>);
 
@@ -23,7 +23,7 @@ impl<const W: usize> Flags<W> {
     pub fn count(self) -> u32 {
         let mut count = 0;
         for half in self.0.0.into_iter().take(Lanes::<W>::HALVES) {
-            // SAFETY: the target has SSE2. 1 for each lane, summed up eight by eight.
+            // SAFETY: the target has SSE2. Each lane in the set counts 1; eight lanes are added at a time.
             count += unsafe {
                 let ones = _mm_sub_epi8(_mm_setzero_si128(), half);
                 let sums = _mm_sad_epu8(ones, _mm_setzero_si128());
@@ -120,7 +120,7 @@ impl<const W: usize> Lanes<W> {
     pub fn keep(self, kept: u32) -> Self {
         // SAFETY: the target has SSE2.
         self.map(|i, half| unsafe {
-            // A byte of `kept` to each half of the lanes, of which each looks at its bit.
+            // Copies one byte of `kept` to each half of the lanes; each lane then tests its own bit.
             let kept = _mm_set1_epi16((kept >> (16 * i)) as i16);
             let kept = _mm_shufflelo_epi16::<0b0101_0000>(_mm_unpacklo_epi8(kept, kept));
             let kept = _mm_shuffle_epi32::<0b0101_0000>(kept);

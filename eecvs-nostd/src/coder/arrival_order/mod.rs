@@ -1,12 +1,11 @@
-//! The order in which a window's events came, told after them.
+//! Codes the order in which a window's events arrived, after the events themselves.
 //!
-//! Where it is asked for, a closed window is looked at before its events are coded: for each event in the
-//! order of time, and of equal times in the order of arrival, the pixel is noted. When all events are
-//! coded, the groups of equal time are sorted by their pixels, as a decoder does, and which of a group
-//! came next is told by [`mod@place`]. Times are equal where a decoder's are: where they are told
-//! by the same cell.
+//! If asked for, the encoder scans a closed window before it codes the events: for each event, in order of time and
+//! for equal times in order of arrival, it notes the pixel. Once all events are coded, it sorts each group of
+//! events of equal time by pixel, as a decoder does, and [`mod@place`] codes which event of the group came next.
+//! Times are equal if they are equal to a decoder: coded by the same cell.
 //!
-//! Time is O(log n) per event, of groups of n. The memory, [`words`] of a window, is lent.
+//! Takes O(log n) time per event of a group of n. The memory, [`words`] for a window, is lent.
 
 pub mod place;
 
@@ -16,7 +15,7 @@ use crate::coder::cells::Cells;
 use crate::coder::range::{Binary, RangeEncoder};
 use crate::window::Window;
 
-/// Words that a window of so many slots takes.
+/// Returns the number of words of memory that a window of `slots` slots needs.
 #[must_use]
 pub const fn words(slots: usize) -> usize {
     PARTS * slots
@@ -24,18 +23,18 @@ pub const fn words(slots: usize) -> usize {
 
 const PARTS: usize = 3;
 
-/// No event of the window is in the slot.
+/// Marks a slot without an event of the window.
 const NONE: u32 = u32::MAX;
-/// Beside a place: the first of its group.
+/// Set in a place: the event is the first of its group.
 const FIRST: u32 = 1 << 31;
 
-/// How much of a window's order is told.
+/// Progress of coding a window's order.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Progress {
-    /// Slots that were filled.
+    /// Number of slots that were filled.
     used: u32,
     axis: Axis,
-    /// All events, those told, and where the group at hand begins and ends.
+    /// Number of all events, number of those placed, and the bounds of the current group.
     events: u32,
     told: u32,
     start: u32,
@@ -49,25 +48,25 @@ impl Progress {
     }
 }
 
-/// What was told in a frame.
+/// What one frame holds of the order.
 pub(crate) struct Told {
     pub(crate) bytes: usize,
-    /// Events whose place is told.
+    /// Number of events placed.
     pub(crate) events: u32,
 }
 
-/// The lent memory, by parts.
+/// The lent memory, in parts.
 struct Parts<'m> {
-    /// By arrival.
+    /// Places of the events, by time and arrival.
     places: &'m mut [u32],
-    /// Of each group, numbers of its events by their places.
+    /// For each group, the numbers of its events sorted by place.
     sorted: &'m mut [u32],
-    /// Of each group, the tree.
+    /// For each group, its tree.
     tree: &'m mut [u32],
 }
 
 impl<'m> Parts<'m> {
-    /// Of `used` slots; `None` where the memory is too small.
+    /// Divides the memory for `used` slots; `None` if it is too small.
     fn new(memory: &'m mut [u32], used: usize) -> Option<Self> {
         let (places, rest) = memory.split_at_mut_checked(used)?;
         let (sorted, rest) = rest.split_at_mut_checked(used)?;
@@ -80,8 +79,8 @@ impl<'m> Parts<'m> {
     }
 }
 
-/// Looks at a closed window of which `used` slots were filled and some may have been filtered since;
-/// `None` where the memory is too small.
+/// Notes the arrival order of a closed window of which `used` slots were filled; a filter may have removed some of
+/// these events since. Returns `None` if the memory is too small.
 #[inline(never)]
 pub(crate) fn note(
     memory: &mut [u32],
@@ -108,7 +107,7 @@ pub(crate) fn note(
         }
         from = segment + 1;
     }
-    // The events in their slots' order, and their cells by slot.
+    // List the events in the order of their slots, and their cells by slot.
     let (mut events, mut latest, mut ascends) = (0, 0, true);
     for (at, (_, slot)) in (0_u32..)
         .zip(places.iter().zip(slots))
@@ -139,7 +138,7 @@ pub(crate) fn note(
         *number = here | (u32::from(is_first) * FIRST);
         before = (here, cell);
     }
-    // By the lines that a group's events share with those before them.
+    // Choose the axis along which events share more lines with the event before them in their group.
     let axis = if in_columns > in_rows {
         Axis::Columns
     } else {
@@ -162,7 +161,7 @@ pub(crate) fn note(
     })
 }
 
-/// Tells as much of the order as there is room for.
+/// Codes as much of the order as `out` has room for.
 #[inline(never)]
 pub(crate) fn tell(memory: &mut [u32], progress: &mut Progress, out: &mut [u8]) -> Told {
     let before = progress.told;
@@ -186,7 +185,7 @@ pub(crate) fn tell(memory: &mut [u32], progress: &mut Progress, out: &mut [u8]) 
 }
 
 impl Parts<'_> {
-    /// Goes to the next group, and sorts it.
+    /// Moves to the next group and sorts it.
     fn enter(&mut self, progress: &mut Progress) {
         let start = progress.told;
         let rest = self
@@ -213,7 +212,7 @@ impl Parts<'_> {
         }
     }
 
-    /// Tells the place of the next event of the group.
+    /// Codes the place of the group's next event.
     fn tell(
         &mut self,
         progress: &mut Progress,
@@ -236,14 +235,14 @@ impl Parts<'_> {
     }
 }
 
-/// Sorts numbers by their keys, those of equal keys by themselves: in O(n log n), without memory.
+/// Sorts numbers by their keys, and by themselves for equal keys, in O(n log n) without extra memory.
 #[inline(never)]
 fn sort(numbers: &mut [u32], keys: &[u32]) {
     let key = |number: u32| (keys.get(number as usize).copied().unwrap_or(0), number);
     if numbers.is_sorted_by_key(|number| key(*number)) {
         return;
     }
-    // A heap with the largest on top: first it is made, then its top goes to its end, time after time.
+    // Heapsort: first build a heap with the largest on top, then move its top to the end again and again.
     let (mut unmade, mut len) = (numbers.len() / 2, numbers.len());
     while len > 1 {
         let mut at = 0;
@@ -277,7 +276,7 @@ fn sort(numbers: &mut [u32], keys: &[u32]) {
     }
 }
 
-/// Without a panic's code, which no index of a heap needs.
+/// Swaps two elements. Unlike `slice::swap` it has no code to panic, which indices within a heap never need.
 fn swap(numbers: &mut [u32], a: usize, b: usize) {
     if let (Some(&from_a), Some(&from_b)) = (numbers.get(a), numbers.get(b)) {
         for (at, number) in [(a, from_b), (b, from_a)] {

@@ -1,34 +1,34 @@
-//! The order in which events of equal time came, in either direction.
+//! Codes the order in which the events of a group, those of one time, arrived; serves both directions.
 //!
-//! Both sides know the events of a group, the events of one time: sorted by lines of the sensor, rows or
-//! columns, and along them. Told is which of those that are left came next: the next or the previous one
-//! of the line as it is sorted, as most readouts have it, or any other. What is near is seen: whether
-//! these two are of the last one's line, or of its block of eight pixels as well.
+//! Both sides know the events of a group, sorted by lines of the sensor (rows or columns) and along the lines. For
+//! each event the coder says which of those left came next: the next or the previous one in sorted order, as in
+//! most readouts, or any other. The contexts say how near these two candidates are: whether they are on the same
+//! line as the last event, and in the same block of eight pixels.
 //!
-//! A tree of counts finds an event among those that are left: O(log n), whatever the group.
+//! A tree of counts finds an event among those left in O(log n), however large the group.
 
 use crate::coder::range::{Binary, Probability};
 use crate::coder::scan::Axis;
 use event_types::Sensor;
 
-/// Bytes that an event's place takes at the most, the bit that comes before the first one's included.
+/// Most bytes that an event's place takes, including the bit before the first one.
 pub const PLACE_BYTES_MAX: usize = 8;
 
-/// Bits of a place along a line.
+/// Bits of the position along a line.
 const ALONG_BITS: u32 = 11;
 const _: () = assert!(Sensor::SIDE_MAX as u32 == 1 << ALONG_BITS);
-/// Pixels of a line that readouts often take together, as a power of two.
+/// log2 of the number of neighbouring pixels of a line that readouts often read together.
 const BLOCK_BITS: u32 = 3;
-/// No event of the group has been told.
+/// No event of the group has been placed yet.
 const NO_PLACE: u32 = u32::MAX;
 
-/// What is known of a neighbour: there is none, of another line, of the line, and of the block.
+/// States of a neighbour: none, on another line, on the same line, in the same block.
 const NEARNESSES: usize = 4;
-/// Of the two neighbours, and the start of a group.
+/// One context per state of the two neighbours, and one for the start of a group.
 const CONTEXTS: usize = NEARNESSES * NEARNESSES + 1;
 const START: usize = CONTEXTS - 1;
 
-/// A pixel's place in the order that a group is sorted by: its line, and how far along.
+/// Returns a pixel's position in the order by which a group is sorted: its line, then how far along it is.
 #[inline]
 #[must_use]
 pub const fn place(axis: Axis, (x, y): (u16, u16)) -> u32 {
@@ -38,12 +38,12 @@ pub const fn place(axis: Axis, (x, y): (u16, u16)) -> u32 {
     }
 }
 
-/// A place by rows as one by columns.
+/// Converts a place by rows to one by columns.
 pub(crate) const fn turned(place: u32) -> u32 {
     (place & ((1 << ALONG_BITS) - 1)) << ALONG_BITS | place >> ALONG_BITS
 }
 
-/// How near two places are, below [`NEARNESSES`] and above 0.
+/// Returns how near two places are: 1 to [`NEARNESSES`] - 1.
 const fn nearness(a: u32, b: u32) -> usize {
     if a >> ALONG_BITS != b >> ALONG_BITS {
         1
@@ -54,32 +54,32 @@ const fn nearness(a: u32, b: u32) -> usize {
     }
 }
 
-/// Whether two places by rows lie in one row, and in one column.
+/// Returns whether two places by rows are in the same row, and whether in the same column.
 pub(crate) const fn share(a: u32, b: u32) -> (bool, bool) {
     let rows = a >> ALONG_BITS == b >> ALONG_BITS;
     let columns = (a ^ b) & ((1 << ALONG_BITS) - 1) == 0;
     (rows, columns)
 }
 
-/// A group of which some events have been told. Beside it stands its tree: a word per event.
+/// A group of which some events have been placed. Its tree, of one word per event, is kept beside it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Group {
     left: u32,
-    /// How many of those left come before the last one told.
+    /// Number of events left that come before the last one placed.
     at: u32,
-    /// Its place.
+    /// Place of the last one.
     last: u32,
 }
 
 impl Group {
-    /// One without events.
+    /// A group of which no event is left.
     pub const EMPTY: Self = Self {
         left: 0,
         at: 0,
         last: NO_PLACE,
     };
 
-    /// A group of as many events as the tree has words.
+    /// Starts a group with one event per word of the tree.
     #[must_use]
     pub fn new(tree: &mut [u32]) -> Self {
         for (count, number) in tree.iter_mut().zip(1_u32..) {
@@ -91,7 +91,7 @@ impl Group {
         }
     }
 
-    /// Events that are not told yet.
+    /// Returns the number of events not placed yet.
     #[must_use]
     pub const fn left(&self) -> u32 {
         self.left
@@ -102,7 +102,7 @@ const fn lowest_bit(number: u32) -> u32 {
     number & number.wrapping_neg()
 }
 
-/// Events left below a rank.
+/// Returns how many of the events left are below a rank.
 fn left_below(tree: &[u32], rank: u32) -> u32 {
     let (mut number, mut below) = (rank, 0);
     while let Some(count) = tree.get(number.wrapping_sub(1) as usize) {
@@ -112,7 +112,7 @@ fn left_below(tree: &[u32], rank: u32) -> u32 {
     below
 }
 
-/// Rank of the one left that has so many before it.
+/// Returns the rank of the event left that has `index` others left before it.
 fn rank_of(tree: &[u32], index: u32) -> u32 {
     let (mut rank, mut left) = (0, index);
     let mut step = 1 << (tree.len() as u32 | 1).ilog2();
@@ -136,25 +136,26 @@ fn take(tree: &mut [u32], rank: u32) {
     }
 }
 
-/// What is learned of the order, from a frame's start on.
+/// Probabilities learned from the order since the start of a frame.
 #[derive(Debug, Clone)]
 pub struct Learned {
-    /// Whether the next one of the sorted group comes; and if not, whether the previous one does. Of a
-    /// group's first event: whether it is the first, or the last.
+    /// Whether the next event of the sorted group comes, and if not, whether the previous one does. For the first
+    /// event of a group: whether it is the first of the sorted group, or the last.
     next: [Probability; CONTEXTS],
     previous: [Probability; CONTEXTS],
 }
 
 impl Learned {
-    /// Nothing is known.
+    /// State at the start of a frame: both outcomes of every decision are equally likely.
     pub const START: Self = Self {
         next: [Probability::EVEN; _],
         previous: [Probability::EVEN; _],
     };
 
-    /// The rank, in the sorted group, of the event that came next; `place` has the places by rank.
+    /// Codes which event came next, by its rank in the sorted group; `place` returns the place of a rank.
     ///
-    /// `None` where a decoder's bits are no event, or none is left. Time O(log n) of n events.
+    /// Returns the rank, or `None` if no event is left or a decoder reads a number that is no event. Takes O(log n)
+    /// time in a group of n.
     pub fn code<C: Binary>(
         &mut self,
         coder: &mut C,
@@ -177,7 +178,7 @@ impl Learned {
         Some(rank)
     }
 
-    /// Its number among those left, of which there are at least two.
+    /// Codes the event's number among those left, of which there are at least two.
     fn index<C: Binary>(
         &mut self,
         coder: &mut C,
@@ -210,13 +211,13 @@ impl Learned {
             others -= 1;
         }
         if let Some(previous) = previous {
-            // Where it is the only one, nothing is coded.
+            // Nothing is coded if it is the only one left.
             if others == 1 || coder.bit(&mut self.previous[context], told == previous) {
                 return Some(previous);
             }
             others -= 1;
         }
-        // Those two are side by side, but at the start, where one is the first and the other beyond.
+        // The two candidates are adjacent, except at the start, where one is the first and the other the last.
         let (from, skipped) = if is_start {
             (0, 1)
         } else {
@@ -236,7 +237,8 @@ impl Learned {
     }
 }
 
-/// One of `count` numbers, 1 to 2^24, each as likely as the others; `None` where a decoder's is none.
+/// Codes one of `count` equally likely numbers; `count` is 1 to 2^24. Returns `None` if a decoder reads a number
+/// beyond them.
 fn one_of<C: Binary>(coder: &mut C, number: u32, count: u32) -> Option<u32> {
     let last = count.saturating_sub(1);
     let bits = (last | 31).ilog2() - 4;
@@ -253,7 +255,7 @@ mod tests {
     use std::vec;
     use std::vec::Vec;
 
-    /// Codes the ranks in their order; a decoder gets zeros.
+    /// Codes the ranks in their order. With a decoder, the ranks are zeros.
     fn code(coder: &mut impl Binary, places: &[u32], ranks: &[u32]) -> Option<Vec<u32>> {
         let mut tree = vec![9; places.len()];
         let mut group = Group::new(&mut tree);
@@ -276,7 +278,7 @@ mod tests {
         out
     }
 
-    /// A sorted group's places.
+    /// Places of a sorted group.
     fn places() -> impl Strategy<Value = Vec<u32>> {
         let place = (0_u16..6, 0_u16..40).prop_map(|at| place(Axis::Columns, at));
         proptest::collection::vec(place, 1..200).prop_map(|mut places| {
@@ -294,7 +296,7 @@ mod tests {
             }),
             turns in 0_usize..3,
         ) {
-            // Also orders that are partly in order.
+            // Test partly sorted orders too.
             let mut ranks = ranks;
             let half = ranks.len() / 2;
             match turns {
@@ -309,7 +311,7 @@ mod tests {
             prop_assert!(decoder.is_spent());
         }
 
-        /// What is read of any bytes is an order of the group, or nothing.
+        /// Reading any bytes gives an order of the group, or nothing.
         #[test]
         fn any_bytes_are_an_order_or_none(bytes in any::<Vec<u8>>(), places in places()) {
             let mut tree = vec![0; places.len()];
@@ -326,8 +328,8 @@ mod tests {
         }
     }
 
-    /// The module's promise: a readout's own order costs next to nothing, any other one no more than it
-    /// has to: log2 of the number of orders, and what is learned.
+    /// The module's promise: a readout's own order costs next to nothing, and any other no more than log2 of the
+    /// number of orders plus what learning costs.
     #[test]
     fn what_is_in_order_costs_little() {
         let places: Vec<_> = (0..1024)

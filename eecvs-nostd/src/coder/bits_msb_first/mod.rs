@@ -1,6 +1,6 @@
-//! Bits in bytes, as in a big-endian number: the first bit is the highest of the first byte.
+//! Writes and reads bits as in a big-endian number: the first bit is the highest bit of the first byte.
 //!
-//! So the zeros in front of a code need not be put: a code of n bits is a number below 2^n.
+//! The zeros that lead a code then need no instruction: a code of n bits is just a number below 2^n.
 
 #[cfg(not(target_pointer_width = "64"))]
 mod words32;
@@ -9,17 +9,17 @@ mod words64;
 
 use crate::pack::bits_lsb_first::Ended;
 
-/// The widest code that goes out at once.
+/// Unsigned integer that holds the widest code.
 #[cfg(target_pointer_width = "64")]
 pub type Code = u64;
-/// The widest code that goes out at once.
+/// Unsigned integer that holds the widest code.
 #[cfg(not(target_pointer_width = "64"))]
 pub type Code = u32;
 
-/// Bits of a code at the most: seven wait for those that complete their byte.
+/// Most bits of one code: up to seven bits of an incomplete byte wait in the same register.
 #[cfg(target_pointer_width = "64")]
 pub const CODE_BITS: u32 = u64::BITS - 8;
-/// Bits of a code at the most.
+/// Most bits of one code: a whole register.
 #[cfg(not(target_pointer_width = "64"))]
 pub const CODE_BITS: u32 = u32::BITS;
 
@@ -28,21 +28,21 @@ pub use words32::{BigWriter, Position};
 #[cfg(target_pointer_width = "64")]
 pub use words64::{BigWriter, Position};
 
-/// Bits that [`BigReader::look`] looks ahead.
+/// Bits that [`BigReader::look`] makes available.
 pub(super) const AHEAD_BITS: u32 = 56;
 
-/// Reads what a [`BigWriter`] wrote.
+/// Reads bits from a byte slice, as a [`BigWriter`] wrote them.
 #[derive(Debug, Clone)]
 pub struct BigReader<'i> {
     input: &'i [u8],
-    /// The next bits, from the top; after them those that follow, as far as they are known, or zeros.
+    /// The next bits, from the top. Below them may be further bits of the input that are not counted yet, or zeros.
     ahead: u64,
-    /// How many are counted.
+    /// How many bits of `ahead` are counted.
     bits: u32,
 }
 
 impl<'i> BigReader<'i> {
-    /// A reader at the start of `input`.
+    /// Starts reading at the start of `input`.
     #[must_use]
     pub const fn new(input: &'i [u8]) -> Self {
         Self {
@@ -52,14 +52,14 @@ impl<'i> BigReader<'i> {
         }
     }
 
-    /// Looks at least 56 bits ahead, or at all that there are.
+    /// Makes at least 56 bits available, or all that are left.
     #[inline(always)]
     fn refill(&mut self) {
         if let Some((bytes, _)) = self.input.split_first_chunk::<8>() {
             self.ahead |= u64::from_be_bytes(*bytes) >> self.bits;
             let whole = (63 - self.bits) / 8;
             self.input = self.input.get(whole as usize..).unwrap_or_default();
-            // What is there of a byte beyond comes again with the next.
+            // The bits of a byte that is not counted are read again with the next refill.
             self.bits += 8 * whole;
         } else {
             self.refill_at_end();
@@ -78,24 +78,25 @@ impl<'i> BigReader<'i> {
         }
     }
 
-    /// Looks [`AHEAD_BITS`] bits ahead, or further; not near the end.
+    /// Makes at least [`AHEAD_BITS`] bits available. Returns false, and does nothing, in the last 7 bytes of the
+    /// input.
     #[inline(always)]
     pub(super) fn look(&mut self) -> bool {
         let Some((bytes, _)) = self.input.split_first_chunk::<8>() else {
             return false;
         };
         self.ahead |= u64::from_be_bytes(*bytes) >> (self.bits & 63);
-        // Fewer than 8, which is plain to see for the compiler.
+        // Fewer than 8, in a form from which the compiler can see it.
         let whole = ((self.bits ^ 63) >> 3) & 7;
         self.input = self.input.get(whole as usize..).unwrap_or_default();
         self.bits |= AHEAD_BITS;
         true
     }
 
-    /// The next bit.
+    /// Reads one bit.
     ///
     /// # Errors
-    /// [`Ended`].
+    /// [`Ended`] if no bit is left.
     #[inline(always)]
     pub(super) fn one(&mut self) -> Result<u32, Ended> {
         if self.bits == 0 {
@@ -111,22 +112,22 @@ impl<'i> BigReader<'i> {
         Ok(bit)
     }
 
-    /// Zeros that come next, up to 63, as far as can be seen.
+    /// Returns the number of leading zeros of the bits available, up to 63.
     #[inline(always)]
     pub(super) const fn zeros(&self) -> u32 {
         (self.ahead | 1).leading_zeros()
     }
 
-    /// The next `bits` (1 to 64), as far as can be seen.
+    /// Returns the next `bits` (1 to 64) bits without consuming them; zeros where they are not available.
     #[inline(always)]
     pub(super) const fn top(&self, bits: u32) -> u64 {
         self.ahead >> (bits.wrapping_neg() & 63)
     }
 
-    /// Makes sure of `bits` (0 to 56) bits.
+    /// Makes sure that `bits` (0 to 56) bits are available.
     ///
     /// # Errors
-    /// [`Ended`].
+    /// [`Ended`] if fewer are left.
     #[inline(always)]
     fn need(&mut self, bits: u32) -> Result<(), Ended> {
         if self.bits < bits {
@@ -138,31 +139,31 @@ impl<'i> BigReader<'i> {
         Ok(())
     }
 
-    /// Goes on by `bits` (0 to 63) bits, which are there.
+    /// Consumes `bits` (0 to 63) bits, which have to be available.
     #[inline(always)]
     pub(super) const fn skip(&mut self, bits: u32) {
         self.ahead <<= bits & 63;
         self.bits = self.bits.wrapping_sub(bits);
     }
 
-    /// The next `bits` (0 to 32).
+    /// Reads a number of `bits` (0 to 32) bits.
     ///
     /// # Errors
-    /// [`Ended`].
+    /// [`Ended`] if fewer bits are left.
     #[inline(always)]
     pub fn get(&mut self, bits: u32) -> Result<u32, Ended> {
         self.need(bits)?;
-        // In two steps, for none at all.
+        // Two shifts, so that 0 bits work too.
         let value = (self.ahead >> 1) >> (63_u32.wrapping_sub(bits) & 63);
         self.skip(bits);
         Ok(value as u32)
     }
 
-    /// An Exp-Golomb code of `order` (0 to 31) and its value plus 2^order: as many zeros as that has
-    /// bits beyond `order` + 1, and its bits.
+    /// Reads an Exp-Golomb code of `order` (0 to 31) and returns its value plus 2^order. The code is that number,
+    /// after as many zeros as the number has bits beyond `order` + 1.
     ///
     /// # Errors
-    /// [`Ended`], also for one of more than 32 bits, which no value has.
+    /// [`Ended`] if the bits end too early, and for a number of more than 32 bits, which no value has.
     #[inline(always)]
     pub fn get_raised(&mut self, order: u32) -> Result<u32, Ended> {
         if self.bits < 32 {
@@ -184,7 +185,7 @@ impl<'i> BigReader<'i> {
         self.get(digits)
     }
 
-    /// Whether nothing but the zeros that fill the last byte is left.
+    /// Returns whether nothing is left but the zeros that fill the last byte.
     #[must_use]
     pub const fn is_spent(&self) -> bool {
         self.input.is_empty() && self.bits < 8 && self.ahead == 0
@@ -239,7 +240,7 @@ mod tests {
             prop_assert!(reader.is_spent());
         }
 
-        /// Also beyond a buffer's end, where it is lost.
+        /// Also writes beyond the end of the buffer, where codes are lost.
         #[test]
         fn as_much_as_there_is_room_for(len in 0..40_usize, codes in 1..80_usize) {
             let mut out = vec![0xa5; len];

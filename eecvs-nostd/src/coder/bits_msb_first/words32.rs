@@ -1,10 +1,10 @@
-//! With one of 32 bits: a word goes out when it is complete.
+//! Writer for targets with 32-bit registers: a word is stored once it is complete.
 
 use super::{CODE_BITS, Code};
 
 /// Writes bits into a lent buffer, of which up to three bytes at the end stay unused.
 ///
-/// What does not fit is lost: ask [`Self::has_words`] before.
+/// Bits that do not fit are lost: call [`Self::has_words`] first.
 #[derive(Debug)]
 #[repr(C)]
 pub struct BigWriter<'o> {
@@ -12,20 +12,20 @@ pub struct BigWriter<'o> {
     pub(crate) words: &'o mut [[u8; 4]],
 }
 
-/// A place in a [`BigWriter`]'s output to go back to.
+/// A position in a [`BigWriter`]'s output to which it can rewind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(C)]
 pub struct Position {
-    /// Bits of the next word, from the top.
+    /// Pending bits of the next word, from the top.
     pub(crate) pending: u32,
-    /// Bits that the next word still takes: 1 to 32.
+    /// Number of bits that the next word still has room for: 1 to 32.
     pub(crate) free: u32,
-    /// Words written.
+    /// Number of complete words.
     pub(crate) words: usize,
 }
 
 impl<'o> BigWriter<'o> {
-    /// A writer at the start of `out`.
+    /// Starts writing at the start of `out`.
     #[must_use]
     pub const fn new(out: &'o mut [u8]) -> Self {
         Self {
@@ -38,7 +38,7 @@ impl<'o> BigWriter<'o> {
         }
     }
 
-    /// Puts a code of `bits` (1 to [`CODE_BITS`]) bits, which has no others.
+    /// Writes a code of `bits` (1 to [`CODE_BITS`]) bits; `code` has to be below 2^`bits`.
     #[inline(always)]
     pub fn put(&mut self, code: Code, bits: u32) {
         debug_assert!(0 < bits && bits <= CODE_BITS && u64::from(code) >> bits == 0);
@@ -52,7 +52,7 @@ impl<'o> BigWriter<'o> {
         }
     }
 
-    /// Puts a code that completes a word, of which `beyond` bits (0 to 31) begin the next.
+    /// Writes a code that completes a word; its last `beyond` bits (0 to 31) begin the next word.
     #[inline(never)]
     fn complete(&mut self, code: u32, beyond: u32) {
         let Position { pending, words, .. } = self.state;
@@ -67,8 +67,8 @@ impl<'o> BigWriter<'o> {
         };
     }
 
-    /// Lets `write` put something into a copy of this writer, whose state is in memory there;
-    /// here it stays in registers.
+    /// Runs `write` on a copy of this writer and takes over the copy's state. The copy's state is in memory, so
+    /// that this writer's can stay in registers.
     #[inline(always)]
     pub fn aside(&mut self, write: impl FnOnce(&mut BigWriter<'_>)) {
         let mut copy = BigWriter {
@@ -79,27 +79,27 @@ impl<'o> BigWriter<'o> {
         self.state = copy.state;
     }
 
-    /// Whether there is room for so many more words of 32 bits, beyond those that are complete.
+    /// Returns whether `words` more 32-bit words fit beyond those that are complete.
     #[inline(always)]
     #[must_use]
     pub const fn has_words(&self, words: usize) -> bool {
         self.state.words + words < self.words.len()
     }
 
-    /// Where the writer stands.
+    /// Returns the current position, for [`Self::rewind`].
     #[inline(always)]
     #[must_use]
     pub const fn position(&self) -> Position {
         self.state
     }
 
-    /// Takes back everything put after `position`.
+    /// Goes back to `position` and discards everything written after it.
     #[inline(always)]
     pub const fn rewind(&mut self, position: Position) {
         self.state = position;
     }
 
-    /// The last byte's other bits are zeros; returns the number of bytes written.
+    /// Fills the last byte with zeros and returns the number of bytes written.
     #[must_use]
     pub fn finish(self) -> usize {
         let Position {

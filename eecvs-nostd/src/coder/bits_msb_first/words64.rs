@@ -1,29 +1,29 @@
-//! With a register of 64 bits: what is there goes out at once, whole bytes or not, without a branch.
+//! Writer for targets with 64-bit registers: all pending bits are stored after each code, without a branch.
 
 use super::{CODE_BITS, Code};
 
 /// Writes bits into a lent buffer.
 ///
-/// What does not fit is lost: ask [`Self::has_words`] before.
+/// Bits that do not fit are lost: call [`Self::has_words`] first.
 #[derive(Debug)]
 pub struct BigWriter<'o> {
     out: &'o mut [u8],
     state: Position,
 }
 
-/// A place in a [`BigWriter`]'s output to go back to.
+/// A position in a [`BigWriter`]'s output to which it can rewind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Position {
-    /// Whole bytes written.
+    /// Number of complete bytes.
     bytes: usize,
-    /// The bits after those, from the top.
+    /// Pending bits after those bytes, from the top.
     pending: u64,
-    /// How many: up to 7.
+    /// Number of pending bits, up to 7.
     bits: u32,
 }
 
 impl<'o> BigWriter<'o> {
-    /// A writer at the start of `out`.
+    /// Starts writing at the start of `out`.
     #[must_use]
     pub const fn new(out: &'o mut [u8]) -> Self {
         Self {
@@ -36,7 +36,7 @@ impl<'o> BigWriter<'o> {
         }
     }
 
-    /// Puts a code of `bits` (1 to [`CODE_BITS`]) bits, which has no others.
+    /// Writes a code of `bits` (1 to [`CODE_BITS`]) bits; `code` has to be below 2^`bits`.
     #[inline(always)]
     pub fn put(&mut self, code: Code, bits: u32) {
         debug_assert!(0 < bits && bits <= CODE_BITS && code >> bits == 0);
@@ -59,8 +59,8 @@ impl<'o> BigWriter<'o> {
         };
     }
 
-    /// Lets `write` put something into a copy of this writer, whose state is in memory there;
-    /// here it stays in registers.
+    /// Runs `write` on a copy of this writer and takes over the copy's state. The copy's state is in memory, so
+    /// that this writer's can stay in registers.
     #[inline(always)]
     pub fn aside(&mut self, write: impl FnOnce(&mut BigWriter<'_>)) {
         let mut copy = BigWriter {
@@ -71,27 +71,27 @@ impl<'o> BigWriter<'o> {
         self.state = copy.state;
     }
 
-    /// Whether there is room for so many more words of 32 bits, beyond those that are complete.
+    /// Returns whether `words` more 32-bit words fit beyond those that are complete.
     #[inline(always)]
     #[must_use]
     pub const fn has_words(&self, words: usize) -> bool {
         self.state.bytes / 4 + words < self.out.len() / 4
     }
 
-    /// Where the writer stands.
+    /// Returns the current position, for [`Self::rewind`].
     #[inline(always)]
     #[must_use]
     pub const fn position(&self) -> Position {
         self.state
     }
 
-    /// Takes back everything put after `position`.
+    /// Goes back to `position` and discards everything written after it.
     #[inline(always)]
     pub const fn rewind(&mut self, position: Position) {
         self.state = position;
     }
 
-    /// The last byte's other bits are zeros; returns the number of bytes written.
+    /// Fills the last byte with zeros and returns the number of bytes written.
     #[must_use]
     pub fn finish(self) -> usize {
         let Position { bytes, bits, .. } = self.state;

@@ -1,5 +1,5 @@
-//! The dense coder of coefficients: the walk and the range coder of the dense event coder, with
-//! contexts of its own.
+//! The dense coder of coefficients: the walk and the range coder of the dense event coder, with contexts of its
+//! own.
 
 use super::fields::{self, Context, FLAGS, Fields, KINDS, SetShape, TOPS};
 use super::pixel::{Common, Pixel};
@@ -12,25 +12,25 @@ use crate::coder::range::{Binary, Probability};
 use crate::pack::unpack::UnpackError;
 use crate::transform::shape::width_of;
 
-/// Bytes that a pixel takes at the most: K decisions for its set, 63 events of 7 decisions and 31 plain
-/// bits each, and its levels, of 9 decisions and 31 bits; a decision costs 7.4 bits.
+/// Most bytes that a pixel takes: K decisions for its set, 63 events of 7 decisions and 31 plain bits each, and
+/// levels of 9 decisions and 31 bits each; a decision costs up to 7.4 bits.
 pub(crate) const fn pixel_bytes_max(common: &Common) -> usize {
     let levels = common.numbers() * common.shape().r;
     (8 * common.grid() + 63 * (7 * 8 + 31) + levels * (9 * 8 + 31) + 1024) / 8
 }
 
-/// Decisions of a number's length: from this on it follows plain.
+/// Decisions that code a number's length in bits; numbers of [`LENGTH_LONG`] bits follow plain.
 const LENGTH_BITS: u32 = 5;
 const LENGTH_LONG: u32 = (1 << LENGTH_BITS) - 1;
-/// Learned bits of [`Fields::top`].
+/// Bits of [`Fields::top`] that are learned.
 const TOP_BITS: u32 = 5;
-/// Contexts of a level that is foretold: by the power of two of n, the height, how far from its step's
-/// edge, and what the one before differed by.
+/// Contexts of whether a level is as predicted: by floor(log2 n), its height, the distance from its step's edge,
+/// and how the one before differed.
 const RESIDUALS: usize = 4 * 4 * 4 * 3;
-/// Contexts of a set's decisions: foretold, and by n, the height, and the two before.
+/// Contexts of a set's decisions: with a prediction; else by n, the height, and the two decisions before.
 const SETS: usize = 4 + 4 * 4 * 4;
 
-/// What is learned.
+/// Everything that the dense coder of coefficients learns.
 #[derive(Debug, Clone)]
 pub struct Learned {
     flags: [Probability; FLAGS],
@@ -77,13 +77,13 @@ impl Learned {
     }
 }
 
-/// Contexts are sums of bounded parts; the bound here is for the compiler.
+/// Returns what is learned in a context. Contexts are sums of bounded parts; the bound here is for the compiler.
 #[inline(always)]
 fn at<T, const N: usize>(learned: &mut [T; N], context: usize) -> &mut T {
     &mut learned[context.min(N - 1)]
 }
 
-/// Decisions from the top bit down, each learned by those before.
+/// Codes decisions from the top bit down, each in the context of those before.
 fn tree<C: Binary>(coder: &mut C, learned: &mut [Probability; 32], value: u32, bits: u32) -> u32 {
     let mut node = 1;
     for i in (0..bits).rev() {
@@ -93,10 +93,10 @@ fn tree<C: Binary>(coder: &mut C, learned: &mut [Probability; 32], value: u32, b
     node as u32 - (1 << bits)
 }
 
-/// What codes a pixel.
+/// Memory with which a pixel is coded.
 pub(crate) type Memory<'m> = (&'m mut Prediction, &'m mut Learned);
 
-/// [`Fields`] of a range coder.
+/// Codes [`Fields`] with a range coder.
 struct Ranged<'r, C> {
     coder: &'r mut C,
     learned: &'r mut Learned,
@@ -112,7 +112,7 @@ impl<C: Binary> Fields for Ranged<'_, C> {
         let learned = at(&mut self.learned.lengths, context.fine);
         let mut length = tree(self.coder, learned, length.min(LENGTH_LONG), LENGTH_BITS);
         if length == LENGTH_LONG {
-            // 31 bits or, of no encoder, 32.
+            // 31 bits; no encoder has 32.
             return self.coder.plain(value & (u32::MAX >> 1), 31);
         }
         if length < 2 {
@@ -166,7 +166,7 @@ impl<C: Binary> Fields for Ranged<'_, C> {
         let power = fields::power(events).min(4).saturating_sub(1);
         let mut before = 0;
         for (foretold, value) in foretold.iter().zip(values) {
-            // Above the middle of its step, or below.
+            // How far the prediction is from its step's edge, and whether it is above the step's middle.
             let (edge, is_above) = match foretold.place {
                 place @ 0..=3 => (place, false),
                 place => (7_u8.saturating_sub(place), true),
@@ -209,27 +209,27 @@ impl<C: Binary> Fields for Ranged<'_, C> {
 
 /// The pixels of a frame, as the walk asks for them.
 pub(crate) trait Pixels: Content {
-    /// The pixel that was entered; a decoder's has the place alone.
+    /// Returns the pixel that was entered; a decoder's has only its place.
     fn pixel(&mut self) -> &mut Pixel;
-    /// Events left of the window, or of a decoder's frame.
+    /// Returns how many events are left of the window, or of a decoder's frame.
     fn left(&self) -> u32;
-    /// It has been coded.
+    /// Takes note that the pixel has been coded.
     fn done(&mut self, common: &Common);
 }
 
-/// What a frame came to.
+/// How much of a frame was coded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct CodedRows {
     pub(crate) pixels: u32,
     pub(crate) events: u32,
-    /// More was learned than a decoder reads.
+    /// The encoder learned from more than a decoder will read.
     pub(crate) overran: bool,
 }
 
-/// Codes a frame up to the end of its content or of the room.
+/// Codes a frame until its content ends or the coder is full.
 ///
 /// # Errors
-/// [`UnpackError`] of a decoder.
+/// [`UnpackError`], in a decoder.
 pub(crate) fn code<C: Binary, P: Pixels>(
     dense: &mut Dense<'_>,
     (prediction, learned): Memory<'_>,
@@ -259,7 +259,7 @@ pub(crate) fn code<C: Binary, P: Pixels>(
     }
 }
 
-/// The walk's step: all of a pixel.
+/// The walk's step, which codes all of a pixel.
 struct Tell<'t> {
     common: &'t Common,
     bytes_max: usize,
@@ -314,10 +314,10 @@ impl<P: Pixels> Step<P> for &mut Tell<'_> {
     }
 }
 
-/// Decodes the frames of the dense coder; the memory is that of the frame before, or restarted.
+/// Decodes a frame of the dense coder; `memory` is as the frame before left it, or restarted.
 ///
 /// # Errors
-/// [`UnpackError`]; what came before has been handed on. No input makes it panic.
+/// [`UnpackError`]; the pixels before the error have been handed on. No input makes it panic.
 pub fn read(
     dense: &mut Dense<'_>,
     memory: &mut CoefficientMemory,
@@ -346,7 +346,7 @@ pub fn read(
     }
 }
 
-/// A decoder's pixels as they are found.
+/// Hands a decoder's pixels on as they are found.
 struct Found<'f, E> {
     pixel: &'f mut Pixel,
     left: u32,

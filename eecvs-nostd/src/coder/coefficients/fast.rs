@@ -1,5 +1,5 @@
-//! The fast coder of coefficients: Exp-Golomb codes whose orders follow what went by; every frame
-//! starts anew.
+//! The fast coder of coefficients: Exp-Golomb codes whose orders adapt to what was coded before; every frame starts
+//! anew.
 
 use super::fields::{self, COARSE, Context, Fields, SetShape};
 use super::pixel::{Common, Pixel};
@@ -10,12 +10,12 @@ use crate::pack::unpack::UnpackError;
 use crate::transform::GRID_MAX;
 use crate::transform::shape::width_of;
 
-/// A mean counts this many numbers, as a power of two.
+/// log2 of the number of numbers that a mean averages.
 const MEAN_LOG2: u32 = 4;
-/// What a number counts as in a mean, at the most, in bits.
+/// log2 of the most that a number counts as in a mean.
 const LENGTH_MAX: u32 = 24;
 
-/// What went by: per context the mean, in units of 2^-[`MEAN_LOG2`].
+/// Means of the numbers coded so far, per context, in units of 2^-[`MEAN_LOG2`].
 #[derive(Debug, Clone, Copy)]
 struct Means([u32; COARSE]);
 
@@ -27,7 +27,7 @@ impl Means {
         Self(means)
     }
 
-    /// Order of the code of a context's next number.
+    /// Returns the order of the code of a context's next number.
     fn order(&self, context: Context) -> u32 {
         let mean = self.0.get(context.coarse).copied().unwrap_or(0);
         // An Exp-Golomb code of order k has its shortest codes for numbers of k bits.
@@ -41,7 +41,7 @@ impl Means {
     }
 }
 
-/// Bits to write or to read.
+/// Writes or reads bits.
 trait Bits {
     fn plain(&mut self, value: u32, bits: u32) -> u32;
     fn exp_golomb(&mut self, value: u32, order: u32) -> u32;
@@ -64,7 +64,7 @@ impl Bits for &mut BitWriter<'_> {
     }
 }
 
-/// A reader that gives 0 after its end.
+/// A reader that returns 0 after its end.
 struct Reader<'r, 'i> {
     reader: &'r mut BitReader<'i>,
     is_sound: bool,
@@ -88,7 +88,7 @@ impl Bits for Reader<'_, '_> {
     }
 }
 
-/// [`Fields`] in bits.
+/// Codes [`Fields`] in bits.
 struct LevelBits<B> {
     bits: B,
     means: Means,
@@ -172,7 +172,7 @@ impl<B: Bits> Fields for LevelBits<B> {
     }
 }
 
-/// What goes on from pixel to pixel of a frame.
+/// State kept from pixel to pixel of a frame.
 #[derive(Debug)]
 pub(crate) struct Fast {
     means: Means,
@@ -181,7 +181,7 @@ pub(crate) struct Fast {
 }
 
 impl Fast {
-    /// At the start of a frame.
+    /// State at the start of a frame.
     pub(crate) fn new(common: &Common) -> Self {
         Self {
             means: Means::new(common),
@@ -189,7 +189,7 @@ impl Fast {
         }
     }
 
-    /// Codes a pixel, of which a decoder knows nothing yet; up to `left` events.
+    /// Codes a pixel of up to `left` events; a decoder's pixel is not known yet.
     fn pixel<B: Bits>(
         &mut self,
         bits: B,
@@ -220,22 +220,22 @@ impl Fast {
         Ok(())
     }
 
-    /// Writes the pixel in `memory`. Nothing is an error: ask the writer whether it is full.
+    /// Writes the pixel in `memory`. There are no errors: ask the writer whether it is full.
     pub(crate) fn write(
         &mut self,
         common: &Common,
         memory: &mut CoefficientMemory,
         writer: &mut BitWriter<'_>,
     ) {
-        // Of what an encoder hands over all fits.
+        // Everything that an encoder writes is valid.
         let _ = self.pixel(writer, common, memory, u32::MAX);
     }
 }
 
-/// Reads a frame's `pixels` pixels, which have `events` events; `each` gets every one.
+/// Reads a frame's `pixels` pixels with `events` events in all, and calls `each` with every pixel.
 ///
 /// # Errors
-/// [`UnpackError`]; what came before has been handed on. No input makes it panic.
+/// [`UnpackError`]; the pixels before the error have been handed on. No input makes it panic.
 pub fn read(
     memory: &mut CoefficientMemory,
     common: &Common,

@@ -1,15 +1,14 @@
-//! Coefficients in few bits: mode `transform` by an adaptive coder.
+//! Adaptive coders of coefficients: mode `transform` in fewer bits.
 //!
 //! ```text
 //! group -> accumulate -> prune -> quantise -> fast or dense -> frame
 //! ```
 //!
-//! The levels are those of the plain payload ([`crate::pack::packer`]), to the bit. The levels of a pixel of few
-//! events are not independent: its events' times tell all of them. Such a pixel is told by the cells of
-//! its events, and by what its levels differ from those of events in
-//! the middle of their cells; both sides compute these with the same kernel. Where all events lie in
-//! cells of a microsecond, or the transform is Haar's, nothing differs. A pixel of more events than
-//! that is worth is told by its levels. [`fast`] and [`dense`] have the codes.
+//! The levels are those of the plain payload ([`crate::pack::packer`]), to the bit. In a pixel of few events they
+//! are not independent, as the times of the events determine all of them. Such a pixel is coded by its events: by
+//! their cells, and by how its levels differ from those of events in the middle of their cells. Both sides compute
+//! the latter with the same kernel. If cells are of one microsecond, or the transform is Haar's, nothing differs. A
+//! pixel with too many events for that to pay is coded by its levels. [`fast`] and [`dense`] have the codes.
 
 pub mod dense;
 pub mod fast;
@@ -42,19 +41,19 @@ impl CoefficientMemory {
         learned: dense::Learned::UNSET,
     };
 
-    /// A pixel, and what codes it.
+    /// Returns the current pixel and the memory with which it is coded.
     pub(crate) const fn parts(&mut self) -> (&mut Pixel, dense::Memory<'_>) {
         (&mut self.pixel, (&mut self.prediction, &mut self.learned))
     }
 
-    /// Forgets what the dense coder learned.
+    /// Resets what the dense coder has learned.
     pub fn restart(&mut self) {
         self.learned.restart();
     }
 }
 
-/// Codes what follows a pixel's place and the polarity that it has more events of, ON where it has as
-/// many of both; up to `left` events. `west` and `north` are the neighbours' numbers of events.
+/// Codes what follows a pixel's place and its majority polarity (ON if there are as many of both); the pixel has at
+/// most `left` events. `west` and `north` are the neighbours' numbers of events.
 fn tell<F: Fields>(
     fields: &mut F,
     common: &Common,
@@ -98,7 +97,7 @@ fn tell<F: Fields>(
     check_levels(common, pixel)
 }
 
-/// [`UnpackError::Ended`] where the bits have.
+/// Returns [`UnpackError::Ended`] if a decoder's bits have ended.
 fn sound<F: Fields>(fields: &F) -> Result<(), UnpackError> {
     if fields.is_sound() {
         Ok(())
@@ -107,7 +106,7 @@ fn sound<F: Fields>(fields: &F) -> Result<(), UnpackError> {
     }
 }
 
-/// The cells and polarities of a pixel's events.
+/// Codes the cells and polarities of a pixel's events.
 fn tell_events<F: Fields>(
     fields: &mut F,
     common: &Common,
@@ -151,7 +150,7 @@ fn tell_events<F: Fields>(
     Ok(())
 }
 
-/// What the levels of a pixel that is told by its events differ by.
+/// Codes how the levels of a pixel that is coded by its events differ from their prediction.
 fn tell_differences<F: Fields>(
     fields: &mut F,
     common: &Common,
@@ -212,7 +211,7 @@ fn set_shape(common: &Common, events: u32) -> SetShape {
     }
 }
 
-/// Which coefficients a pixel has that is told by its levels.
+/// Codes which coefficients a pixel has that is coded by its levels.
 fn tell_set<F: Fields>(
     fields: &mut F,
     common: &Common,
@@ -238,7 +237,7 @@ fn tell_set<F: Fields>(
     check_set(common, pixel)
 }
 
-/// Whether there are as many as there have to be.
+/// Checks that the set has as many coefficients as it has to.
 fn check_set(common: &Common, pixel: &Pixel) -> Result<(), UnpackError> {
     let packing = &common.packing;
     let count = pixel.kept.count(usize::from(packing.grid)) as usize;
@@ -253,14 +252,14 @@ fn check_set(common: &Common, pixel: &Pixel) -> Result<(), UnpackError> {
     }
 }
 
-/// Levels that nothing foretells.
+/// Codes levels that have no prediction.
 fn tell_levels<F: Fields>(fields: &mut F, common: &Common, pixel: &mut Pixel) {
     let events = pixel.count();
     let widest = common.packing.level_bits_max(events) - 1;
     let count = pixel.levels_of_set(common).min(pixel.levels.len());
     pixel.levels_len = count;
     let numbers = common.numbers();
-    // Of re and im each.
+    // Of re and of im.
     let mut before = [(false, widest); 2];
     for (i, level) in pixel.levels.iter_mut().take(count).enumerate() {
         let height = (4 * i / count.max(1)) as u8;
@@ -278,7 +277,7 @@ fn tell_levels<F: Fields>(fields: &mut F, common: &Common, pixel: &mut Pixel) {
     }
 }
 
-/// Whether n events can have such levels.
+/// Checks that n events can have these levels.
 fn check_levels(common: &Common, pixel: &Pixel) -> Result<(), UnpackError> {
     let most = common.packing.level_bits_max(pixel.count());
     let levels = pixel.levels.get(..pixel.levels_len).unwrap_or_default();
@@ -286,7 +285,7 @@ fn check_levels(common: &Common, pixel: &Pixel) -> Result<(), UnpackError> {
         .iter()
         .fold(0, |spread, level| spread | (level ^ (level >> 31)) as u32);
     let is_whole = pixel.levels_len == pixel.levels_of_set(common);
-    // A coefficient of the Haar transform that is 0 is not sent.
+    // A Haar coefficient that is 0 is not sent.
     let is_zero = common.packing.transform == Transform::Dwt
         && pixel.kept.contains(0)
         && pixel.on == pixel.off;

@@ -1,4 +1,4 @@
-//! One pixel's coefficients, on either side of the link.
+//! One pixel's coefficients, in an encoder or a decoder.
 
 use heapless::Vec;
 
@@ -12,15 +12,15 @@ use crate::transform::phase::PhaseScale;
 use crate::transform::shape::{Packing, Shape, width_of};
 use crate::transform::{M_MAX, Transform};
 
-/// Largest K of pixels that are told by their events: what a decoder computes for one stays within
-/// bounds, and so does the memory that it takes.
+/// Largest K of pixels that are coded by their events. It bounds what a decoder computes for a pixel, and the
+/// memory for it.
 pub(super) const TOLD_GRID_MAX: usize = 128;
-/// The cells that tell a pixel of the DTFT, whose levels are twice as many and of higher frequencies, are
-/// so many times finer than a single event's, as a power of two.
+/// For the DTFT, whose levels are twice as many and of higher frequencies, the events that code a pixel have finer
+/// cells than a single event: this is how much, as a power of two.
 const FINER_LOG2: u32 = 1;
 
-/// Cells that are half as wide at the most as 2^-`cells_log2` of the window, on either side of their
-/// middle; of a microsecond where they would be of three.
+/// Returns the fidelity of cells that extend on either side of their middle by at most half of 2^-`cells_log2` of
+/// the window. Where these would be of three microseconds, they are of one.
 const fn told_within(cells_log2: u32, duration_us: u32) -> Fidelity {
     match duration_us >> (cells_log2 + 1) {
         0 | 1 => Fidelity::Lossless,
@@ -28,25 +28,25 @@ const fn told_within(cells_log2: u32, duration_us: u32) -> Fidelity {
     }
 }
 
-/// What all pixels of a frame have in common.
+/// Parameters that all pixels of a frame share.
 #[derive(Debug, Clone, Copy)]
 pub struct Common {
-    /// What the plain payload knows too.
+    /// Parameters of the plain payload too.
     pub(super) packing: Packing,
     pub(super) scale: PhaseScale,
-    /// b of a single event.
+    /// log2 of the number of cells for a single event: b.
     pub(super) cells_log2: u32,
-    /// Cells of the events that tell a pixel.
+    /// Cells of the events that code a pixel.
     pub(super) cells: Cells,
 }
 
 impl Common {
-    /// Of a frame of a window of `duration_us`.
+    /// Returns the parameters of a frame of a window of `duration_us`.
     #[must_use]
     pub fn new(packing: Packing, duration_us: u32) -> Self {
         let cells_log2 = packing.cells_log2();
         let fidelity = match packing.transform {
-            // All differences follow from the bins.
+            // All Haar differences follow from the bins.
             Transform::Dwt => Fidelity::Bins(packing.grid),
             Transform::Dct => told_within(cells_log2, duration_us),
             Transform::Dtft => told_within(cells_log2 + FINER_LOG2, duration_us),
@@ -75,12 +75,12 @@ impl Common {
         self.packing.shape()
     }
 
-    /// Cell of an event that tells its pixel.
+    /// Returns the cell of an event that codes its pixel.
     pub(crate) const fn cell(&self, offset_us: u32) -> u32 {
         self.cells.of(offset_us)
     }
 
-    /// Numbers that are sent of each coefficient but c_0.
+    /// Returns how many numbers are sent per coefficient other than c_0.
     pub(super) const fn numbers(&self) -> usize {
         if self.packing.transform.is_complex() {
             2
@@ -89,13 +89,13 @@ impl Common {
         }
     }
 
-    /// Whether a pixel of `events` may be told by them.
+    /// Returns whether a pixel of `events` events may be coded by them.
     pub(super) fn may_tell(&self, events: u32) -> bool {
         events as usize <= CHUNK_EVENTS && usize::from(self.packing.grid) <= TOLD_GRID_MAX
     }
 
-    /// Whether an encoder tells it so: what the events take is estimated to be less than what the
-    /// levels do.
+    /// Returns whether an encoder codes a pixel by its events: if these are estimated to take at most 5/4 of the
+    /// bits that its levels would.
     pub(super) fn tells(&self, events: u32, levels: usize) -> bool {
         let cell_bits = width_of(self.cells.count() - 1) + 2;
         let told = events * cell_bits.saturating_sub(width_of(events) - 1);
@@ -110,21 +110,21 @@ impl Common {
     }
 }
 
-/// A pixel: what a frame tells of it.
+/// One pixel, as a frame codes it.
 #[derive(Debug, Clone)]
 pub struct Pixel {
     pub(super) x: u16,
     pub(super) y: u16,
     pub(super) on: u32,
     pub(super) off: u32,
-    /// Of a single event.
+    /// Cell of a single event.
     pub(super) cell: u32,
-    /// Whether its events tell it, and these: cell << 1 and the polarity, ascending.
+    /// Whether the pixel is coded by its events, and these: cell << 1 plus the polarity, ascending.
     pub(super) is_told: bool,
     pub(super) events: [u32; CHUNK_EVENTS],
     /// Which coefficients are sent.
     pub(super) kept: Kept,
-    /// Their levels as the plain payload has them, that of k = 0 left out.
+    /// Their levels as in the plain payload, without that of k = 0.
     pub(super) levels: [i32; 2 * M_MAX],
     pub(super) levels_len: usize,
 }
@@ -144,7 +144,7 @@ impl Pixel {
         levels_len: 0,
     };
 
-    /// A pixel of a window.
+    /// Starts a pixel of a window.
     pub(crate) fn begin(&mut self, pixel: group::Pixel) {
         (self.x, self.y) = (pixel.x, pixel.y);
         (self.on, self.off) = (pixel.on, pixel.off);
@@ -156,25 +156,25 @@ impl Pixel {
         self.cell = cell;
     }
 
-    /// Whether its events tell it; they are to be inserted then.
+    /// Decides whether the pixel is coded by its events; they have to be inserted then.
     pub(crate) fn choose(&mut self, common: &Common) -> bool {
         self.is_told = common.tells(self.count(), self.levels_len);
         self.is_told
     }
 
-    /// n.
+    /// Returns the number of events, n.
     pub(crate) const fn count(&self) -> u32 {
         self.on + self.off
     }
 
-    /// Puts an event where its cell belongs: number `at` of the pixel.
+    /// Inserts event number `at` of the pixel in the order of cells.
     pub(crate) fn insert(&mut self, at: usize, cell: u32, is_on: bool) {
         let event = cell << 1 | u32::from(is_on);
         let Some(events) = self.events.get_mut(..=at) else {
             return;
         };
         let mut at = at;
-        // They nearly always come in order.
+        // Events nearly always come in order.
         while at > 0 && events[at - 1] > event {
             events[at] = events[at - 1];
             at -= 1;
@@ -182,7 +182,7 @@ impl Pixel {
         events[at] = event;
     }
 
-    /// Which coefficients are sent and their levels, cut to what n events can have.
+    /// Sets which coefficients are sent and their levels, cut to the bits that n events can need.
     pub(crate) fn set(&mut self, common: &Common, kept: &Kept, levels: &[u32]) {
         let unused = 32 - common.packing.level_bits_max(self.count());
         self.kept = *kept;
@@ -192,14 +192,14 @@ impl Pixel {
         }
     }
 
-    /// How many levels its set has.
+    /// Returns how many levels the set of coefficients has.
     pub(super) fn levels_of_set(&self, common: &Common) -> usize {
         let grid = usize::from(common.packing.grid);
         let zeroth = usize::from(self.kept.contains(0));
         (self.kept.count(grid) as usize).saturating_sub(zeroth) * common.numbers()
     }
 
-    /// As the plain payload has it.
+    /// Returns the pixel as the plain payload has it.
     #[must_use]
     pub fn descriptor(&self, common: &Common) -> Descriptor {
         let packing = &common.packing;
@@ -219,7 +219,7 @@ impl Pixel {
                         (level.saturating_add(i32::from(level >= 0)), 0)
                     }
                 };
-                // There are r of them at the most.
+                // There are at most r of them.
                 let _ = levels.push(Level {
                     k: k as u16,
                     re,

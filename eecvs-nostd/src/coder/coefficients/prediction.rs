@@ -1,4 +1,4 @@
-//! What a pixel's coefficients would be, were its events in the middle of their cells.
+//! Predicts a pixel's coefficients as if its events were in the middle of their cells.
 
 use super::pixel::{Common, Pixel, TOLD_GRID_MAX};
 use crate::fixed_point::{Coefficient, Sum};
@@ -7,23 +7,23 @@ use crate::prune::{Kept, low_frequency};
 use crate::transform::haar_scale::scale_of;
 use crate::transform::{Basis, Dct, Dtft, Dwt, M_MAX, Rule, Transform};
 
-/// The coefficients, and which of them would be sent.
+/// Predicted coefficients, and which of them would be sent.
 #[derive(Debug, Clone)]
 pub struct Prediction {
-    /// The second half is memory of the Haar transform, and of complex numbers.
+    /// The second half is for complex numbers, and for the Haar transform as working memory.
     sums: [Sum; 2 * TOLD_GRID_MAX],
     magnitudes: [u32; TOLD_GRID_MAX],
     pub(super) kept: Kept,
     foretold: [Foretold; 2 * M_MAX],
 }
 
-/// A level that is foretold.
+/// A predicted level.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Foretold {
     pub(super) level: i32,
-    /// Where in its step the coefficient would be, in eighths.
+    /// Where the coefficient would be within its step, in eighths.
     pub(super) place: u8,
-    /// How high its frequency or scale is, of 4.
+    /// Height of its frequency or scale, 0 to 3.
     pub(super) height: u8,
 }
 
@@ -40,7 +40,7 @@ impl Prediction {
         }; 2 * M_MAX],
     };
 
-    /// Predicts a pixel that is told by its events.
+    /// Predicts a pixel that is coded by its events.
     pub(super) fn make(&mut self, common: &Common, pixel: &Pixel) {
         match common.packing.transform {
             Transform::Dct => self.make_of::<Dct>(common, pixel),
@@ -77,7 +77,7 @@ impl Prediction {
         }
     }
 
-    /// The numbers of the coefficients in `kept`, k = 0 left out, as they are foretold.
+    /// Returns the predicted levels of the coefficients in `kept`, without k = 0.
     pub(super) fn levels(&mut self, common: &Common, kept: &Kept) -> &[Foretold] {
         let packing = &common.packing;
         let grid = usize::from(packing.grid);

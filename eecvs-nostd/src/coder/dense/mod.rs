@@ -1,14 +1,13 @@
-//! The dense event coder: adaptive contexts from pixels already coded, for the fewest bits.
+//! The dense event coder: contexts that adapt to pixels already coded, for the fewest bits.
 //!
-//! A frame's pixels go by in raster order. What is coded of them, each with probabilities learned in
-//! its context ([`super::range`]):
+//! A frame's pixels are coded in raster order. Each of the following is coded with probabilities learned in its
+//! context ([`super::range`]):
 //!
-//! * which rows, segments of 32 columns and pixels have events, from the pixels around, those of the
-//!   window before among them; columns without neighbours go by in runs (`neighbourhood`);
-//! * the polarity of a pixel's first event, and its events' times and further polarities
-//!   (`times`).
+//! * which rows, segments of 32 columns and pixels have events: by the pixels around, including those of the window
+//!   before; columns without neighbours are coded in runs (`neighbourhood`);
+//! * the polarity of a pixel's first event, and the times and further polarities of its events (`times`).
 //!
-//! One function codes both ways. Time per event is bounded; memory is what was lent.
+//! The same function encodes and decodes. Time per event is bounded; all memory is lent.
 
 #[cfg(eecvs_dsp)]
 pub(crate) mod armv7em;
@@ -29,8 +28,8 @@ use crate::coder::dense::times::{Clock, CodedPixel, Following, LearnedTimes, Nei
 use core::cell::Cell;
 use event_types::Sensor;
 
-/// Rows of bits that are kept: all with those of the window before, and without them this one, two
-/// above, and one more, so that a row's place is cheap to find.
+/// Returns how many rows of bits are kept. If the window before is kept, all of them; else the current row, the two
+/// above it, and a fourth, which makes a row's index cheap to compute.
 pub(super) const fn rows(sensor: Sensor, has_previous: bool) -> usize {
     let height = sensor.height as usize;
     if has_previous || height < RING_ROWS {
@@ -42,7 +41,7 @@ pub(super) const fn rows(sensor: Sensor, has_previous: bool) -> usize {
 
 const RING_ROWS: usize = 4;
 
-/// Which of them a row is.
+/// Returns the index of row `y` among the rows kept.
 #[inline(always)]
 pub(super) const fn row_of(y: usize, has_previous: bool) -> usize {
     if has_previous { y } else { y % RING_ROWS }
@@ -51,28 +50,29 @@ pub(super) const fn row_of(y: usize, has_previous: bool) -> usize {
 /// Memory lent to a [`Dense`] coder.
 #[derive(Debug)]
 pub struct DenseMemory<'b> {
-    /// What is learned.
+    /// What is learned, of the same size for every sensor.
     pub model: &'b mut Model,
-    /// [`words`] of them.
+    /// At least [`words`] words.
     pub words: &'b mut [u32],
 }
 
 impl DenseMemory<'_> {
-    /// Whether it is enough for a sensor.
+    /// Returns whether the memory is large enough for a sensor.
     #[must_use]
     pub const fn serves(&self, sensor: Sensor) -> bool {
         self.words.len() >= words(sensor, false)
     }
 
-    /// Whether it also holds the window before.
+    /// Returns whether it is also large enough to keep the window before.
     #[must_use]
     pub const fn has_previous(&self, sensor: Sensor) -> bool {
         self.words.len() >= words(sensor, true)
     }
 }
 
-/// Words that a sensor takes; without the window before, which costs bits in sparse scenes, far
-/// fewer.
+/// Returns how many words the coder needs for a sensor.
+///
+/// Without the window before these are far fewer, but sparse scenes then cost more bits.
 #[must_use]
 pub const fn words(sensor: Sensor, has_previous: bool) -> usize {
     let stride = sensor.width.div_ceil(32) as usize;
@@ -80,29 +80,30 @@ pub const fn words(sensor: Sensor, has_previous: bool) -> usize {
     2 * stride * rows + 2 * stride + 2 * sensor.width as usize
 }
 
-/// What was coded.
+/// How much of a frame was coded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CodedEvents {
-    /// Events.
+    /// Number of events.
     pub events: u32,
-    /// Pixels with events.
+    /// Number of pixels with events.
     pub pixels: u32,
-    /// More was learned than a decoder reads: the next frame has to begin anew.
+    /// The encoder learned from more than a decoder will read, so the next frame has to be a key frame.
     pub overran: bool,
 }
 
-/// The coder's state, which goes on from frame to frame until [`Self::restart`].
+/// The coder's state, which is kept from frame to frame until [`Self::restart`].
 #[derive(Debug)]
 pub struct Dense<'b> {
     model: &'b mut Model,
-    /// A bit per pixel: of this window up to the pixel at hand, of the one before after it.
+    /// Which pixels have events, a bit each: up to the current pixel those of this window, after it those of the
+    /// window before.
     occupied: &'b mut [u32],
-    /// The same for the polarity of its last event.
+    /// The polarity of each pixel's last event, of the same windows.
     last_on: &'b mut [u32],
-    /// The polarity of the first event, in this row and the one above.
+    /// The polarity of each pixel's first event, in this row and the one above.
     first_on: &'b mut [u32],
-    /// The latest pixel of each column: its events, and the last of them.
+    /// For each column the latest pixel with events: the handle of its events, and the last of them.
     lists: &'b mut [u32],
     lasts: &'b mut [u32],
     sensor: Sensor,
@@ -111,15 +112,17 @@ pub struct Dense<'b> {
 }
 
 impl<'b> Dense<'b> {
-    /// The coder in a memory that was last used for the same sensor, or of which nothing is known:
-    /// then [`Self::restart`] comes first. `None` where it is too small.
+    /// Returns the coder in a memory that was last used for the same sensor, or `None` if the memory is too small.
+    ///
+    /// If the memory's content is unknown, call [`Self::restart`] first.
     #[must_use]
     pub fn new(sensor: Sensor, memory: &'b mut DenseMemory<'_>) -> Option<Self> {
         let has_previous = memory.has_previous(sensor);
         Self::with_previous(sensor, has_previous, memory)
     }
 
-    /// As [`Self::new`], for a decoder, which is told whether the encoder held the window before.
+    /// As [`Self::new`], for a decoder: `has_previous`, from the frame's header, says whether the encoder kept the
+    /// window before.
     #[must_use]
     pub fn with_previous(
         sensor: Sensor,
@@ -147,14 +150,14 @@ impl<'b> Dense<'b> {
         })
     }
 
-    /// Forgets everything: the next frame decodes by itself.
+    /// Forgets everything learned, so that the next frame decodes by itself.
     pub fn restart(&mut self) {
         self.model.restart();
         self.occupied.fill(0);
         self.last_on.fill(0);
     }
 
-    /// Codes a frame, whose times are told so, up to the end of its content or of the coder's room.
+    /// Codes a frame with times in the form `times`, until its content ends or the coder is full.
     pub fn code<C: Binary, T: Content>(
         &mut self,
         coder: &mut C,
@@ -165,7 +168,7 @@ impl<'b> Dense<'b> {
         self.code_with(coder, content, clock)
     }
 
-    /// As [`Self::code`], where `step` codes what follows a pixel's place and its polarity.
+    /// As [`Self::code`], where `step` codes what follows a pixel's place and first polarity.
     #[inline(always)]
     pub(super) fn code_with<C: Binary, T: Content, S: Step<T>>(
         &mut self,
@@ -230,7 +233,7 @@ impl<'b> Dense<'b> {
             }
             y += 1;
         }
-        // What is below has no events in this frame.
+        // Rows below have no events in this frame.
         if self.has_previous {
             words_at(self.occupied, y * self.stride, usize::MAX).fill(0);
         }
@@ -242,7 +245,7 @@ impl<'b> Dense<'b> {
         row_of(y, self.has_previous) * self.stride
     }
 
-    /// Whether there may be more after this row.
+    /// Codes a row. Returns whether more may follow.
     #[inline(always)]
     fn code_row<C: Binary, T: Content, S: Step<T>>(
         &mut self,
@@ -303,7 +306,7 @@ impl<'b> Dense<'b> {
         goes_on
     }
 
-    /// What is seen at a segment, those before which have been coded.
+    /// Gathers the surroundings of a segment; the segments before it have been coded.
     #[cfg_attr(eecvs_dsp, cold)]
     #[cfg_attr(not(eecvs_dsp), inline(always))]
     fn around(&self, rows: &Rows, row: usize, segment: usize) -> Around {
@@ -319,7 +322,7 @@ impl<'b> Dense<'b> {
         around
     }
 
-    /// An encoder's rows by [`armv7em`], as far as that goes.
+    /// Codes an encoder's rows by the walk of [`armv7em`], as far as it goes.
     #[cfg(eecvs_dsp)]
     #[inline(never)]
     fn walk_rows<C: Binary, T: Content, S: Step<T>>(
@@ -352,7 +355,7 @@ impl<'b> Dense<'b> {
         Some(walked)
     }
 
-    /// Where the rows around one begin.
+    /// Returns where this row and the rows around it begin.
     #[inline(always)]
     fn rows_around(&self, y: usize) -> Rows {
         let first_here = (y % 2) * self.stride;
@@ -378,11 +381,11 @@ impl<'b> Dense<'b> {
         }
     }
 
-    /// What comes into view at a segment; or, before the first, at the one to its west.
+    /// Returns the words that come into view on moving to `segment`, or with `is_next` false to the one west of it.
     #[inline(always)]
     fn east(&self, rows: &Rows, segment: usize, is_next: bool) -> Around {
         let word = |words: &[u32], at: usize| words.get(at).copied().unwrap_or(0);
-        // Whether there is a segment to the east, and which.
+        // The segment to the east; words beyond the row are 0.
         let east = segment + usize::from(is_next);
         let far = |words: &[u32], row: usize| {
             let word = if east < self.stride {
@@ -406,7 +409,7 @@ impl<'b> Dense<'b> {
         around
     }
 
-    /// Whether there may be more after this segment.
+    /// Codes a segment. Returns whether more may follow.
     #[inline(always)]
     fn code_segment<C: Binary, T: Content, S: Step<T>>(
         &mut self,
@@ -422,7 +425,8 @@ impl<'b> Dense<'b> {
         let told = content.columns();
         let mut i = from;
         while i < columns {
-            // One that has events comes at last.
+            // A segment that is coded has events: if none came before its last run or column, they are there and no
+            // flag is coded.
             let quiet = seen.quiet(made.occupied, i, columns);
             if quiet > 0 {
                 let run = told >> i & low_mask(quiet);
@@ -476,7 +480,7 @@ impl<'b> Dense<'b> {
         true
     }
 
-    /// The latest pixel of a column.
+    /// Returns the latest pixel with events of a column.
     #[inline(always)]
     fn latest(&self, x: usize) -> Neighbour {
         match (self.lists.get(x), self.lasts.get(x)) {
@@ -500,7 +504,7 @@ fn set(words: &mut [u32], at: usize, word: u32) {
     }
 }
 
-/// Up to `count` words from `at` on.
+/// Returns up to `count` words from `at` on.
 #[inline(always)]
 fn words_at(words: &mut [u32], at: usize, count: usize) -> &mut [u32] {
     let rest = words.get_mut(at..).unwrap_or_default();
@@ -508,7 +512,7 @@ fn words_at(words: &mut [u32], at: usize, count: usize) -> &mut [u32] {
     rest.get_mut(..count).unwrap_or_default()
 }
 
-/// Where rows begin in their words; [`NO_ROW`] for what is not there.
+/// Where rows begin in their words; [`NO_ROW`] for rows that do not exist.
 struct Rows {
     here: usize,
     south: usize,
@@ -518,25 +522,25 @@ struct Rows {
     first_north: usize,
 }
 
-/// Beyond all words, and no segment's number leads from it to any.
+/// Beyond all words, also after a segment's number is added.
 const NO_ROW: usize = usize::MAX / 2;
 
-/// How far a walk in assembly has coded a row that it leaves to the loop here.
+/// How far an assembly walk has coded a row that it leaves to the portable loop.
 #[cfg_attr(not(eecvs_dsp), allow(dead_code))]
 pub(super) struct Begun {
-    /// Its first segment that was not coded as a whole.
+    /// The first segment that was not coded as a whole.
     pub(super) segment: usize,
-    /// That one's first column that was not visited; `None` where its flag was not coded.
+    /// The first column of that segment that was not visited; `None` if the segment's flag was not coded.
     pub(super) column: Option<u32>,
-    /// What was made of it.
+    /// What was coded of that segment.
     pub(super) made: Made,
-    /// Whether there is more to code; else the window's last event was coded, or the output is full.
+    /// Whether there is more to code; if not, the window's last event was coded or the output is full.
     pub(super) goes_on: bool,
-    /// What it does with its neighbours' times, as was decided at its begin.
+    /// How the row uses its neighbours' times, as decided at its start.
     pub(super) following: Following,
 }
 
-/// What a segment was made of.
+/// Bits of the pixels coded in a segment.
 #[derive(Debug, Default)]
 pub(super) struct Made {
     pub(super) occupied: u32,
@@ -544,7 +548,7 @@ pub(super) struct Made {
     pub(super) last_on: u32,
 }
 
-/// What goes on from pixel to pixel.
+/// State kept from pixel to pixel of a frame.
 struct Frame<S> {
     step: S,
     coded: CodedEvents,
@@ -552,10 +556,10 @@ struct Frame<S> {
     walk: Option<Walk>,
 }
 
-/// What is coded of a pixel after its place and the polarity that its neighbours foretell.
+/// Codes what follows a pixel's place and the polarity of its first event.
 pub(super) trait Step<T> {
-    /// Codes it; `around` is what is known of the neighbours to the west and north, and what the row
-    /// does with their times.
+    /// Codes a pixel; `around` has what is known of its neighbours to the west and north, and how the row uses
+    /// their times.
     fn pixel<C: Binary>(
         &mut self,
         times: &mut LearnedTimes,
@@ -565,14 +569,15 @@ pub(super) trait Step<T> {
         around: ((Neighbour, Neighbour), Following),
     ) -> CodedPixel;
 
-    /// The events' clock, where they are all that it codes: an encoder's walk in assembly may do so too.
+    /// Returns the clock if this step codes events and nothing else: an encoder's assembly walk may then replace
+    /// it.
     #[cfg(eecvs_dsp)]
     fn clock(&mut self) -> Option<&mut Clock> {
         None
     }
 }
 
-/// Events.
+/// Codes the pixel's events.
 impl<T: Content> Step<T> for Clock {
     #[inline(always)]
     fn pixel<C: Binary>(
@@ -606,7 +611,7 @@ mod tests {
 
     type Pixel = ((u16, u16), Vec<(u32, bool)>);
 
-    /// Pixels in raster order, y first, with their events in order of time.
+    /// Returns pixels in raster order, with their events in order of time.
     fn pixels(events: &[(u16, u16, u32, bool)]) -> Vec<Pixel> {
         let mut pixels = BTreeMap::<_, Vec<_>>::new();
         for (x, y, cell, on) in events {
@@ -621,7 +626,7 @@ mod tests {
             .collect()
     }
 
-    /// A frame on either side, as one list of events.
+    /// Content of a frame for either direction, as one list of events.
     struct Listed {
         pixels: Vec<Pixel>,
         nodes: Vec<Node>,
@@ -723,7 +728,7 @@ mod tests {
         }
     }
 
-    /// Encodes a window into as many frames as it takes and decodes them; their bytes.
+    /// Encodes a window into as many frames as needed and decodes them; returns the frames' sizes in bytes.
     fn there_and_back(
         (encoder, decoder): (&mut Dense<'_>, &mut Dense<'_>),
         pixels: &[Pixel],
@@ -792,7 +797,7 @@ mod tests {
             let sensor = Sensor::new(width, height).unwrap();
             let mut memory = (Memory::new(sensor, has_previous), Memory::new(sensor, has_previous));
             let (mut encoder, mut decoder) = (memory.0.lent(), memory.1.lent());
-            // What is enough for a few rows is enough for both windows.
+            // For a sensor of a few rows the smaller memory is large enough for both windows.
             let has_previous = encoder.has_previous(sensor);
             let mut encoder = Dense::new(sensor, &mut encoder).unwrap();
             let mut decoder = Dense::with_previous(sensor, has_previous, &mut decoder).unwrap();
@@ -803,7 +808,7 @@ mod tests {
             }
         }
 
-        /// Any bytes are events, or an end; what is decoded stays on the sensor and in the window.
+        /// Any bytes decode to events or an end; decoded events lie on the sensor and in the window.
         #[test]
         fn any_bytes_decode_without_a_panic(
             bytes in any::<Vec<u8>>(), width in 1_u16..100, height in 1_u16..20,

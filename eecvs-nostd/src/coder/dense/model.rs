@@ -1,4 +1,4 @@
-//! All that the dense coder learns: probabilities and tables by their contexts.
+//! Model of the dense coder: all probabilities and tables that it learns, by context.
 
 use crate::coder::dense::neighbourhood::{
     PIXEL_CONTEXTS, POLARITY_CONTEXTS, RUN_CONTEXTS, SEGMENT_CONTEXTS,
@@ -6,11 +6,10 @@ use crate::coder::dense::neighbourhood::{
 use crate::coder::dense::times::LearnedTimes;
 use crate::coder::range::Probability;
 
-/// What is learned of the rows' flags: by whether the row above and this one of the window before
-/// have pixels.
+/// Contexts of a row's flag: whether the row above, and this row of the window before, have pixels.
 const ROW_CONTEXTS: usize = 4;
 
-/// The dense coder's memory that has the same size for every sensor.
+/// The part of the dense coder's memory whose size does not depend on the sensor.
 #[derive(Debug, Clone)]
 pub struct Model {
     pub(super) rows: [Probability; ROW_CONTEXTS],
@@ -22,7 +21,7 @@ pub struct Model {
 }
 
 impl Model {
-    /// All zero, for memory in `.bss`; [`Self::restart`] comes before use.
+    /// All zero, for memory in `.bss`; call [`Self::restart`] before use.
     pub const UNSET: Self = Self {
         rows: [Probability::UNSET; _],
         segments: [Probability::UNSET; _],
@@ -32,7 +31,7 @@ impl Model {
         times: LearnedTimes::UNSET,
     };
 
-    /// Forgets everything.
+    /// Resets all probabilities and tables to what they are before any event.
     pub fn restart(&mut self) {
         let Self {
             rows,

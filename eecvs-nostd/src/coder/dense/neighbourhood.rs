@@ -1,40 +1,38 @@
-//! The contexts around a segment and its pixels: which neighbours have events, of which polarity.
+//! Contexts from the surroundings of a segment and its pixels: which neighbours have events, and of which polarity.
 //!
-//! Everything is a word of 32 columns, a bit for each, so that what a column sees is the same bit of
-//! several words: its own, and those that were moved over by a column.
+//! Everything is kept in words of 32 columns, one bit each. What a column sees is then the same bit of several
+//! words: its own, and neighbouring words shifted by a column.
 
 /// Contexts of a segment's flag: four numbers of pixels, each 0, 1, 2 to 3, or more.
 pub(super) const SEGMENT_CONTEXTS: usize = 256;
-/// Contexts of a run's flag: the power of two that it is long, and how many pixels there are to the
-/// west and north.
+/// Contexts of a run's flag: log2 of its length, and how many pixels there are to the west and north.
 pub(super) const RUN_CONTEXTS: usize = 8 * 4;
 /// Contexts of a pixel's flag.
 pub(super) const PIXEL_CONTEXTS: usize = 1 << 9;
-/// Contexts of a first polarity: five neighbours, each without events, or with a first that
-/// is OFF or ON.
+/// Contexts of a first polarity: five neighbours, each without events, or first OFF, or first ON.
 pub(super) const POLARITY_CONTEXTS: usize = 3 * 3 * 3 * 3 * 3;
 
-/// The words of a segment's neighbours; [_; 3] are to the west, at it, and to the east.
+/// Words around a segment. Arrays of three are those to the west, here and to the east.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Around {
-    /// Pixels with events, in this row so far and in the two above.
+    /// Pixels with events, in this row so far and in the two rows above.
     pub(super) west: u32,
     pub(super) north: [u32; 3],
     pub(super) far_north: u32,
-    /// Of the window before, here and to the east, and in the row below.
+    /// Pixels with events in the window before: here and to the east, and in the row below.
     pub(super) old: [u32; 2],
     pub(super) south: [u32; 3],
-    /// Polarity of the last event of the window before.
+    /// Polarities of the last events in the window before.
     pub(super) old_on: u32,
-    /// Polarity of the first events, and anything where there are none.
+    /// Polarities of first events; arbitrary where there are no events.
     pub(super) west_on: u32,
     pub(super) north_on: [u32; 3],
 }
 
-/// 0, 1, 2 to 3, or more bits, as 0 to 3.
+/// Counts the bits set, as 0 to 3: none, 1, 2 to 3, or more.
 #[inline(always)]
 fn few(word: u32) -> usize {
-    // One after the other is taken off: most words have none.
+    // Clears one bit after the other, as most words have none.
     let mut left = word;
     let mut number = 0;
     for few in [1, 2, 2, 3] {
@@ -47,15 +45,15 @@ fn few(word: u32) -> usize {
     number
 }
 
-/// The column to the west of each, and to the east.
+/// Returns for each column the bit of the column to its west, and of the one to its east.
 #[inline(always)]
 const fn sides([west, here, east]: [u32; 3]) -> (u32, u32) {
     (here << 1 | west >> 31, here >> 1 | east << 31)
 }
 
 impl Around {
-    /// Goes on to the next segment: this one was made with `occupied` and `first_on`; `east` is what
-    /// comes into view, in the same places.
+    /// Moves to the next segment. `occupied` and `first_on` are what was coded of this one; `east` has the words
+    /// that come into view, in the fields where they belong.
     #[inline(always)]
     pub(super) fn go_on(&mut self, (occupied, first_on): (u32, u32), east: &Self) {
         let next = |of: [u32; 3], east: [u32; 3]| [of[1], of[2], east[2]];
@@ -76,7 +74,7 @@ impl Around {
         few(self.west) << 6 | few(north) << 4 | few(self.old[0]) << 2 | few(north_east)
     }
 
-    /// What the columns of the segment see.
+    /// Returns what the columns of the segment see.
     #[inline(always)]
     pub(super) fn columns(&self, has_previous: bool) -> Columns {
         let (north_west, north_east) = sides(self.north);
@@ -104,7 +102,7 @@ impl Around {
             let (south_west, south_east) = sides(self.south);
             let (_, east) = sides([0, self.old[0], self.old[1]]);
             let south = self.south[1];
-            // How many of the four: two bits of a sum, 3 for more.
+            // Per column, the sum of the four neighbours in two bits, with 4 as 3.
             let (a, b) = (east ^ south_west, south ^ south_east);
             let (c, d) = (east & south_west, south & south_east);
             columns.later = [(a ^ b) | (c & d), c | d | (a & b)];
@@ -116,10 +114,10 @@ impl Around {
     }
 }
 
-/// Words in which bit i is what column i sees.
+/// What columns see: bit i of each word is what column i sees.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Columns {
-    /// The two pixels to the west of the segment, and the polarity of the nearer.
+    /// The two pixels to the west of the segment, and the polarity of the nearer one.
     pub(super) west: u32,
     pub(super) west_on: u32,
     pub(super) north_west: u32,
@@ -132,7 +130,7 @@ pub(super) struct Columns {
     pub(super) old: u32,
     pub(super) old_on: u32,
     pub(super) later: [u32; 2],
-    /// Whether any neighbour but those to the west has events.
+    /// Whether any neighbour except those to the west has events.
     pub(super) seen: u32,
     pub(super) crowd: usize,
     pub(super) has_previous: bool,
@@ -144,13 +142,14 @@ const fn bit(word: u32, column: u32) -> usize {
 }
 
 impl Columns {
-    /// The two columns to the west of one, the nearer as bit 1, where the segment is `made` so far.
+    /// Returns whether the two columns to the west have events, the nearer as bit 1; `made` are the segment's
+    /// pixels so far.
     #[inline(always)]
     fn west(&self, made: u32, column: u32) -> usize {
         ((made << 2 | self.west) >> column) as usize & 3
     }
 
-    /// How many columns from this one on have no neighbour with events, of those left of the segment.
+    /// Returns how many columns from this one on, of the segment's `columns`, have no neighbour with events.
     #[inline(always)]
     pub(super) fn quiet(&self, made: u32, column: u32, columns: u32) -> u32 {
         if self.west(made, column) == 0 {
@@ -161,7 +160,7 @@ impl Columns {
         }
     }
 
-    /// Context of whether a run of quiet columns, at least 1, has events.
+    /// Returns the context of whether a run of `quiet` (at least 1) columns has events.
     #[inline(always)]
     pub(super) fn run_context(&self, quiet: u32) -> usize {
         (self.crowd << 3 | (31 - quiet.leading_zeros()) as usize) % RUN_CONTEXTS
@@ -187,18 +186,18 @@ impl Columns {
         bit(self.north, column) == 1
     }
 
-    /// Whether the column to the west has events.
+    /// Returns whether the column to the west has events.
     #[inline(always)]
     pub(super) fn has_west(&self, made: u32, column: u32) -> bool {
         self.west(made, column) & 2 != 0
     }
 
-    /// Context of a first polarity.
+    /// Returns the context of a pixel's first polarity.
     #[inline(always)]
     pub(super) fn polarity_context(&self, made: u32, made_on: u32, column: u32) -> usize {
         let west_on = bit(made_on << 1 | self.west_on, column);
         let mut context = (self.west(made, column) >> 1) + west_on;
-        // None, OFF or ON.
+        // Each neighbour adds 0 without events, 1 if OFF, 2 if ON.
         for (has, on) in [
             (self.north, self.north_on),
             (self.north_west, self.north_west_on),

@@ -1,70 +1,69 @@
-//! The times of a pixel in the dense coder: its first cell, and from event to event whether there is
-//! another, its polarity and its distance.
+//! Times of a pixel in the dense coder: codes its first cell, then for each further event whether it exists, its
+//! polarity and its distance from the one before.
 //!
-//! A cell or a distance is a symbol, which holds its magnitude and its upper bits, and the bits below,
-//! which are plain. Where neighbours' events come together with a pixel's own, as under lamps that
-//! flicker, that is worth bits: such rows *follow*, and take the bits below from a neighbour's event
-//! that is as far away, as long as they are right. Some rows try it all the time, and tell by how often
-//! all bits are right whether the others do.
+//! A cell or distance is coded as a symbol, which gives its magnitude and upper bits, and plain bits below. Where
+//! events of neighbouring pixels come together, as under flickering lamps, those bits can be predicted: rows that
+//! *follow* code them by a neighbour's event at a distance of the same length in bits, for as long as they agree.
+//! Some rows always try this; how often all bits are right there decides whether the other rows do it.
 
 use crate::coder::content::{Content, END, Node};
 use crate::coder::range::symbols::Symbols;
 use crate::coder::range::{Binary, Probability};
 use crate::coder::scan::{FINE_BITS as BESIDE_BITS, fine_of, fine_parts};
 
-/// Bytes that an event takes at the most: 53 decisions of up to 7.4 bits, a symbol of 15, and 39 plain
-/// bits.
+/// Most bytes that an event takes: 53 decisions of up to 7.4 bits, a symbol of 15 bits, and 39 plain bits.
 pub(crate) const EVENT_BYTES_MAX: usize = 72;
 
-/// Bits of a first cell that are learned.
+/// Upper bits of a first cell that are learned.
 pub(crate) const FIRST_BITS: u32 = 5;
 pub(crate) const FIRST_SYMBOLS: usize = 1 + (1 << FIRST_BITS);
-/// The longest distances, by their number of bits, have three more learned.
+/// Number of lengths in bits, the longest, for which three more bits of a distance are learned.
 const FINE_LENGTHS: u32 = 6;
 const FINE_BITS: u32 = 3;
-/// Symbols below those, one for each number of bits. In windows of so few cells that their numbers have
-/// up to [`FIRST_BITS`], every distance has its own.
+/// Symbols for shorter distances, one per length in bits. In windows whose cells have numbers of up to
+/// [`FIRST_BITS`] bits, every distance has a symbol of its own.
 pub(crate) const COARSE: u32 = 15;
 pub(crate) const DISTANCES: usize = 1 + COARSE as usize + (FINE_LENGTHS << FINE_BITS) as usize;
-/// In rows that follow: numbers of bits, as decisions from the top.
+/// Lengths in bits of distances in rows that follow; coded by decisions from the top.
 pub(crate) const LENGTHS: usize = 16;
 
-/// Contexts of the number of bits of a pixel's last distance.
+/// Contexts by the length in bits of a pixel's last distance.
 pub(crate) const OF_LAST: [u8; 16] = [0, 1, 1, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 11, 11];
 pub(crate) const LASTS: usize = 12;
-/// Of these, where less than half of the window is left.
+/// Maps these contexts to those used where less than half of the window is left.
 pub(crate) const OF_LAST_LATE: [u8; LASTS] = [0, 1, 1, 1, 1, 1, 1, 1, 2, 3, 4, 5];
-/// The same for whether there is another event, and 0 where there was no distance.
+/// Contexts of whether there is another event, by the same length; 0 where there was no distance.
 pub(crate) const OF_LAST_MORE: [u8; 16] = [0, 1, 2, 2, 2, 2, 2, 3, 3, 3, 3, 4, 4, 4, 4, 5];
-/// Contexts of the bits of a neighbour's distance, 0 for none.
+/// Contexts by the length in bits of a neighbour's distance; 0 for none.
 pub(crate) const OF_NEAR: [u8; 17] = [0, 1, 1, 1, 1, 1, 2, 3, 4, 5, 6, 7, 7, 7, 8, 8, 8];
 pub(crate) const NEARS: usize = 9;
-/// Contexts of what is left of the window: powers of two, and the least.
+/// Contexts of what is left of the window: powers of two, and one for the least.
 pub(crate) const RESTS: usize = 6;
 
-/// Events of a neighbour looked at for one of the same polarity.
+/// How many events of a neighbour are searched for one of the same polarity.
 pub(crate) const LOOK_AHEAD: usize = 4;
-/// Of a prefix: 15 places with either bit of the candidate, 3 after the first difference with its
-/// direction, and a tree of 3 where there is no candidate.
+/// Contexts of a prefix: 15 places by the candidate's bit; 3 after the first difference by its direction and the
+/// candidate's bit; and a tree of 3 bits without a candidate.
 pub(crate) const PREFIX_CONTEXTS: usize = 30 + 12 + 8;
-/// Sets of them: lengths up to the first of these share one, and so do those from the last on; beyond
-/// is that of first cells.
+/// Lengths in bits between which each length has a set of prefix contexts: all shorter ones share the first set,
+/// and all longer ones the last. First cells have the set after these.
 pub(crate) const PREFIX_LENGTHS: (u32, u32) = (4, 13);
 pub(crate) const PREFIX_FIRST: usize = (PREFIX_LENGTHS.1 - PREFIX_LENGTHS.0 + 1) as usize;
 
-/// Magnitudes of a distance from a scan that are learned; the others are plain.
+/// Magnitudes of a distance from a scan that are learned; larger ones are plain.
 const BESIDE_LEARNED: u32 = 4;
 
-/// One row in so many tries to follow.
+/// One row in this many always tries to follow.
 const TRIAL_ROWS: usize = 16;
-/// Trials before it is known what they are worth, and after which they count half.
+/// Trials before their result counts, and trials at which both counts are halved.
 const TRIALS_MIN: u16 = 32;
 pub(crate) const TRIALS_MAX: u16 = 512;
-/// A candidate of so many bits is right by chance in one trial of 32; rows follow from one in 16 on.
+/// Fewest bits of a candidate in a trial: by chance one trial in 32 is right. Rows follow if more than one in 16
+/// is.
 pub(crate) const TRIAL_LENGTH: u32 = 6;
 const TRIALS_PER_MATCH: u16 = 16;
 
-/// What is learned of times.
+/// Everything learned of times.
 #[derive(Debug, Clone)]
 pub(crate) struct LearnedTimes {
     pub(crate) first: Symbols<FIRST_SYMBOLS>,
@@ -73,9 +72,9 @@ pub(crate) struct LearnedTimes {
     pub(crate) distances: [Symbols<DISTANCES>; LASTS * 2 + LASTS],
     pub(crate) lengths: [[Probability; LENGTHS]; LASTS * NEARS * 2],
     pub(crate) prefixes: [[Probability; PREFIX_CONTEXTS]; PREFIX_FIRST + 1],
-    /// Whether a distance from a scan is above 0, 1, 2, 3.
+    /// Whether a distance from a scan is above 0, 1, 2 and 3.
     beside: [Probability; BESIDE_LEARNED as usize],
-    /// Whether it is before the scan, of 1 and of more.
+    /// Whether the event is before the scan, at a distance of 1 and of more.
     before_scan: [Probability; 2],
     pub(crate) trials: u16,
     pub(crate) matches: u16,
@@ -107,7 +106,7 @@ impl LearnedTimes {
         (self.trials, self.matches) = (0, 0);
     }
 
-    /// What row `y` does with its neighbours' times.
+    /// Returns how row `y` uses its neighbours' times.
     pub(crate) const fn following(&self, y: usize) -> Following {
         if y.is_multiple_of(TRIAL_ROWS) || self.trials < TRIALS_MIN {
             Following::Tries
@@ -128,21 +127,21 @@ impl LearnedTimes {
     }
 }
 
-/// What a row does with its neighbours' times.
+/// How a row uses its neighbours' times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Following {
     Not,
     Does,
-    /// And keeps count of what it is worth.
+    /// Follows, and counts how often that is right.
     Tries,
 }
 
-/// What is known of a pixel's events once they are coded.
+/// What is known of a neighbouring pixel once its events are coded.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Neighbour {
-    /// The first, as [`Content::at`] knows it.
+    /// Handle of its first event, for [`Content::at`].
     pub(crate) list: u32,
-    /// Cell of the last, up to 2^31 - 1, and its polarity in the lowest bit.
+    /// Cell of its last event, at most 2^31 - 1, above the event's polarity in the lowest bit.
     pub(crate) last: u32,
 }
 
@@ -154,7 +153,7 @@ impl Neighbour {
         (if cell >> 31 == 0 { cell } else { u32::MAX >> 1 }) << 1 | on as u32
     }
 
-    /// Whether there is an event after a cell, and if so its last one's polarity.
+    /// Returns the polarity of the last event if that event is after `cell`.
     #[inline(always)]
     const fn after(self, cell: u32) -> Option<bool> {
         if self.last >> 1 > cell {
@@ -165,28 +164,28 @@ impl Neighbour {
     }
 }
 
-/// A pixel that was coded.
+/// Result of coding a pixel.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CodedPixel {
     pub(crate) events: u32,
-    /// As of [`Neighbour`].
+    /// Its last event, as in [`Neighbour`].
     pub(crate) last: u32,
-    /// Whether the frame goes on after it.
+    /// Whether the frame goes on after the pixel.
     pub(crate) goes_on: bool,
 }
 
-/// What goes on from pixel to pixel.
+/// State of the times kept from pixel to pixel.
 #[derive(Debug)]
 pub(crate) struct Clock {
     pub(crate) cells: u32,
     /// Bits of a cell's number.
     pub(crate) bits: u32,
-    /// Bits that are told beside it.
+    /// Bits coded beside a cell: its distance from the scan, or none.
     pub(crate) beside_bits: u32,
-    /// Bits of distances from which on they are fine, and of the shortest that has a symbol.
+    /// Length in bits from which on distances are fine, and up to which they share symbol 0.
     pub(crate) fine: u32,
     coarse: u32,
-    /// Bits of the last distance between two events of a pixel, up to 15.
+    /// Length in bits of the last distance between two events of a pixel, up to 15.
     pub(crate) last_length: u32,
 }
 
@@ -198,14 +197,14 @@ const fn low_mask(bits: u32) -> u32 {
     if bits < 32 { (1 << bits) - 1 } else { u32::MAX }
 }
 
-/// Contexts are sums of bounded parts; the bound here is for the compiler.
+/// Returns what is learned in a context. Contexts are sums of bounded parts; the bound here is for the compiler.
 #[inline(always)]
 fn at<T>(learned: &mut [T], context: usize) -> &mut T {
     let last = learned.len() - 1;
     &mut learned[context.min(last)]
 }
 
-/// How an event's time is told from the event before.
+/// What is known when a distance is coded.
 #[derive(Clone, Copy)]
 struct Step {
     cell: u32,
@@ -215,8 +214,8 @@ struct Step {
 }
 
 impl Clock {
-    /// At the start of a frame of so many cells, at least 1, and bits that are told beside them: none, or
-    /// those of a distance from a scan.
+    /// Starts a frame of `cells` cells (at least 1) and `beside_bits` bits beside each: 0, or those of a distance
+    /// from a scan.
     pub(crate) const fn new(cells: u32, beside_bits: u32) -> Self {
         let bits = length_of(cells - 1);
         let fine = bits.saturating_sub(FINE_LENGTHS - 1);
@@ -235,7 +234,7 @@ impl Clock {
         }
     }
 
-    /// A pixel's events; `first_on` is the polarity of its first.
+    /// Codes a pixel's events; `first_on` is the polarity of the first.
     #[inline(always)]
     pub(crate) fn pixel<C: Binary, T: Content>(
         &mut self,
@@ -254,7 +253,7 @@ impl Clock {
         } else {
             None
         };
-        // Here and below, only what no encoder writes goes beyond the last cell.
+        // Here and below, only a number that no encoder writes goes beyond the last cell.
         let mut cell = self
             .first(times, coder, cell, candidate)
             .min(self.cells - 1);
@@ -321,7 +320,7 @@ impl Clock {
         }
     }
 
-    /// The first cell of a pixel.
+    /// Codes the first cell of a pixel.
     #[inline(always)]
     fn first<C: Binary>(
         &self,
@@ -339,14 +338,14 @@ impl Clock {
         top << low | coder.plain(cell & low_mask(low), low)
     }
 
-    /// What is left of the window after a cell: 0 for the least.
+    /// Returns the context of what is left of the window after a cell: 0 for the least.
     #[inline(always)]
     const fn rest(&self, cell: u32) -> usize {
         let short = self.bits.saturating_sub(length_of(self.cells - cell)) as usize;
         (RESTS - 1).saturating_sub(short)
     }
 
-    /// The distance to the next event.
+    /// Codes the distance to the next event.
     #[inline(always)]
     fn distance<C: Binary>(
         &self,
@@ -362,7 +361,7 @@ impl Clock {
         }
         context = context * 2 + usize::from(step.flips);
         let first_fine = self.fine - self.coarse;
-        // What lies beyond the window has no share.
+        // Distances beyond the window have no share.
         let last = self.symbol(self.cells - 1 - step.cell);
         let table = at(&mut times.distances, context);
         let symbol = coder.symbol_up_to(table, self.symbol(distance), last) as u32;
@@ -382,8 +381,8 @@ impl Clock {
         top << low | coder.plain(distance & low_mask(low), low)
     }
 
-    /// The symbol of a distance: below `fine` bits, 0 has all of up to `coarse`, and the next each one
-    /// bit more.
+    /// Returns the symbol of a distance. Below `fine` bits, symbol 0 stands for all distances of up to `coarse`
+    /// bits, and each further symbol for one bit more.
     #[inline(always)]
     const fn symbol(&self, distance: u32) -> usize {
         let length = length_of(distance);
@@ -399,7 +398,7 @@ impl Clock {
         symbol as usize
     }
 
-    /// The distance in a row that follows.
+    /// Codes the distance in a row that follows.
     #[inline(always)]
     fn following<C: Binary, T: Content>(
         &self,
@@ -424,7 +423,7 @@ impl Clock {
             &mut times.lengths,
             (last * NEARS + near) * 2 + usize::from(step.flips),
         );
-        // 0 is what is shorter than any other.
+        // 0 stands for all lengths of up to `short` bits.
         let short = self.bits.saturating_sub(LENGTHS as u32 - 1);
         let length = length_of(distance).saturating_sub(short);
         let mut node = 1;
@@ -454,7 +453,7 @@ impl Clock {
         distance
     }
 
-    /// A neighbour's event and its cell.
+    /// Returns a neighbour's event, with its cell but not the bits beside it.
     #[inline(always)]
     fn node<T: Content>(&self, content: &T, list: u32) -> Option<Node> {
         let node = content.at(list)?;
@@ -464,14 +463,14 @@ impl Clock {
         })
     }
 
-    /// Cell of a neighbour's first event, where it has this polarity.
+    /// Returns the cell of a neighbour's first event if it has this polarity.
     #[inline(always)]
     fn first_of<T: Content>(&self, content: &T, list: u32, on: bool) -> Option<u32> {
         let first = self.node(content, list)?;
         (first.on == on).then_some(first.cell)
     }
 
-    /// Moves a neighbour's list behind `cell`; the cell and the polarity of its next event.
+    /// Moves a neighbour's list beyond `cell`. Returns the cell and polarity of its next event.
     #[inline(always)]
     fn after<T: Content>(&self, content: &T, list: &mut u32, cell: u32) -> Option<(u32, bool)> {
         loop {
@@ -483,8 +482,8 @@ impl Clock {
         }
     }
 
-    /// The distance from `cell` of the next of a neighbour's events of one polarity, where it has so
-    /// many bits.
+    /// Returns the distance from `cell` to a neighbour's next event of polarity `on`, if that distance has `length`
+    /// bits.
     #[inline(always)]
     fn same_length<T: Content>(
         &self,
@@ -503,7 +502,7 @@ impl Clock {
         None
     }
 
-    /// What is told beside a cell, where there is anything; returns both.
+    /// Codes the bits beside a cell, if any. Returns them with the cell.
     #[inline(always)]
     fn beside<C: Binary>(
         &self,
@@ -531,7 +530,7 @@ impl Clock {
     }
 }
 
-/// The low `bits` bits of a value, of which a candidate may have the upper ones.
+/// Codes the low `bits` bits of a value; a candidate may share the upper ones.
 #[inline(always)]
 fn prefix<C: Binary>(
     contexts: &mut [Probability; PREFIX_CONTEXTS],
@@ -549,7 +548,7 @@ fn prefix<C: Binary>(
     };
     match candidate {
         Some(candidate) => {
-            // As long as it is right.
+            // Follow the candidate as long as it is right.
             let mut differs = None;
             while left > 0 && differs.is_none() {
                 let expected = candidate >> (left - 1) & 1 == 1;
@@ -557,7 +556,7 @@ fn prefix<C: Binary>(
                 let bit = code(2 * place + usize::from(expected), &mut left);
                 differs = (bit != expected).then_some(bit);
             }
-            // Near it: just above, zeros follow, or just below, ones.
+            // Near the candidate: a value just above it goes on with zeros, one just below it with ones.
             if let Some(up) = differs {
                 for i in 0..3 {
                     if left == 0 {

@@ -1,10 +1,10 @@
-//! The fast event coder: Golomb-like codes whose orders follow what went by, for the fewest
+//! The fast event coder: Golomb-like codes whose orders adapt to what was coded before, for the fewest
 //! instructions.
 //!
-//! A frame's pixels go by in raster order; docs/wire-format.md has the codes. Whatever an order
-//! follows is a length that the coder has at hand anyway: that of the distance before between the
-//! same polarities, or of the way that the last 32 pixels took. Both directions share it, and it
-//! starts anew with every frame, so that each decodes by itself.
+//! A frame's pixels are coded in raster order; docs/wire-format.md has the codes. Each order follows a length that
+//! the coder has at hand anyway: that of the last distance between events of the same two polarities, or of the
+//! stretch of places over which the last 32 pixels lie. Both directions share this state. It starts anew with every
+//! frame, so that each frame decodes by itself.
 
 mod read;
 pub(crate) mod walk;
@@ -16,30 +16,28 @@ use crate::window::FIRST;
 use crate::window::SEGMENT_PIXELS;
 use event_types::Sensor;
 
-/// Words of room without which no pixel is begun, and no further event of it: up to 48 bits of gap,
-/// 34 of the first event, then 67 of a distance and what follows it, twice; and 31 that were there
-/// before.
+/// Words of room without which no pixel, and no further event of a pixel, is begun: up to 48 bits of gap, 34 of the
+/// first event, then twice 67 of a distance and what follows it, and 31 bits pending before that.
 pub const ROOM_WORDS: usize = 9;
 
-/// Pixels after which the order of the gaps is chosen again.
+/// Number of pixels in a term, after which the order of the gaps is chosen again.
 pub(crate) const TERM_PIXELS: u32 = 32;
-/// From log2 of the way that a term's pixels took to the order of the gaps: an eighth of the mean.
+/// Shift from the number of places that a term spans to 2^order of its gaps: an eighth of the mean gap.
 pub(crate) const TERM_SHIFT: u32 = 8;
-/// A way of over twice what is to be expected is no longer than that.
+/// A term counts as spanning at most 2^6 expected gaps, twice what is expected of its 32 pixels.
 const TERM_LIMIT_SHIFT: u32 = 6;
 
-/// What comes after an event that is not its pixel's first, in two bits or, for the same polarity
-/// again, in the first of these.
+/// Two-bit code after a distance: the pixel ends. Another event of the same polarity has a code of one bit, 0.
 pub(crate) const END: u32 = 0b10;
-/// An event of the other polarity.
+/// Two-bit code after a distance: another event follows, of the other polarity.
 pub(crate) const FLIP: u32 = 0b11;
 
-/// What both sides know of the events that went by.
+/// What both directions know of the events coded so far.
 #[derive(Debug, Clone)]
 pub struct Fast {
     cells: u32,
     cell_bits: u32,
-    /// Places in a row: the sensor's width in whole segments.
+    /// Places per row: the sensor's width in whole segments.
     row: u32,
     height: u32,
     width: u32,
@@ -48,39 +46,39 @@ pub struct Fast {
     order_mask: u8,
 }
 
-/// How gaps between pixels are told.
+/// State of the gaps between pixels.
 #[derive(Debug, Clone, Copy)]
 #[repr(C)]
 pub(crate) struct Gaps {
     /// Place after the last pixel's.
     pub(crate) next: u32,
-    /// The same when the term began.
+    /// Value of `next` when the term began.
     pub(crate) term_start: u32,
     /// Pixels left of the term.
     pub(crate) term_left: u32,
-    /// Longest way that a term is taken to have.
+    /// Most places that a term is taken to span.
     pub(crate) term_max: u32,
-    /// 2^order, and a bit below it for whether the pixel has a single event.
+    /// 2^order, above a bit for whether the pixel has a single event.
     pub(crate) base: u32,
-    /// Bits of a gap and that bit, of the first event's cell and its polarity, plus twice the
-    /// leading zeros of the first two.
+    /// Bits of a gap with that bit, of the first event's cell and of its polarity, plus twice the leading zeros of
+    /// the gap with that bit.
     pub(crate) bits: u32,
 }
 
-/// Orders of the distances, by twice the polarity before plus the one after.
+/// Orders of the distances, indexed by twice the polarity before plus the polarity after.
 pub(crate) type Orders = [u8; 4];
 
-/// How bytes are not a frame's events.
+/// Why bytes are not the events of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Malformed {
-    /// They end too early.
+    /// The bytes end too early.
     Ended,
     /// A pixel lies beyond the sensor.
     Position,
     /// A time lies beyond the window.
     Time,
-    /// More events than the frame has.
+    /// The bytes have more events than the frame.
     Events,
 }
 
@@ -90,22 +88,22 @@ impl From<Ended> for Malformed {
     }
 }
 
-/// What of a pixel has been written.
+/// How much of a pixel has been written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Written {
-    /// So many of its events.
+    /// Number of its events written.
     pub events: u32,
-    /// They are all.
+    /// Whether these are all of its events.
     pub is_whole: bool,
 }
 
-/// A pixel's events are not in order; nothing of it has been written.
+/// Error: a pixel's events are not in order. Nothing of the pixel has been written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Unordered;
 
-/// floor(log2 x), and 0 for 0.
+/// Returns floor(log2 x), and 0 for 0.
 const fn log2(x: u32) -> u32 {
     (x | 1).leading_zeros() ^ 31
 }
@@ -136,7 +134,7 @@ impl Gaps {
         log2(self.base) - 1
     }
 
-    /// A pixel at `place` is complete.
+    /// Takes note that the pixel at `place` is complete.
     #[inline(always)]
     fn step(&mut self, place: u32, cell_bits: u32) {
         self.next = place + 1;
@@ -146,7 +144,7 @@ impl Gaps {
         }
     }
 
-    /// A term's last pixel was the one before `next`.
+    /// Ends a term; its last pixel was the one before `next`.
     #[inline(always)]
     pub(crate) fn end_term(&mut self, next: u32, cell_bits: u32) {
         let way = next - self.term_start;
@@ -155,11 +153,11 @@ impl Gaps {
         self.term_left = TERM_PIXELS;
     }
 
-    /// The longest gap whose pixel has its first event in a code of 32 bits with it, and a second one's
-    /// polarity; 0 also where there is none.
+    /// Returns the longest gap that fits a code of 32 bits together with the first event and the polarity of a
+    /// second one; 0 also if no gap does.
     #[cfg(not(target_pointer_width = "64"))]
     pub(crate) const fn gap_max(&self) -> u32 {
-        // Leading zeros that it has to have.
+        // Fewest leading zeros that such a gap has.
         let zeros = self.bits.saturating_sub(30) >> 1;
         let raised = if zeros < u32::BITS { FIRST >> zeros } else { 0 };
         raised.saturating_sub(self.base / 2 + 1)
@@ -171,14 +169,14 @@ const fn row(sensor: Sensor) -> u32 {
 }
 
 impl Fast {
-    /// The start of a frame of a window of `window_events` events in `cells` cells.
+    /// Starts a frame of a window of `window_events` events in `cells` cells.
     #[must_use]
     pub const fn new(sensor: Sensor, window_events: u32, cells: u32) -> Self {
         let cells = if cells == 0 { 1 } else { cells };
         let cell_bits = u32::BITS - (cells - 1).leading_zeros();
-        // Half of the window.
+        // The order after a distance of half the window.
         let order = cell_bits.saturating_sub(2) as u8;
-        // A value of 2^32 - 1 has a code of order 0 alone.
+        // A distance of 2^32 - 1 has a code of order 0 only.
         let is_long = cell_bits == u32::BITS;
         Self {
             cells,
@@ -192,32 +190,32 @@ impl Fast {
         }
     }
 
-    /// Places in a row.
+    /// Returns the number of places per row.
     #[cfg(not(target_pointer_width = "64"))]
     pub(crate) const fn row(&self) -> u32 {
         self.row
     }
 
-    /// Bits of a cell.
+    /// Returns the number of bits of a cell.
     #[cfg(not(target_pointer_width = "64"))]
     pub(crate) const fn cell_bits(&self) -> u32 {
         self.cell_bits
     }
 
-    /// Learns the order after a distance whose code was of `zeros` leading zeros.
+    /// Sets the order that follows a distance; the code's number had `zeros` leading zeros.
     #[inline(always)]
     fn learn(&mut self, polarities: usize, zeros: u32) {
-        // One less than the bits below the highest.
+        // One less than the number of bits below the highest.
         let order = 30_u32.saturating_sub(zeros) as u8;
         self.orders[polarities % 4] = order & self.order_mask;
     }
 
     /// Writes a pixel's events, cells ascending, as long as there is room.
     ///
-    /// `writer` has [`ROOM_WORDS`] of room before.
+    /// `writer` has to have room for [`ROOM_WORDS`] words.
     ///
     /// # Errors
-    /// [`Unordered`].
+    /// [`Unordered`] if the cells do not ascend.
     #[inline(always)]
     pub fn write(
         &mut self,
@@ -288,7 +286,7 @@ impl Fast {
             mut polarities,
         } = further;
         let mut events_written = 0;
-        // What comes before the distance, and its bits.
+        // Code that comes before the distance, and its number of bits.
         let mut prefix = (0, 0);
         loop {
             let distance = next.checked_sub(cell).ok_or(Unordered)?;
@@ -322,16 +320,16 @@ impl Fast {
 /// A pixel's second event, before it is written.
 #[derive(Clone, Copy)]
 struct Further {
-    /// Cell of the first.
+    /// Cell of the first event.
     cell: u32,
-    /// Its own.
+    /// Cell of the second event.
     next: u32,
-    /// As [`Orders`] has them.
+    /// Index into [`Orders`].
     polarities: usize,
 }
 
-/// Puts what is told of a pixel's place, its first event's cell and polarity, and that of a second
-/// one: of `bits` bits all together, those of the last two are beside them.
+/// Writes a pixel's place, its first event's cell and polarity, and the polarity of a second event if there is one:
+/// `bits` bits in all. The place's own bits are what the other two leave.
 #[inline(always)]
 fn put_first(
     writer: &mut BigWriter<'_>,
@@ -351,7 +349,7 @@ fn put_first(
     }
 }
 
-/// Puts a raised distance between what comes before and after it.
+/// Writes a raised distance between the codes before and after it.
 #[inline(always)]
 fn put_distance(
     writer: &mut BigWriter<'_>,
@@ -369,7 +367,7 @@ fn put_distance(
     }
 }
 
-/// Puts codes of 0 to 64 bits each, of which all but the last 32 are zeros.
+/// Writes codes of 0 to 64 bits each, whose bits above the lowest 32 are zeros.
 #[cold]
 #[inline(never)]
 fn put_long(writer: &mut BigWriter<'_>, parts: [(u32, u32); 3]) {
@@ -394,7 +392,7 @@ mod tests {
 
     type Pixels = BTreeMap<(u16, u16), Vec<(u32, bool)>>;
 
-    /// Writes pixels into frames of `out_bytes` and reads them again.
+    /// Writes pixels into frames of `out_bytes` bytes and reads them back.
     fn there_and_back(sensor: Sensor, cells: u32, pixels: &Pixels, out_bytes: usize) {
         let events = pixels.values().map(|events| events.len() as u32).sum();
         let mut left: Vec<_> = pixels

@@ -1,27 +1,27 @@
-//! The fast coder's events out of bits, with few branches.
+//! Reads the fast coder's events, with few branches.
 //!
-//! A pixel up to its first event, and each further event, is taken at once out of the bits that are
-//! looked ahead; whatever is amiss with them, and all that is near the end of the bytes, is taken
-//! again step by step.
+//! A pixel with its first event, and each further event, is decoded at once from the bits read ahead. If anything
+//! is wrong with these bits, and near the end of the bytes, it is decoded again step by step.
 
 use super::{Fast, Malformed, TERM_PIXELS};
 use crate::coder::bits_msb_first::{AHEAD_BITS, BigReader};
 
-/// Of places, all below 2^22, 2^-40 each is less than a column's share of a row, 2^-11 or more.
+/// Shift of a row's reciprocal. For places, all below 2^22, its error of 2^-40 each adds up to less than a column's
+/// share of a row, 2^-11 or more.
 const ROW_SHIFT: u32 = 40;
 
-/// What stays as it is in a frame.
+/// What does not change within a frame.
 struct Shape {
-    /// Of places.
+    /// Places per row.
     row: u32,
-    /// 2^40 / `row`, and less than 1 more.
+    /// 2^40 / `row`, and up to 1 more.
     reciprocal: u64,
     width: u32,
-    /// Places of all rows.
+    /// Places in all rows.
     places: u64,
     cells: u32,
     cell_bits: u32,
-    /// So many ones.
+    /// As many ones as `cell_bits`.
     cell_mask: u32,
 }
 
@@ -30,26 +30,26 @@ struct First {
     place: u64,
     at: (u16, u16),
     cell: u32,
-    /// Its polarity.
+    /// Its polarity, 1 for ON.
     on: u32,
     is_single: bool,
 }
 
-/// An event that is not its pixel's first.
+/// An event after its pixel's first.
 struct Next {
     cell: u32,
-    /// Zeros before its distance.
+    /// Leading zeros of its distance's code.
     zeros: u32,
-    /// 1 unless one of the same polarity follows.
+    /// 0 if another event of the same polarity follows, else 1.
     is_other: u32,
     is_last: bool,
 }
 
 impl Fast {
-    /// Reads a frame's `events` events; `each` gets their columns, rows, cells and polarities.
+    /// Reads a frame's `events` events and calls `each` with their column and row, cell and polarity.
     ///
     /// # Errors
-    /// [`Malformed`]; of what came before, all or most has been handed on. No input makes it panic.
+    /// [`Malformed`]; all or most of the events before the error have been handed on. No input makes it panic.
     pub fn read(
         mut self,
         events: u32,
@@ -57,9 +57,9 @@ impl Fast {
         mut each: impl FnMut((u16, u16), u32, bool),
     ) -> Result<(), Malformed> {
         let shape = Shape::new(&self);
-        // A copy of which nothing takes the address stays in registers.
+        // A copy whose address is never taken stays in registers.
         let mut bits = reader.clone();
-        // A byte each.
+        // One byte per order.
         let mut orders = u32::from_le_bytes(self.orders);
         let order_mask = u32::from(self.order_mask);
         let mut left = events;
@@ -129,27 +129,27 @@ impl Shape {
         }
     }
 
-    /// Column and row of a place, of which there is none where the column is beyond the width.
+    /// Returns column and row of a place. If the column is beyond the width, there is no such pixel.
     #[inline(always)]
     const fn position(&self, place: u64) -> (u32, u32) {
         let y = (place.wrapping_mul(self.reciprocal) >> ROW_SHIFT) as u32;
         ((place as u32).wrapping_sub(y.wrapping_mul(self.row)), y)
     }
 
-    /// A pixel at or after the place `next`; `None` where [`Self::first_slowly`] has to look.
+    /// Reads a pixel at or after the place `next`; `None` where [`Self::first_slowly`] has to.
     #[inline(always)]
     fn first(&self, next: u64, order: u32, bits: &mut BigReader<'_>) -> Option<First> {
         if !bits.look() {
             return None;
         }
-        // The gap, whether the pixel has a single event, that one's cell and polarity.
+        // The gap, whether the pixel has a single event, and the first event's cell and polarity.
         let all = 2 * bits.zeros() + order + self.cell_bits + 3;
         let code = bits.top(all);
         let upper = code >> ((self.cell_bits + 1) & 63);
         let place = next.wrapping_sub(1 << order).wrapping_add(upper >> 1);
         let (x, y) = self.position(place);
         let cell = (code >> 1) as u32 & self.cell_mask;
-        // A gap of more than 32 bits is a place beyond the last.
+        // A gap of more than 32 bits leads to a place beyond the last.
         if all <= AHEAD_BITS && place < self.places && x < self.width && cell < self.cells {
             bits.skip(all);
             return Some(First {
@@ -163,7 +163,7 @@ impl Shape {
         None
     }
 
-    /// The same, near the end of the bytes or for an error.
+    /// As [`Self::first`], near the end of the bytes or to find the error.
     #[cold]
     #[inline(never)]
     fn first_slowly<'i>(
@@ -193,19 +193,19 @@ impl Shape {
         Ok((first, bits))
     }
 
-    /// An event after one in `cell`; `None` where [`Self::next_slowly`] has to look.
+    /// Reads an event after one in `cell`; `None` where [`Self::next_slowly`] has to.
     #[inline(always)]
     fn next(&self, cell: u32, order: u32, bits: &mut BigReader<'_>) -> Option<Next> {
         if !bits.look() {
             return None;
         }
         let zeros = bits.zeros();
-        // With two bits after the distance, of which the second may be of another code.
+        // With the two bits after the distance, the second of which may be of another code.
         let all = 2 * zeros + order + 3;
         let code = bits.top(all);
         let cell = u64::from(cell).wrapping_add((code >> 2).wrapping_sub(1 << order));
-        // Orders are at most 30, and 0 where there are more than 2^31 cells: a distance of more than 32 bits
-        // is a cell beyond the last.
+        // Orders are at most 30, and 0 with more than 2^31 cells, so a distance of more than 32 bits leads to a
+        // cell beyond the last.
         if all <= AHEAD_BITS && cell < u64::from(self.cells) {
             let is_other = (code >> 1) as u32 & 1;
             bits.skip(all - 1 + is_other);
@@ -219,7 +219,7 @@ impl Shape {
         None
     }
 
-    /// The same, near the end of the bytes or for an error.
+    /// As [`Self::next`], near the end of the bytes or to find the error.
     #[cold]
     #[inline(never)]
     fn next_slowly<'i>(
@@ -236,7 +236,7 @@ impl Shape {
         let is_other = bits.get(1)?;
         let next = Next {
             cell,
-            // Bits below the highest, less the order.
+            // Number of bits below the highest, less the order.
             zeros: raised.ilog2() - order,
             is_other,
             is_last: is_other == 1 && bits.get(1)? == 0,
@@ -254,7 +254,7 @@ mod tests {
 
     type Found = Vec<((u16, u16), u32, bool)>;
 
-    /// [`Fast::read`], code by code.
+    /// Reads as [`Fast::read`] does, but code by code.
     fn read_slowly(
         mut coder: Fast,
         events: u32,
@@ -306,7 +306,7 @@ mod tests {
     }
 
     proptest! {
-        /// Of any bytes the same events, or the same error, as code by code.
+        /// Any bytes give the same events, or the same error, as reading code by code.
         #[test]
         fn codes_at_once_are_those_one_by_one(
             bytes in proptest::collection::vec((any::<u8>(), any::<u8>()), 0..300),
@@ -332,7 +332,7 @@ mod tests {
             let read_slowly = read_slowly(coder, events, &mut plain, &mut expected);
             prop_assert_eq!(read, read_slowly);
             if read.is_err() {
-                // Which of these the error was found before is not promised.
+                // How many events are handed on before an error is not promised.
                 let len = found.len().min(expected.len());
                 found.truncate(len);
                 expected.truncate(len);

@@ -1,12 +1,12 @@
-//! The range coder's steps in assembly, for walks that have its state in registers: the same bits as
-//! [`range`](super) writes.
+//! Steps of the range coder in assembly, for walks that keep its state in registers. They write the same bits as
+//! [`range`](super).
 //!
 //! | r4 | r8 | r9 | r10 | r11 |
 //! |---|---|---|---|---|
-//! | its lowest bit: low's carry | range | low | where the next byte goes | the walk's `rates` |
+//! | lowest bit: carry of low | range | low | address of the next byte | address of the walk's `rates` |
 //!
-//! Low and range are below 2^33 together, so that low carries once at the most from byte to byte: the
-//! carry waits in r4 until the next byte is written.
+//! Low plus range is below 2^33, so low carries at most once between two bytes: the carry waits in r4 until the
+//! next byte is written.
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;
@@ -14,12 +14,12 @@ use core::mem::offset_of;
 
 use crate::coder::dense::armv7em::state::Walk;
 
-/// Where a field is from r11 on.
+/// Returns a field's offset from r11.
 pub(crate) const fn at(offset: usize) -> usize {
     offset - offset_of!(Walk, rates)
 }
 
-/// A byte, where the range has become short; overwrites r2.
+/// Writes a byte if the range has become short. Overwrites r2.
 macro_rules! renew {
     () => {
         "cmp r8, #0x1000000
@@ -39,7 +39,7 @@ macro_rules! renew {
     };
 }
 
-/// Two of them at the most.
+/// Writes up to two bytes, while the range is short. Overwrites r2.
 macro_rules! renew_twice {
     () => {
         "cmp r8, #0x1000000
@@ -65,8 +65,8 @@ macro_rules! renew_twice {
     };
 }
 
-/// A decision of which the probability is at r0, or is number r0 from a register on; r1 to r3 and r12 are
-/// overwritten.
+/// Codes a one. Its probability is at address r0, or is number r0 of those from a register on. Overwrites r1 to r3
+/// and r12.
 macro_rules! one {
     () => {
         one!(@ "[r0]")
@@ -91,7 +91,7 @@ macro_rules! one {
     };
 }
 
-/// The same of a zero.
+/// Codes a zero, with operands and overwritten registers as in `one`.
 macro_rules! zero {
     () => {
         zero!(@ "[r0]")
@@ -117,7 +117,7 @@ macro_rules! zero {
     };
 }
 
-/// From its share of a symbol's table on: r12 is its begin and r2 its end, the range that of a share.
+/// Codes a symbol by its share: r12 is the share's begin, r2 its end, and r8 the range per unit of share.
 macro_rules! symbol {
     () => {
         concat!(
@@ -129,7 +129,7 @@ macro_rules! symbol {
     };
 }
 
-/// The lowest r3 bits of a register, as they are; overwrites r2.
+/// Codes the lowest r3 bits of a register as plain bits. Overwrites r2.
 macro_rules! plain {
     ($value:literal) => {
         concat!(
@@ -147,7 +147,7 @@ macro_rules! plain {
     };
 }
 
-/// Learns from symbol r1 of table r0.
+/// Counts symbol r1 in table r0.
 macro_rules! learn {
     ($counts:literal, $left:literal, $renew:literal) => {
         concat!(
@@ -177,9 +177,9 @@ macro_rules! learn {
 
 pub(crate) use {learn, one, plain, renew, renew_twice, symbol, zero};
 
-/// One more in the last of the bytes written, and r4's lowest bit off; r2 and lr alone are overwritten.
+/// Adds one to the last of the bytes written and clears r4's lowest bit. Overwrites only r2 and lr.
 ///
-/// Low carries only where a byte was written, as the number is below 1.
+/// Low carries only after a byte was written, as the number is below 1.
 #[unsafe(naked)]
 pub(crate) unsafe extern "C" fn carry() {
     naked_asm!(

@@ -1,8 +1,7 @@
-//! Adaptive range coder: decisions and symbols with learned probabilities, and what is as likely as
-//! all else.
+//! Adaptive range coder: codes decisions and symbols with learned probabilities, and equally likely numbers.
 //!
-//! What happened costs -log2 p bits, p being its learned probability: within 0.1 % of it, as the range
-//! keeps at least 24 bits. One trait serves both directions, so that a model is written once.
+//! An outcome of learned probability p costs -log2 p bits, to within 0.1 %, as the range keeps at least 24 bits.
+//! One trait serves both directions, so that each model is written once.
 
 #[cfg(eecvs_dsp)]
 pub(crate) mod armv7em;
@@ -17,10 +16,10 @@ use shares_armv7em::move_shares;
 use shares_portable::move_shares;
 use symbols::Symbols;
 
-/// Probability of a one, learned from the decisions made with it: 16 bits.
+/// Probability of a one, learned from the decisions coded with it, in 16 bits.
 ///
-/// The upper 13 are the probability in units of 2^-13, always within 50 / 8192 of neither 0 nor 1;
-/// the lower 3 count the first decisions, of which each moves it by less than the one before.
+/// The upper 13 bits are the probability in units of 2^-13, never nearer than 49 / 8192 to 0 or 1. The lower 3
+/// count the first decisions, each of which moves the probability by less than the one before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(transparent)]
@@ -29,8 +28,8 @@ pub struct Probability(u16);
 const ONE: u32 = 1 << 13;
 const COUNT_BITS: u32 = 3;
 const COUNT_MASK: u32 = (1 << COUNT_BITS) - 1;
-/// How far a decision moves the probability, by the decisions before it, in units of 2^-16: from a
-/// half to 1/50. The lowest three bits, too small to matter there, are the count that comes next.
+/// How far a decision moves the probability, by the number of decisions before it, in units of 2^-16: from 1/2 to
+/// 1/50. The lowest three bits, too small to matter as a rate, are the next count.
 pub(super) const RATES: [u16; 1 << COUNT_BITS] = {
     let rates = [32768, 21845, 16384, 10923, 8192, 5461, 3641, 1311];
     let mut next = [0; 1 << COUNT_BITS];
@@ -51,21 +50,21 @@ impl Probability {
     /// All zero, for memory in `.bss`; to be set before use.
     pub const UNSET: Self = Self(0);
 
-    /// A half, from no decisions.
+    /// One half, before any decision.
     pub const EVEN: Self = Self(((ONE / 2) as u16) << COUNT_BITS);
 
-    /// Probability of a one in units of 2^-13, 1 to 2^13 - 1.
+    /// Returns the probability of a one in units of 2^-13, 1 to 2^13 - 1.
     #[inline(always)]
     #[must_use]
     pub const fn of_one(self) -> u32 {
         (self.0 >> COUNT_BITS) as u32
     }
 
-    /// Learns from a decision.
+    /// Moves the probability towards a decision that was coded.
     #[inline(always)]
     pub const fn learn(&mut self, bit: bool) {
         let rate = RATES[(self.0 as u32 & COUNT_MASK) as usize] as u32;
-        // Rounded towards where it is, which keeps it off both ends.
+        // Rounded towards the old value, which keeps the probability off both ends.
         let p = self.of_one();
         let p = if bit {
             p + (((ONE - p) * rate) >> 16)
@@ -76,16 +75,18 @@ impl Probability {
     }
 }
 
-/// Codes decisions, in either direction: an encoder takes what it is handed and returns it, a decoder
-/// returns what it reads whatever it is handed.
+/// Codes decisions in either direction.
+///
+/// An encoder writes each value that it is given and returns it. A decoder returns the value that it reads and
+/// ignores the one that it is given.
 pub trait Binary {
-    /// A decision with a probability, which learns from it.
+    /// Codes a decision with a probability, which learns from it.
     fn bit(&mut self, probability: &mut Probability, bit: bool) -> bool;
 
-    /// A symbol of a table, which learns from it.
+    /// Codes a symbol with a table, which learns from it.
     fn symbol<const N: usize>(&mut self, table: &mut Symbols<N>, symbol: usize) -> usize;
 
-    /// The same of the symbols up to `last` alone.
+    /// As [`Self::symbol`], where only symbols up to `last` are possible.
     fn symbol_up_to<const N: usize>(
         &mut self,
         table: &mut Symbols<N>,
@@ -93,26 +94,27 @@ pub trait Binary {
         last: usize,
     ) -> usize;
 
-    /// A number below `count`, which is 1 to 32, each as likely as the others.
+    /// Codes a number below `count` (1 to 32), all of them equally likely.
     fn one_of(&mut self, number: u32, count: u32) -> u32;
 
-    /// The low `count` (0 to 32) bits of `value`, each as likely 0 as 1.
+    /// Codes the low `count` (0 to 32) bits of `value`, each equally likely 0 or 1.
     fn plain(&mut self, value: u32, count: u32) -> u32;
 
-    /// Whether there is room for so many bytes more; of a decoder, whether all it read was there.
+    /// Returns whether an encoder has room for `bytes` more; for a decoder, whether all that it read was in its
+    /// input.
     fn has_room(&self, bytes: usize) -> bool;
 
-    /// An encoder's state.
+    /// Returns an encoder's state; `None` for a decoder.
     #[cfg(eecvs_dsp)]
     fn parts(&mut self) -> Option<RangeParts<'_>> {
         None
     }
 }
 
-/// What the shares of a table's symbols add up to.
+/// Sum of the shares of a table's symbols.
 pub const SCALE: u32 = 1 << 15;
 
-/// Floor of 2^16 / n: a division less.
+/// floor(2^16 / n), to save a division.
 const SHARES: [u32; 33] = {
     let (mut shares, mut n) = ([1 << 16; 33], 1);
     while n < shares.len() {
@@ -122,14 +124,14 @@ const SHARES: [u32; 33] = {
     shares
 };
 
-/// Fewer bits are left in the range than a decision needs: time for a byte.
+/// Below this the range has too few bits for a decision, and a byte is shifted out.
 pub(super) const RANGE_MIN: u32 = 1 << 24;
-/// Plain bits coded at once, which leaves 12 bits of the range to be exact to.
+/// Most plain bits coded at once, so that at least 12 bits of the range remain.
 pub(super) const PLAIN_BITS: u32 = 12;
 
-/// Writes decisions into a lent buffer.
+/// Range encoder that writes into a lent buffer.
 ///
-/// Ask [`Binary::has_room`] before what is written: beyond the buffer, bytes are lost.
+/// Call [`Binary::has_room`] before each write: bytes beyond the buffer are lost.
 #[derive(Debug)]
 pub struct RangeEncoder<'o> {
     out: &'o mut [u8],
@@ -138,10 +140,10 @@ pub struct RangeEncoder<'o> {
     range: u32,
 }
 
-/// Bytes that [`RangeEncoder::finish`] writes at the most.
+/// Most bytes that [`RangeEncoder::finish`] writes.
 pub(super) const FINISH_BYTES: usize = 4;
 
-/// An encoder's state, for a walk that has it in registers.
+/// An encoder's state, for an assembly walk that keeps it in registers.
 #[cfg(eecvs_dsp)]
 pub struct RangeParts<'r> {
     pub(super) out: &'r mut [u8],
@@ -151,7 +153,7 @@ pub struct RangeParts<'r> {
 }
 
 impl<'o> RangeEncoder<'o> {
-    /// An encoder at the start of `out`.
+    /// Starts encoding at the start of `out`.
     #[must_use]
     pub const fn new(out: &'o mut [u8]) -> Self {
         Self {
@@ -162,7 +164,7 @@ impl<'o> RangeEncoder<'o> {
         }
     }
 
-    /// Adds to the low end of the range; what it carries goes into the bytes written.
+    /// Adds to the low end of the range, and carries into the bytes written.
     #[inline(always)]
     fn add(&mut self, more: u32) {
         let (low, carries) = self.low.overflowing_add(more);
@@ -189,7 +191,7 @@ impl<'o> RangeEncoder<'o> {
         self.range <<= 8;
     }
 
-    /// After what takes up to 15 bits off the range.
+    /// Renews the range after a step that takes up to 15 bits off it.
     #[inline(always)]
     fn renew_twice(&mut self) {
         self.renew();
@@ -208,13 +210,13 @@ impl<'o> RangeEncoder<'o> {
         self.renew();
     }
 
-    /// Completes the number and returns how many bytes it takes; a decoder reads zeros after them.
+    /// Completes the number and returns its length in bytes; a decoder reads zeros after them.
     #[must_use]
     pub fn finish(mut self) -> usize {
-        // The number of the range with the fewest bytes that are not 0.
+        // Choose the number in the range with the fewest bytes that are not 0.
         for bits in [24_u32, 16, 8, 0] {
             let mask = (1_u32 << bits) - 1;
-            // Beyond the top it is a carry and zeros.
+            // Rounding up beyond the top gives a carry and zeros.
             let (rounded, carries) = self.low.overflowing_add(mask);
             let rounded = rounded & !mask;
             if rounded.wrapping_sub(self.low) < self.range {
@@ -237,12 +239,12 @@ impl<'o> RangeEncoder<'o> {
     }
 }
 
-/// Adds one to the last of the bytes written. It has the values it needs and no more, so that the
-/// encoder's may stay in registers.
+/// Adds one to the last of the bytes written. It takes only the values that it needs, so that the rest of the
+/// encoder's state may stay in registers.
 #[cold]
 #[inline(never)]
 pub(super) fn carry(out: &mut [u8], len: usize) {
-    // Ends at the latest at the first byte: the number is below 1.
+    // Ends at the first byte at the latest, as the number is below 1.
     for byte in out.iter_mut().take(len).rev() {
         *byte = byte.wrapping_add(1);
         if *byte != 0 {
@@ -329,19 +331,19 @@ impl Binary for RangeEncoder<'_> {
     }
 }
 
-/// Reads what a [`RangeEncoder`] wrote.
+/// Range decoder that reads what a [`RangeEncoder`] wrote.
 #[derive(Debug, Clone)]
 pub struct RangeDecoder<'i> {
     input: &'i [u8],
-    /// Bytes taken beyond the input's end, where zeros are.
+    /// Number of bytes taken beyond the input's end, which read as zeros.
     beyond: u32,
-    /// The number less the low end of the range.
+    /// The number minus the low end of the range.
     code: u32,
     range: u32,
 }
 
 impl<'i> RangeDecoder<'i> {
-    /// A decoder at the start of `input`.
+    /// Starts decoding at the start of `input`.
     #[must_use]
     pub fn new(input: &'i [u8]) -> Self {
         let mut decoder = Self {
@@ -393,15 +395,15 @@ impl<'i> RangeDecoder<'i> {
         bit
     }
 
-    /// Whether more was read than was written: what came last is not to be trusted.
+    /// Returns whether more was read than was written, so that the last values are not to be trusted.
     #[inline]
     #[must_use]
     pub const fn is_beyond(&self) -> bool {
-        // What `finish` left out, and the four bytes that are read ahead.
+        // The decoder reads four bytes ahead, all of which `finish` may have left out.
         self.beyond > 4
     }
 
-    /// Whether all was read.
+    /// Returns whether all of the input was read and nothing beyond it.
     #[must_use]
     pub const fn is_spent(&self) -> bool {
         self.input.is_empty() && !self.is_beyond()
@@ -505,7 +507,7 @@ mod tests {
     fn codes() -> impl Strategy<Value = Vec<Code>> {
         let code = prop_oneof![
             (0_usize..4, any::<bool>()).prop_map(|(i, bit)| Code::Bit(i, bit)),
-            // Rare ones and rare zeros: the probabilities reach their ends.
+            // Rare ones and rare zeros take the probabilities to their ends.
             (0_usize..2, 0_u32..200).prop_map(|(i, x)| Code::Bit(4 + i, (x == 0) == (i == 0))),
             (0_usize..16, 0_usize..16).prop_map(|(a, b)| Code::Symbol(a.min(b), a.max(b))),
             (1_u32..=32)
@@ -587,7 +589,7 @@ mod tests {
         }
     }
 
-    /// All ones, then the carry: bytes of 255 turn over.
+    /// All ones, then a carry: bytes of 255 wrap around.
     #[test]
     fn a_carry_runs_through() {
         let codes: Vec<_> = (0..64)
@@ -603,8 +605,8 @@ mod tests {
         }
     }
 
-    /// The module's promise, on a source of known entropy, 1 in 16: 0.337 bits each, and what it costs
-    /// that the probability follows every decision.
+    /// The module's promise on a source of known entropy: with 1 one in 16, 0.337 bits each, plus the cost of a
+    /// probability that follows every decision.
     #[test]
     fn the_cost_is_the_entropy() {
         let codes: Vec<_> = (0..100_000_u32)
@@ -614,7 +616,7 @@ mod tests {
         assert!((0.337..0.355).contains(&bits), "{bits}");
     }
 
-    /// Bits after the end are zeros for four bytes, and then they are beyond.
+    /// After the input's end four bytes read as zeros; then the decoder is beyond it.
     #[test]
     fn an_end_is_found() {
         let mut decoder = RangeDecoder::new(&[]);

@@ -1,4 +1,4 @@
-//! The pass over a table of [`Symbols`] in assembly, four symbols a turn.
+//! Pass over a table of [`Symbols`] that moves its shares, in assembly, four symbols per turn.
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;
@@ -6,16 +6,16 @@ use core::arch::naked_asm;
 use super::shares_portable;
 use super::symbols::Symbols;
 
-/// As [`shares_portable::move_shares`], in assembly where the table's length lets it.
+/// As [`shares_portable::move_shares`], in assembly if the table's length allows it.
 #[inline(always)]
 pub(super) fn move_shares<const N: usize>(table: &mut Symbols<N>, each: u32, rate: u32) {
     if !Symbols::<N>::IS_MOVED_BY_FOURS {
         return shares_portable::move_shares(table, each, rate);
     }
     let turns = Symbols::<N>::COUNT.div_ceil(4);
-    // SAFETY: the starts, counts and what is left of the block are behind each other, so that what the
-    // last turn reads and writes beyond the last symbol is of this table, and is set anew below and by
-    // the caller. This file is only for cores that have the instructions.
+    // SAFETY: the starts, the counts and what is left of the block are stored one after the other, so what the last
+    // turn reads and writes beyond the last symbol is part of this table, and is set anew below and by the caller.
+    // This file is compiled only for cores that have the instructions.
     unsafe {
         let table = (&raw mut *table).cast::<u8>();
         let counts = table.wrapping_add(Symbols::<N>::COUNTS_AT);
@@ -24,14 +24,15 @@ pub(super) fn move_shares<const N: usize>(table: &mut Symbols<N>, each: u32, rat
     table.end();
 }
 
-/// Moves the frequencies of a table's `starts` towards its `counts`, which become 0; `turns` of four symbols.
+/// Moves the shares of a table, given by its `starts`, towards its `counts`, and clears these; `turns` turns of
+/// four symbols each.
 ///
-/// With `each` what one of a count stands for, twice, and a rate in units of 2^-15 below 1, a share beyond
-/// one each goes from old to old + floor((count * each / 2 - old) * rate). All is below 2^17: the product of
-/// twice the difference and the rate has its upper 32 of 48 bits added.
+/// `each` is twice what one count stands for, and `rate`, below 1, is in units of 2^-15. A share beyond one goes
+/// from old to old + floor((count * each / 2 - old) * rate). All values are below 2^17: of the product of twice the
+/// difference and the rate, the upper 32 of 48 bits are added.
 ///
 /// # Safety
-/// There are 4 * turns + 1 starts, and as many counts as 4 * turns.
+/// There have to be 4 * turns + 1 starts and 4 * turns counts.
 #[unsafe(naked)]
 unsafe extern "C" fn move_by_fours(
     starts: *mut u16,
@@ -41,7 +42,7 @@ unsafe extern "C" fn move_by_fours(
     rate: u32,
 ) {
     naked_asm!(
-        // r4: rate; r5 and r6: begin and end of a share; r8: where its next begins; r9: 2.
+        // r4: rate; r5 and r6: begin and end of a share; r8: its new begin; r9: 2.
         "push {{r4-r10, lr}}",
         "ldr r4, [sp, #32]",
         "movs r5, #0",

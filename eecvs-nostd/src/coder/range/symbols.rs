@@ -1,32 +1,32 @@
-//! Learned frequencies of a few symbols, so that one step of the range coder codes one of many.
+//! Learned frequencies of a few symbols, so that one step of the range coder codes one of many symbols.
 //!
-//! They stay as they are for a block of symbols, at most `BLOCK`, and then move towards what the
-//! block had: a symbol costs one count, and a block one pass over the table.
+//! Frequencies stay fixed for a block of up to `BLOCK` symbols, then move towards those of the block: a symbol
+//! costs one count, and a block one pass over the table.
 
 use super::{SCALE, move_shares};
 
-/// Symbols from one renewal to the next, once the table has seen enough.
+/// Length of a block once the table has seen enough symbols.
 const BLOCK: u8 = 32;
-/// Symbols of the first block.
+/// Length of the first block.
 const BLOCK_FIRST: u8 = 4;
-/// Symbols remembered at the most: a renewal moves the frequencies by `block / seen` of the way.
+/// Most symbols remembered. At the end of a block the frequencies move by `block / seen` of the way.
 const SEEN_MAX: u16 = 1024;
 
 /// A table of N - 1 symbols.
 #[derive(Debug, Clone)]
 #[repr(C)]
 pub struct Symbols<const N: usize> {
-    /// Where each symbol's share of [`SCALE`] begins; the last is the end.
+    /// Begin of each symbol's share of [`SCALE`]; the last element is the end of all.
     pub(super) starts: [u16; N],
-    /// How often each came in the block at hand.
+    /// How often each symbol came in the current block.
     pub(super) counts: [u8; N],
-    /// Symbols left of the block, and symbols seen before it.
+    /// Symbols left of the current block, and symbols seen before it.
     left: u8,
     seen: u16,
 }
 
 impl<const N: usize> Symbols<N> {
-    /// All zero, for memory in `.bss`; [`Self::restart`] comes before use.
+    /// All zero, for memory in `.bss`; call [`Self::restart`] before use.
     pub const UNSET: Self = Self {
         starts: [0; N],
         counts: [0; N],
@@ -34,14 +34,14 @@ impl<const N: usize> Symbols<N> {
         seen: 0,
     };
 
-    /// Where the counts and what is left of the block are, for assembly.
+    /// Offsets of the counts and of what is left of the block, for assembly.
     #[allow(dead_code, reason = "assembly alone asks")]
     pub(in crate::coder) const COUNTS_AT: usize = core::mem::offset_of!(Self, counts);
     #[allow(dead_code, reason = "assembly alone asks")]
     pub(in crate::coder) const LEFT_AT: usize = core::mem::offset_of!(Self, left);
 
-    /// Whether assembly may move the shares: the table ends a turn of four symbols, or is one short of it,
-    /// and never moves all of the way.
+    /// Whether assembly may move the shares: the number of symbols is a multiple of four, or one less, and the rate
+    /// is below 1.
     #[allow(dead_code, reason = "assembly alone asks")]
     pub(super) const IS_MOVED_BY_FOURS: bool = N >= 8 && N % 4 <= 1;
 
@@ -50,7 +50,7 @@ impl<const N: usize> Symbols<N> {
         N as u32 - 1
     };
 
-    /// All symbols are as likely as each other.
+    /// Forgets what was learned: makes all symbols equally likely.
     pub fn restart(&mut self) {
         let step = SCALE / Self::COUNT;
         for (start, at) in self.starts.iter_mut().zip(0..) {
@@ -59,7 +59,7 @@ impl<const N: usize> Symbols<N> {
         self.end();
         self.counts = [0; N];
         self.left = BLOCK_FIRST;
-        // What all of them being likely is worth: an eighth of a symbol each.
+        // The weight of this start: an eighth of a symbol each.
         self.seen = N as u16 / 8;
     }
 
@@ -69,7 +69,8 @@ impl<const N: usize> Symbols<N> {
         }
     }
 
-    /// Begin and end of a symbol's share, which is not empty; a symbol beyond the last is the last.
+    /// Returns begin and end of a symbol's share, which is never empty. A symbol beyond the last is taken as the
+    /// last.
     #[inline(always)]
     #[must_use]
     pub fn share(&self, symbol: usize) -> (u32, u32) {
@@ -80,7 +81,7 @@ impl<const N: usize> Symbols<N> {
         )
     }
 
-    /// The symbol in whose share a place below [`SCALE`] is.
+    /// Returns the symbol whose share holds `place`, which is below [`SCALE`].
     #[inline(always)]
     #[must_use]
     pub fn find(&self, place: u32) -> usize {
@@ -96,10 +97,10 @@ impl<const N: usize> Symbols<N> {
         low
     }
 
-    /// Learns from a symbol.
+    /// Counts a symbol; after the last one of a block, moves the frequencies.
     #[inline(always)]
     pub fn learn(&mut self, symbol: usize) {
-        // A block is shorter than what a count holds.
+        // A block is too short to overflow a count.
         let count = &mut self.counts[symbol.min(N - 2)];
         *count = count.wrapping_add(1);
         self.left = self.left.wrapping_sub(1);
@@ -108,14 +109,14 @@ impl<const N: usize> Symbols<N> {
         }
     }
 
-    /// Moves the frequencies towards those of the block, each at least 1.
+    /// Moves the frequencies towards those of the block; each share stays at least 1.
     #[inline(never)]
     pub(in crate::coder) fn renew(&mut self) {
-        // The block's length was a power of two, from what had been seen.
+        // The block's length, a power of two, follows from what had been seen before it.
         let block = block(self.seen.saturating_sub(N as u16 / 8));
         let seen = (self.seen + u16::from(block)).min(SEEN_MAX);
         let rate = (u32::from(block) << 16) / u32::from(seen.max(1));
-        // What there is beyond one each, for one of the block.
+        // What one count stands for: all of the scale but one per symbol, divided by the block.
         let each = (SCALE - Self::COUNT) / u32::from(block);
         move_shares(self, each, rate >> 1);
         self.seen = seen;
@@ -123,7 +124,7 @@ impl<const N: usize> Symbols<N> {
     }
 }
 
-/// Length of the block that begins after so many symbols: a power of two.
+/// Returns the length, a power of two, of the block that begins after `seen` symbols.
 const fn block(seen: u16) -> u8 {
     if seen < 2 * BLOCK_FIRST as u16 {
         BLOCK_FIRST
@@ -173,7 +174,7 @@ mod tests {
         }
     }
 
-    /// One symbol alone gets nearly everything, and loses it again.
+    /// A symbol that always comes gets nearly the whole scale, and loses it again.
     #[test]
     fn frequencies_follow() {
         let mut table = Symbols::<17>::UNSET;

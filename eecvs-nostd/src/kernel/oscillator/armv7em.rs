@@ -3,13 +3,13 @@
 
 use super::Oscillator;
 
-/// The same bits in one piece: the compiler's own order of these instructions keeps more
-/// values alive than there are registers, and twice as many instructions move them about.
+/// Adds seven coefficients in one block of assembly, with the same bits. A compiler orders these instructions so
+/// that more values are alive than there are registers, and spends twice as many instructions on moving them.
 #[inline(always)]
 pub(super) fn add_seven(oscillator: &mut Oscillator, sums: &mut [i32; 7]) {
     let [s1, s2, s3, s4, s5, s6, s7] = sums;
-    // SAFETY: registers alone are read and written, all of them operands; neither memory nor
-    // flags are touched. This file is only for cores that have the instructions.
+    // SAFETY: reads and writes only registers, all of them operands, and touches neither memory nor flags. This
+    // file is built only for cores that have the instructions.
     unsafe {
         core::arch::asm!(
             "smmla {s1}, {now}, {weight}, {s1}",

@@ -1,12 +1,17 @@
-//! p cos(k a) and p sin(k a) for k = 1, 2, ... by the Chebyshev recurrence
-//! x_k = 2 cos(a) x_(k-1) - x_(k-2): three instructions per coefficient with the sum.
+//! Sums p cos(k a) and p sin(k a) for k = 1, 2, ... by the Chebyshev recurrence x_k = 2 cos(a) x_(k-1) - x_(k-2),
+//! with three instructions per coefficient including the sum.
 //!
-//! Rounding grows as k^2, so every [`RUN`] coefficients the recurrence starts anew from the table.
-//! Error of an atom for any a and k < 1,024: 32^2 / 2 roundings of 2^-29 at the most (2^-20); 32
-//! times the seeds' error (2^-22: next to whole and half turns, where it counts k^2 times, the sine
-//! that the polynomial's error comes with vanishes); 2^-18 of the scale below; the sum's floor of
-//! 2^-25; and what k times the phase's error makes ([`crate::transform::phase`]). Measured with all of it: see
-//! [`super::Recurrence`].
+//! The rounding error grows as k^2, so the recurrence restarts from the cosine table every [`RUN`] coefficients.
+//! The error of an atom, for any a and k < 1,024, has these parts:
+//!
+//! - at most 32^2 / 2 roundings of 2^-29: 2^-20;
+//! - 32 times the error of the start values: 2^-22. Near whole and half turns, where it would count k^2 times, the
+//!   polynomial's error vanishes, as it is proportional to the sine;
+//! - the scale [`WEIGHT`]: 2^-18;
+//! - rounding down of each product in the sum: 2^-25;
+//! - k times the error of the phase ([`crate::transform::phase`]).
+//!
+//! [`super::Recurrence`] gives the measured total.
 
 #[cfg(eecvs_dsp)]
 mod armv7em;
@@ -15,30 +20,30 @@ use crate::accumulate::cosine::{cos, cos_sin};
 use crate::fixed_point::{Atom, CHUNK_EVENTS, Phase, Sum, mul_high_add, mul_high_round};
 use crate::group::impulse::Impulse;
 
-/// Coefficients from one start of the recurrence to the next.
+/// Number of coefficients between two starts of the recurrence.
 pub const RUN: usize = 32;
 
-/// 2^27 (1 - 2^-18): brings 30 fractional bits to 25, and every atom strictly below 1.
+/// 2^27 (1 - 2^-18): converts 30 fractional bits to 25 and keeps every atom strictly below 1.
 ///
-/// The recurrence's own error is below 2^-18, so that |c_k| < n holds for n events, which is what
-/// lets the levels of a pixel of n events do without a bit for n itself.
+/// The recurrence's own error is below 2^-18, so that |c_k| < n holds for n events. The levels of a pixel of n
+/// events therefore need no extra bit for n itself.
 const WEIGHT: i32 = (1 << 27) - (1 << 9);
 
-/// An event's recurrence.
+/// The recurrence of one event.
 #[derive(Debug, Clone, Copy)]
 pub struct Oscillator {
-    /// cos(a)
+    /// cos(a), the step.
     cos: i32,
-    /// p in the scale of [`WEIGHT`]
+    /// p in the scale of [`WEIGHT`].
     weight: i32,
-    /// x_(k-1)
+    /// x_(k-1).
     before: i32,
-    /// x_k
+    /// x_k.
     now: i32,
 }
 
 impl Oscillator {
-    /// One that adds nothing.
+    /// An oscillator that adds nothing.
     pub const AT_REST: Self = Self {
         cos: 0,
         weight: 0,
@@ -46,7 +51,7 @@ impl Oscillator {
         now: 0,
     };
 
-    /// At k = 1, for a step of `cos`, from x_0 and x_1.
+    /// Returns an oscillator at k = 1, with a step of `cos`, from x_0 in `before` and x_1 in `now`.
     #[inline(always)]
     fn start(impulse: Impulse, cos: Atom, before: Atom, now: Atom) -> Self {
         Self {
@@ -57,20 +62,20 @@ impl Oscillator {
         }
     }
 
-    /// Adds p x_k to p x_(k+N-1) to `sums`, and goes on to k + N.
+    /// Adds p x_k to p x_(k+N-1) to `sums`, and moves on to k + N.
     #[inline(always)]
     fn add<const N: usize>(&mut self, sums: &mut [i32; N]) {
         for sum in sums {
             *sum = mul_high_add(*sum, self.now, self.weight);
-            // The product has 28 fractional bits and is doubled: cos(a) x in [-1, 1]. At its ends
-            // the shift wraps, and the difference wraps back.
+            // The product has 28 fractional bits and is doubled: cos(a) x in [-1, 1]. At the ends of this range the
+            // shift wraps, and the difference wraps back.
             let next = (mul_high_round(self.cos, self.now) << 3).wrapping_sub(self.before);
             self.before = self.now;
             self.now = next;
         }
     }
 
-    /// [`Self::add`] of seven, as many sums as stay in registers beside the rest.
+    /// Does [`Self::add`] for seven sums, as many as fit the registers with the other values.
     #[inline(always)]
     fn add_seven(&mut self, sums: &mut [i32; 7]) {
         #[cfg(eecvs_dsp)]
@@ -80,12 +85,12 @@ impl Oscillator {
     }
 }
 
-/// Memory for the oscillators of a chunk, and for sums of a run.
+/// Memory for the oscillators of a chunk and for the sums of a run.
 #[derive(Debug)]
 pub struct Oscillators {
     cos: [Oscillator; CHUNK_EVENTS],
     sin: [Oscillator; CHUNK_EVENTS],
-    /// Real and imaginary parts.
+    /// Sums of the real and the imaginary parts.
     runs: [[Sum; RUN]; 2],
 }
 
@@ -99,7 +104,7 @@ impl Default for Oscillators {
     }
 }
 
-/// Sums of N neighbouring coefficients, kept in registers over all oscillators.
+/// Writes the sums of N neighbouring coefficients, kept in registers over all oscillators.
 #[inline(always)]
 fn block<const N: usize>(
     oscillators: &mut [Oscillator],
@@ -115,8 +120,8 @@ fn block<const N: usize>(
     }
 }
 
-/// Sums of the coefficients that `sums` has room for, seven at a time. Apart, so that the loops
-/// have the registers for themselves.
+/// Writes the sums of as many coefficients as `sums` has room for, seven at a time. Out of line, so that the loops
+/// have all registers to themselves.
 #[inline(never)]
 fn run(oscillators: &mut [Oscillator], sums: &mut [Sum]) {
     let mut rest = sums;
@@ -131,20 +136,20 @@ fn run(oscillators: &mut [Oscillator], sums: &mut [Sum]) {
     }
 }
 
-/// k times a phase.
+/// Returns k times a phase.
 #[inline(always)]
 fn times(turn: Phase, k: usize) -> Phase {
     Phase::from_bits(turn.to_bits().wrapping_mul(k as u32))
 }
 
-/// First coefficient and end of each run of a grid after its first.
+/// Returns the first coefficient and the end of each run after a grid's first.
 fn later_runs(grid: usize) -> impl Iterator<Item = (usize, usize)> {
     (RUN..grid)
         .step_by(RUN)
         .map(move |first| (first, grid.min(first + RUN)))
 }
 
-/// Oscillators of `impulses` in `work`, each as `start` makes it.
+/// Fills `work` with an oscillator from `start` for each of `impulses`; returns those filled.
 #[inline(always)]
 fn fill(
     impulses: impl Iterator<Item = Impulse>,
@@ -159,7 +164,7 @@ fn fill(
     work.get_mut(..len).unwrap_or_default()
 }
 
-/// sum p cos(k a) for k in 1..`sums.len()`; a in turns is `turn` of an impulse.
+/// Writes sum p cos(k a) for k in 1..`sums.len()` to `sums`. `turn` maps an impulse to a in turns.
 #[inline(always)]
 pub fn cosines(
     impulses: &(impl Iterator<Item = Impulse> + Clone),
@@ -185,7 +190,7 @@ pub fn cosines(
     }
 }
 
-/// Apart, as all loops here, so that they have the registers for themselves.
+/// Out of line, like all loops here, so that it has all registers to itself.
 #[inline(never)]
 fn first_cosines(
     impulses: impl Iterator<Item = Impulse>,
@@ -195,7 +200,7 @@ fn first_cosines(
     fill(impulses, work, start)
 }
 
-/// As [`cosines`], with sum p sin(k a) after every cosine.
+/// Does the same as [`cosines`], with sum p sin(k a) after every cosine sum.
 #[inline(always)]
 pub fn cosines_and_sines(
     impulses: &(impl Iterator<Item = Impulse> + Clone),
@@ -228,7 +233,7 @@ pub fn cosines_and_sines(
     }
 }
 
-/// [`run`] of the first `len` oscillators to the sums of `k` up to `end`, which are there.
+/// Calls [`run`] for the first `len` oscillators and writes the sums from `k` to `end`, which must exist.
 #[inline(always)]
 fn run_pairs(work: &mut Oscillators, len: usize, sums: &mut [[Sum; 2]], (k, end): (usize, usize)) {
     let Oscillators { cos, sin, runs } = work;
@@ -243,7 +248,7 @@ fn run_pairs(work: &mut Oscillators, len: usize, sums: &mut [[Sum; 2]], (k, end)
     }
 }
 
-/// Cosines and sines of `impulses`; returns how many there are.
+/// Fills cosine and sine oscillators for `impulses`; returns how many.
 #[inline(never)]
 fn fill_pairs(
     impulses: impl Iterator<Item = Impulse>,

@@ -1,21 +1,21 @@
-//! Bits in bytes: the first bit is the lowest of the first byte.
+//! Writes and reads bits in bytes: the first bit is the lowest bit of the first byte.
 
 use core::mem::offset_of;
 
-/// The buffer has no room left for what was put.
+/// Error: the buffer has no room for what was written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Full;
 
-/// The bits end before what was asked for.
+/// Error: the bits end before what was asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Ended;
 
-/// Writes bits into a lent buffer, a word of 32 at a time.
+/// Writes bits into a lent buffer, a word of 32 bits at a time.
 ///
-/// Once the buffer is full, what is put is lost until [`Self::rewind`]: ask [`Self::is_full`] after
-/// a pixel, not after each of its fields.
+/// Once the buffer is full, everything written is lost until [`Self::rewind`]: check [`Self::is_full`] after a
+/// pixel, not after each of its fields.
 #[derive(Debug)]
 #[repr(C)]
 pub struct BitWriter<'o> {
@@ -23,20 +23,20 @@ pub struct BitWriter<'o> {
     words: &'o mut [[u8; 4]],
 }
 
-/// A place in a [`BitWriter`]'s output to go back to.
+/// A position in a [`BitWriter`]'s output to which it can rewind.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(C)]
 pub struct Position {
-    /// Words written.
+    /// Number of words written.
     words: usize,
-    /// Bits of the next word, the oldest lowest.
+    /// Pending bits of the next word, the oldest lowest.
     pending: u32,
-    /// Bits that the next word still takes: 1 to 32.
+    /// Number of bits that the next word still has room for: 1 to 32.
     free: u32,
 }
 
-// What assembly takes for granted.
+// Assumptions of the assembly.
 const _: () = assert!(
     offset_of!(Position, words) == 0
         && offset_of!(Position, pending) == size_of::<usize>()
@@ -44,7 +44,7 @@ const _: () = assert!(
 );
 
 impl<'o> BitWriter<'o> {
-    /// A writer at the start of `out`, of which up to three bytes at the end stay unused.
+    /// Starts writing at the start of `out`, of which up to three bytes at the end stay unused.
     #[must_use]
     pub const fn new(out: &'o mut [u8]) -> Self {
         Self {
@@ -57,7 +57,7 @@ impl<'o> BitWriter<'o> {
         }
     }
 
-    /// Puts the low `bits` (0 to 32) of `value`, whose others may be anything.
+    /// Writes the low `bits` (0 to 32) bits of `value`; its other bits are ignored.
     #[inline(always)]
     pub fn put(&mut self, value: u32, bits: u32) {
         if bits > 0 {
@@ -65,7 +65,7 @@ impl<'o> BitWriter<'o> {
         }
     }
 
-    /// As [`Self::put`], for a `value` that has no other bits.
+    /// As [`Self::put`], for a `value` below 2^`bits`.
     #[inline(always)]
     pub fn put_clean(&mut self, value: u32, bits: u32) {
         debug_assert!(bits <= 32 && u64::from(value) < 1 << bits);
@@ -76,7 +76,7 @@ impl<'o> BitWriter<'o> {
         }
     }
 
-    /// The same all in place, for what is worth the flash.
+    /// As [`Self::put_clean`], always inlined: for code whose speed is worth the flash.
     #[inline(always)]
     pub fn put_here(&mut self, value: u32, bits: u32) {
         debug_assert!(bits <= 32 && u64::from(value) < 1 << bits);
@@ -87,8 +87,8 @@ impl<'o> BitWriter<'o> {
         }
     }
 
-    /// The same where a register has room for two words: which of the values completes one is
-    /// nothing that a processor could foresee, so the word is written in any case.
+    /// As [`Self::put_clean`], where a register holds two words. A processor cannot predict which value completes a
+    /// word, so the word is stored each time.
     #[inline(always)]
     fn put_at_once(&mut self, value: u32, bits: u32) {
         let Position {
@@ -109,7 +109,7 @@ impl<'o> BitWriter<'o> {
         };
     }
 
-    /// Whether the value leaves room in the word; else nothing has been put.
+    /// Writes the value if it leaves room in the word, and returns whether it did; otherwise writes nothing.
     #[inline(always)]
     fn put_within(&mut self, value: u32, bits: u32) -> bool {
         let Position { pending, free, .. } = self.state;
@@ -126,7 +126,7 @@ impl<'o> BitWriter<'o> {
         self.complete(value, bits);
     }
 
-    /// The rest of [`Self::put_clean`] where the value completes a word.
+    /// The rest of [`Self::put_clean`], if the value completes a word.
     #[inline(always)]
     fn complete(&mut self, value: u32, bits: u32) {
         let Position {
@@ -134,9 +134,9 @@ impl<'o> BitWriter<'o> {
             pending,
             free,
         } = self.state;
-        // Its lowest bit beside the newest one; what is beyond the word comes out at the bottom.
+        // Rotate the lowest bit next to the newest pending one; bits beyond the word wrap to the bottom.
         let turned = value.rotate_right(free);
-        // The bits for the next word: as many as this one had already, none where it was empty.
+        // The bits for the next word: in the places of those that were pending, and none if there were none.
         let beyond = turned & (1_u32.rotate_right(free).wrapping_sub(1));
         let word = pending | turned.wrapping_sub(beyond);
         if let Some(place) = self.words.get_mut(words) {
@@ -149,7 +149,7 @@ impl<'o> BitWriter<'o> {
         };
     }
 
-    /// As [`Self::put_clean`] up to 64 bits.
+    /// As [`Self::put_clean`], for up to 64 bits.
     #[cfg(target_arch = "x86_64")]
     #[inline(always)]
     pub(crate) fn put_long(&mut self, value: u64, bits: u32) {
@@ -165,7 +165,7 @@ impl<'o> BitWriter<'o> {
         if let Some(place) = place.and_then(|words| words.first_chunk_mut::<2>()) {
             *place = [all as u32, (all >> 32) as u32].map(u32::to_le_bytes);
         } else if let Some(place) = self.words.get_mut(words) {
-            // The last one, and none for what is beyond it.
+            // The last word: there is none for the bits beyond it.
             *place = (all as u32).to_le_bytes();
         }
         let filled = filled.wrapping_add(bits);
@@ -176,13 +176,13 @@ impl<'o> BitWriter<'o> {
         };
     }
 
-    /// `count` (0 to 31) zeros and a one.
+    /// Writes `count` (0 to 31) zeros and a one.
     #[inline(always)]
     pub fn put_unary(&mut self, count: u32) {
         self.put_clean(1 << (count & 31), count + 1);
     }
 
-    /// Exp-Golomb code of `order` (0 to 31) of a value below 2^32 - 2^order.
+    /// Writes the Exp-Golomb code of `order` (0 to 31) of a value below 2^32 - 2^order.
     #[inline(always)]
     pub fn put_exp_golomb(&mut self, value: u32, order: u32) {
         let (code, bits) = exp_golomb(value, order);
@@ -194,7 +194,7 @@ impl<'o> BitWriter<'o> {
         }
     }
 
-    /// As [`Self::put_exp_golomb`] where one word does not hold it.
+    /// [`Self::put_exp_golomb`], if one word does not hold the code.
     #[cold]
     #[inline(never)]
     fn put_long_exp_golomb(&mut self, value: u32, order: u32) {
@@ -204,8 +204,8 @@ impl<'o> BitWriter<'o> {
         self.put(shifted, low_bits);
     }
 
-    /// Lets `write` put something into a copy of this writer, whose state is in memory there; here
-    /// it stays in registers.
+    /// Runs `write` on a copy of this writer and takes over the copy's state. The copy's state is in memory, so
+    /// that this writer's can stay in registers.
     #[inline(always)]
     pub fn aside(&mut self, write: impl FnOnce(&mut BitWriter<'_>)) {
         let mut copy = BitWriter {
@@ -216,8 +216,8 @@ impl<'o> BitWriter<'o> {
         self.state = copy.state;
     }
 
-    /// Whether something put did not fit; nothing put since an earlier [`Self::position`] that was
-    /// not full counts then.
+    /// Returns whether something written did not fit. Then all that was written since the last [`Self::position`]
+    /// that was not full is invalid.
     #[inline(always)]
     #[must_use]
     pub const fn is_full(&self) -> bool {
@@ -225,35 +225,35 @@ impl<'o> BitWriter<'o> {
         self.state.words >= self.words.len()
     }
 
-    /// State, words and their number, for assembly.
+    /// Returns the state, the words and their number, for assembly.
     ///
     /// # Safety
-    /// `writer` is valid.
+    /// `writer` has to be valid.
     #[allow(dead_code, reason = "assembly alone asks")]
     #[allow(unsafe_code)]
     pub(crate) const unsafe fn raw_parts(
         writer: *mut Self,
     ) -> (*mut Position, *mut [u8; 4], usize) {
-        // SAFETY: by the caller.
+        // SAFETY: the caller ensures that `writer` is valid.
         let (state, words) = unsafe { (&raw mut (*writer).state, &mut *(*writer).words) };
         (state, words.as_mut_ptr(), words.len())
     }
 
-    /// Whether so many words can be put yet without its becoming full.
+    /// Returns whether `words` more words can be written without the writer being full.
     #[inline(always)]
     #[must_use]
     pub const fn has_words(&self, words: usize) -> bool {
         self.state.words + words < self.words.len()
     }
 
-    /// Where the writer stands.
+    /// Returns the current position, for [`Self::rewind`].
     #[inline(always)]
     #[must_use]
     pub const fn position(&self) -> Position {
         self.state
     }
 
-    /// Takes back everything put after `position`.
+    /// Goes back to `position` and discards everything written after it.
     pub const fn rewind(&mut self, position: Position) {
         self.state = position;
     }
@@ -276,8 +276,8 @@ impl<'o> BitWriter<'o> {
     }
 }
 
-/// Exp-Golomb code of `order` (0 to 31) of a value below 2^32 - 2^order, and its bits; the code
-/// holds where they are up to 32. Right above it stands a 1.
+/// Returns the Exp-Golomb code of `order` (0 to 31) of a value below 2^32 - 2^order, with a 1 right above it, and
+/// its number of bits. The code is valid for up to 32 bits.
 #[inline(always)]
 #[must_use]
 pub const fn exp_golomb(value: u32, order: u32) -> (u32, u32) {
@@ -289,7 +289,7 @@ pub const fn exp_golomb(value: u32, order: u32) -> (u32, u32) {
     (code, unary.wrapping_add(32 - zeros))
 }
 
-/// Reads what a [`BitWriter`] wrote.
+/// Reads bits from a byte slice, as a [`BitWriter`] wrote them.
 #[derive(Debug, Clone)]
 pub struct BitReader<'i> {
     input: &'i [u8],
@@ -298,7 +298,7 @@ pub struct BitReader<'i> {
 }
 
 impl<'i> BitReader<'i> {
-    /// A reader at the start of `input`.
+    /// Starts reading at the start of `input`.
     #[must_use]
     pub const fn new(input: &'i [u8]) -> Self {
         Self {
@@ -320,10 +320,10 @@ impl<'i> BitReader<'i> {
         }
     }
 
-    /// The next `bits` (0 to 32).
+    /// Reads a number of `bits` (0 to 32) bits.
     ///
     /// # Errors
-    /// [`Ended`].
+    /// [`Ended`] if fewer bits are left.
     #[inline]
     pub fn get(&mut self, bits: u32) -> Result<u32, Ended> {
         debug_assert!(bits <= 32);
@@ -339,10 +339,11 @@ impl<'i> BitReader<'i> {
         Ok(value)
     }
 
-    /// Zeros before the next one, which is consumed; at most `most`, after which no one follows.
+    /// Counts the zeros up to the next one and consumes them with it. After `most` zeros it stops, and no one
+    /// follows.
     ///
     /// # Errors
-    /// [`Ended`].
+    /// [`Ended`] if the bits end too early.
     pub fn get_unary(&mut self, most: u32) -> Result<u32, Ended> {
         let mut count = 0;
         while count < most && self.get(1)? == 0 {
@@ -351,10 +352,10 @@ impl<'i> BitReader<'i> {
         Ok(count)
     }
 
-    /// Inverse of [`BitWriter::put_exp_golomb`].
+    /// Reads an Exp-Golomb code of `order`: the inverse of [`BitWriter::put_exp_golomb`].
     ///
     /// # Errors
-    /// [`Ended`], also for a code that no value has.
+    /// [`Ended`] if the bits end too early, and for a code that no value has.
     pub fn get_exp_golomb(&mut self, order: u32) -> Result<u32, Ended> {
         let low_bits = order + self.get_unary(32)?;
         if low_bits > 31 {
@@ -363,7 +364,7 @@ impl<'i> BitReader<'i> {
         Ok(((1 << low_bits) | self.get(low_bits)?) - (1 << order))
     }
 
-    /// Whether nothing but the zeros that fill the last byte is left.
+    /// Returns whether nothing is left but the zeros that fill the last byte.
     #[must_use]
     pub fn is_spent(&self) -> bool {
         self.input.is_empty() && self.pending_bits < 8 && self.pending == 0
@@ -410,7 +411,7 @@ mod tests {
 
     #[cfg(target_arch = "x86_64")]
     proptest! {
-        /// Also where the buffer ends.
+        /// Also tests the end of the buffer.
         #[test]
         fn a_long_value_is_its_two_halves(
             len in 0..40_usize, values in proptest::collection::vec((any::<u64>(), 0..=64_u32), 0..20),

@@ -1,15 +1,15 @@
-//! Parts of the codes of [`crate::pack::packer`], as [`crate::fused::walk_armv7em`] and
-//! [`crate::fused::dtft32_armv7em`] put them together.
+//! Precomputed parts of the codes of [`crate::pack::packer`], from which [`crate::fused::walk_armv7em`] and
+//! [`crate::fused::dtft32_armv7em`] assemble them.
 
 use core::mem::offset_of;
 
 use crate::fixed_point::CHUNK_EVENTS;
 
-/// Of n events: two to the bits of n's code, by which the ON events are moved behind it, in the upper
-/// half; 32 and the bits of n and of the ON events, less the leading zeros of n - 1, in the lower; and
-/// what is to be added where the gap's code ends, besides the ON events.
+/// By n, the number of events. The first word has in its upper half 2 to the power of the bits of n's code, by
+/// which the ON events are shifted beyond it; in its lower half 32 plus the bits of n and of the ON events, minus the
+/// leading zeros of n - 1. The second word is added where the gap's code ends, besides the ON events.
 ///
-/// The 1s above the gap's code and above n's are taken off there.
+/// The 1s above the gap's code and above n's are subtracted in it.
 pub type Counts = [[u32; 2]; CHUNK_EVENTS + 1];
 const COUNTS: Counts = {
     let mut counts = [[0; 2]; CHUNK_EVENTS + 1];
@@ -24,23 +24,23 @@ const COUNTS: Counts = {
     counts
 };
 
-/// Of levels of b bits: 2^b, and the highest bits of three and of four side by side.
+/// By the bits b of a level: 2^b, and the highest bits of three and of four levels side by side.
 const SIDE_BY_SIDE: [[u32; 4]; SIDE_BITS_MAX] = {
     let mut rows = [[0; 4]; SIDE_BITS_MAX];
     let mut bits = 1;
     while bits <= SIDE_BITS_MAX {
         let half = 1_u32 << (bits - 1);
         let three = half | (half << bits) | (half << (2 * bits));
-        // Widest first, so that they are found backwards from what follows them.
+        // Widest first, so that a row is found backwards from what follows the table.
         rows[SIDE_BITS_MAX - bits] = [1 << bits, three, three | (half << (3 * bits)), 0];
         bits += 1;
     }
     rows
 };
-/// Bits of the widest levels of which a word has room for four.
+/// Most bits of levels of which four fit a word.
 pub const SIDE_BITS_MAX: usize = 8;
 
-/// One after the other, so that one address is enough for both.
+/// Both tables one after the other, so that one address is enough.
 #[repr(C)]
 pub struct Tables {
     side_by_side: [[u32; 4]; SIDE_BITS_MAX],
@@ -52,10 +52,10 @@ pub static TABLES: Tables = Tables {
     counts: COUNTS,
 };
 
-/// [`Counts`].
+/// Returns the address of the table [`Counts`].
 pub const fn counts() -> &'static Counts {
     &TABLES.counts
 }
 
-// What the assembly takes for granted.
+// Assumptions of the assembly.
 const _: () = assert!(offset_of!(Tables, counts) == 16 * SIDE_BITS_MAX);

@@ -1,4 +1,4 @@
-//! Descriptors to bits: the payload of a frame. [`crate::pack::unpack`] is its inverse.
+//! Packs descriptors to bits: the payload of a frame. [`crate::pack::unpack`] is its inverse.
 
 #[cfg(eecvs_dsp)]
 pub(crate) mod code_tables_armv7em;
@@ -18,7 +18,7 @@ use crate::transform::shape::{MASK_GRID_MAX, Packing, width_of};
 use crate::transform::{M_MAX, Rule, Transform};
 
 impl Packing {
-    /// What packs the pixels of a frame, from its first.
+    /// Returns the packer of a frame's pixels, before the first.
     #[must_use]
     pub fn packer(&self) -> Packer {
         Packer {
@@ -31,11 +31,11 @@ impl Packing {
         }
     }
 
-    /// Appends `descriptor`, of which a single event has a cell and several have levels;
-    /// `next_index` is the raster index after the previous pixel's.
+    /// Appends `descriptor`: a single event has a cell, several have levels. `next_index` is the raster index after
+    /// the previous pixel's, and is moved on.
     ///
     /// # Errors
-    /// [`Full`], with the writer to be rewound by the caller.
+    /// [`Full`]; the caller then has to rewind the writer.
     pub fn pack(
         &self,
         descriptor: &Descriptor,
@@ -50,9 +50,9 @@ impl Packing {
     }
 }
 
-/// Packs pixel after pixel: [`Self::place`], then what the transform sends of it.
+/// Packs pixel after pixel: of each [`Self::place`], then what the transform sends.
 ///
-/// Nothing is an error here: ask the writer whether it [`BitWriter::is_full`] after each pixel.
+/// There are no errors: ask the writer after each pixel whether it [`BitWriter::is_full`].
 #[derive(Debug, Clone, Copy)]
 #[repr(C)]
 pub struct Packer {
@@ -64,23 +64,23 @@ pub struct Packer {
     pub(crate) shift: u32,
     /// Columns of the sensor.
     pub(crate) width: u32,
-    /// [`Packing::cells_log2`]
+    /// [`Packing::cells_log2`].
     cells_log2: u32,
     pub(crate) packing: Packing,
 }
 
-/// From the pixel before to the next, as an Exp-Golomb code: [`exp_golomb`] with what follows from
-/// its order g at hand.
+/// Exp-Golomb code of the gap from one pixel to the next: [`exp_golomb`] with all that follows from its order g at
+/// hand.
 #[derive(Debug, Clone, Copy)]
 #[repr(C)]
 pub(crate) struct GapCode {
-    /// Raster index after the previous pixel's, less 2^g.
+    /// Raster index after the previous pixel's, minus 2^g.
     pub(crate) before: u32,
-    /// 2^g - 1
+    /// 2^g - 1.
     less: u32,
-    /// 31 - g
+    /// 31 - g.
     zeros_max: u32,
-    /// 63 - g
+    /// 63 - g.
     bits_max: u32,
 }
 
@@ -107,7 +107,7 @@ impl GapCode {
         self.before = next_index.wrapping_sub(1 + self.less);
     }
 
-    /// Goes to the pixel at `index`; returns the gap plus 2^g.
+    /// Moves to the pixel at `index` and returns the gap plus 2^g.
     #[inline(always)]
     const fn step(&mut self, index: u32) -> u32 {
         let shifted = index.wrapping_sub(self.before);
@@ -115,8 +115,8 @@ impl GapCode {
         shifted
     }
 
-    /// The code of what [`Self::step`] gave, a 1 right above it, and its bits; the code holds where
-    /// they are below 32.
+    /// Returns the code of a value from [`Self::step`], with a 1 right above it, and its number of bits; the code
+    /// is valid if that is below 32.
     #[inline(always)]
     const fn code(&self, shifted: u32) -> (u32, u32) {
         let zeros = shifted.leading_zeros();
@@ -124,14 +124,14 @@ impl GapCode {
         (code, self.bits_max.wrapping_sub(2 * zeros))
     }
 
-    /// Puts it whatever its length.
+    /// Writes the code, whatever its length.
     fn put(&self, shifted: u32, writer: &mut BitWriter<'_>) {
         writer.put_exp_golomb(shifted.wrapping_sub(1 + self.less), self.order());
     }
 }
 
 impl Packer {
-    /// Where a pixel is and what it counts. Pixels come in raster order.
+    /// Writes a pixel's place and counts. Pixels come in raster order.
     #[inline(always)]
     pub fn place(&mut self, (x, y): (u16, u16), counts: (u32, u32), writer: &mut BitWriter<'_>) {
         let index = u32::from(y) * self.width + u32::from(x);
@@ -139,8 +139,8 @@ impl Packer {
         writer.put_clean(code, bits);
     }
 
-    /// What [`Self::place`] puts and how many bits, 31 at the most; nothing where these do not hold
-    /// it and it has been put.
+    /// Returns what [`Self::place`] writes and its number of bits, at most 31. If it is longer, writes it and
+    /// returns no bits.
     #[inline(always)]
     pub(crate) fn place_code(
         &mut self,
@@ -168,7 +168,7 @@ impl Packer {
         }
     }
 
-    /// The levels of a pixel of `events`, 2 or more.
+    /// Writes the levels of a pixel of `events` events, 2 or more.
     #[inline(always)]
     pub fn levels(&self, events: u32, levels: &Levels<'_>, writer: &mut BitWriter<'_>) {
         let spread = levels.spread();
@@ -180,8 +180,8 @@ impl Packer {
         put_levels(most, levels, spread, writer);
     }
 
-    /// A pixel of 2 to [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events, whole: its place
-    /// and the levels of its sums. The output has room for it.
+    /// Writes a whole pixel of 2 to [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events: its place and the
+    /// levels of its sums. The output has to have room for it.
     #[cfg(not(target_arch = "x86_64"))]
     #[inline(always)]
     pub fn seven(
@@ -199,7 +199,7 @@ impl Packer {
         self.seven_portable(index, counts, (cosines.sums(), cosines.spread()), writer);
     }
 
-    /// The same for a raster index.
+    /// As [`Self::seven`], for a raster index.
     #[cfg(not(target_arch = "x86_64"))]
     #[cfg_attr(eecvs_dsp, cold)]
     #[cfg_attr(eecvs_dsp, inline(never))]
@@ -215,7 +215,7 @@ impl Packer {
             let (code, code_bits) = self.place_code(index, (on, off), writer);
             let shift = self.shift & 31;
             let levels = sums.map(|sum| (sum >> shift) as u32);
-            // No clamp as in `Packing::level_bits_max`: the step is 1 at the most, and events few.
+            // Unlike `Packing::level_bits_max` without a clamp: the step is at most 1, and events are few.
             let most = width_of((on + off).wrapping_sub(1)) + self.one_bits;
             let bits = width_of(spread >> shift) + 1;
             let width_bits = most - bits + 1;
@@ -233,9 +233,9 @@ impl Packer {
         });
     }
 
-    /// A pixel of 2 to [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events, whole, whose Haar
-    /// differences are bytes: its place, the set of those in `kept`, and their levels, of which no
-    /// other lane has any. The output has room for it.
+    /// Writes a whole pixel of 2 to [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events whose Haar
+    /// differences fit bytes: its place, the set `kept`, and the levels of that set, which other lanes do not have.
+    /// The output has to have room for it.
     #[inline(always)]
     pub(crate) fn bytes<const W: usize>(
         &mut self,
@@ -248,7 +248,7 @@ impl Packer {
         self.bytes_at(index, (on, off), (kept, levels, spread), writer);
     }
 
-    /// The same for a raster index.
+    /// As [`Self::bytes`], for a raster index.
     #[cfg_attr(eecvs_dsp, inline(never))]
     #[cfg_attr(not(eecvs_dsp), inline(always))]
     pub(crate) fn bytes_at<const W: usize>(
@@ -272,7 +272,7 @@ impl Packer {
                 return;
             }
             let bits = width_of(spread) + 1;
-            // Up to n events in a lane of bytes: 7 bits are the widest level.
+            // A lane has up to n events: the widest level has 7 bits.
             let narrower = width_of((on + off).wrapping_sub(1)) + 1 - bits;
             let (mut word, mut word_bits) = (1 << (narrower & 31), narrower + 1);
             let bytes = levels.into_bytes();
@@ -293,7 +293,7 @@ impl Packer {
         });
     }
 
-    /// [`Self::place`], one for all that are in no hurry.
+    /// As [`Self::place`], in one function for all callers that are in no hurry.
     #[cfg_attr(eecvs_dsp, inline(never))]
     #[cfg_attr(not(eecvs_dsp), inline(always))]
     pub(crate) fn place_apart(
@@ -305,7 +305,7 @@ impl Packer {
         self.place(position, counts, writer);
     }
 
-    /// Which coefficients are sent, for the transforms that keep the largest.
+    /// Writes which coefficients are sent, for transforms that keep the largest.
     #[cfg_attr(eecvs_dsp, inline(never))]
     #[cfg_attr(not(eecvs_dsp), inline(always))]
     pub fn set(&self, kept: &Kept, writer: &mut BitWriter<'_>) {
@@ -338,7 +338,7 @@ impl Packer {
         }
     }
 
-    /// A pixel with a single event, whole: `cell` tells `cells_log2` bits of its u.
+    /// Writes a whole pixel with a single event; `cell` is its u in `cells_log2` bits.
     #[inline(always)]
     pub fn single(
         &mut self,
@@ -350,10 +350,10 @@ impl Packer {
         let shifted = self.gap.step(u32::from(y) * self.width + u32::from(x));
         let (gap_code, gap_bits) = self.gap.code(shifted);
         let cells_log2 = self.cells_log2;
-        // n - 1 = 0 is a one, and `on` a bit.
+        // n - 1 = 0 is coded as a one, and `on` as a bit.
         let bits = gap_bits + 2 + cells_log2;
         if bits < 32 {
-            // The 1 above the gap's code is that of n.
+            // The 1 above the gap's code is that of n - 1.
             let rest = (u32::from(is_on) + (cell << 1)) << ((gap_bits + 1) & 31);
             writer.put_here(gap_code + rest, bits);
         } else {
@@ -362,22 +362,23 @@ impl Packer {
         }
     }
 
-    /// The same of a pixel whose gap plus 2^g is `shifted`, where `rest` holds polarity and cell. The
-    /// gap after it is not counted from there before [`Self::go_to`].
+    /// As [`Self::single`], for a pixel whose gap plus 2^g is `shifted`; `rest` holds its polarity and cell. The
+    /// next gap is not counted from there: call [`Self::go_to`] first.
     #[cfg(eecvs_dsp)]
     pub(crate) fn single_after(&self, shifted: u32, rest: u32, writer: &mut BitWriter<'_>) {
         let cell = (rest >> 1, self.cells_log2);
         single_long((self.gap, shifted), rest & 1 == 1, cell, writer);
     }
 
-    /// The same where `before` is what the gap's code comes to: the next gap is counted from there.
+    /// As [`Self::single_after`], for the pixel after which the next gap is counted from `before` (as in
+    /// [`GapCode`]).
     #[cfg(eecvs_dsp)]
     pub(crate) fn single_to(&mut self, before: u32, rest: u32, writer: &mut BitWriter<'_>) {
         let shifted = self.gap.step(before.wrapping_add(self.gap.less));
         self.single_after(shifted, rest, writer);
     }
 
-    /// [`Self::seven`], as [`Self::single_after`].
+    /// As [`Self::seven`], for a gap as in [`Self::single_after`].
     #[cfg(eecvs_dsp)]
     pub(crate) fn seven_after(
         &mut self,
@@ -391,31 +392,32 @@ impl Packer {
         self.seven_portable(shifted, counts, (sums, spread), writer);
     }
 
-    /// The next gap is counted from `next_index`.
+    /// Counts the next gap from `next_index`.
     #[cfg(eecvs_dsp)]
     pub(crate) const fn go_to(&mut self, next_index: u32) {
         self.gap.go_to(next_index);
     }
 
-    /// Order of the gap code, and where the next gap is counted from.
+    /// Returns the order of the gap code, and the index from which the next gap is counted.
     #[cfg(eecvs_dsp)]
     pub(crate) const fn gap_parts(&self) -> (u32, u32) {
         (self.gap.order(), self.gap.next_index())
     }
 
-    /// What brings sums of [`dct8`](crate::accumulate::dct8) to levels; bits of a level of one event.
+    /// Returns the shift from sums of [`dct8`](crate::accumulate::dct8) to levels, and the bits of a level of one
+    /// event.
     #[cfg(eecvs_dsp)]
     pub(crate) const fn level_parts(&self) -> (u32, u32) {
         (self.shift, self.one_bits)
     }
 
-    /// Goes to a pixel; returns its gap plus 2^g.
+    /// Moves to a pixel and returns its gap plus 2^g.
     #[cfg(eecvs_dsp)]
     pub(crate) fn step(&mut self, (x, y): (u16, u16)) -> u32 {
         self.gap.step(u32::from(y) * self.width + u32::from(x))
     }
 
-    /// [`Self::place`] of a pixel whose gap plus 2^g is `shifted`.
+    /// As [`Self::place`], for a pixel whose gap plus 2^g is `shifted`.
     #[cfg(eecvs_dsp)]
     pub(crate) fn place_after(&self, shifted: u32, counts: (u32, u32), writer: &mut BitWriter<'_>) {
         let mut packer = *self;
@@ -424,7 +426,7 @@ impl Packer {
         writer.put_clean(code, bits);
     }
 
-    /// Bits of a single event's cell.
+    /// Returns the number of bits of a single event's cell.
     #[inline(always)]
     #[must_use]
     pub const fn cells_log2(&self) -> u32 {
@@ -452,7 +454,7 @@ impl Packer {
         }
         let mut memory = [0; 2 * M_MAX];
         let mut flat = Levels::new(&mut memory);
-        // What no pixel of these events can have is cut: the link has no room for it.
+        // Levels that no pixel of so many events can have are cut, as the code has no room for them.
         let unused = 32 - self.packing.level_bits_max(events);
         let cut = |level: i32| (level << unused) >> unused;
         for level in levels.iter().filter(|level| level.k > 0) {
@@ -466,13 +468,12 @@ impl Packer {
     }
 }
 
-/// Puts levels, of which there are some and the widest has up to `most` bits; `spread` is
-/// [`Levels::spread`].
+/// Writes levels, at least one, the widest of which may have `most` bits; `spread` is [`Levels::spread`].
 ///
-/// Apart: one for all transforms, as the levels are the same list in each.
+/// A function of its own for all transforms, as their levels are the same list.
 #[inline(never)]
 pub(crate) fn put_levels(most: u32, levels: &[u32], spread: u32, writer: &mut BitWriter<'_>) {
-    // Never more than `most`: |c| < n, and saturated levels have 32 bits.
+    // At most `most` bits anyway: |c| < n, and saturated levels have 32.
     let bits = (width_of(spread) + 1).min(most);
     writer.aside(|writer| {
         writer.put_unary(most - bits);
@@ -485,7 +486,7 @@ pub(crate) fn put_levels(most: u32, levels: &[u32], spread: u32, writer: &mut Bi
     });
 }
 
-/// Puts levels in groups that a word has room for.
+/// Writes levels in groups that fit a word.
 #[inline(always)]
 fn put_groups<const N: usize>(levels: &[u32], bits: u32, writer: &mut BitWriter<'_>) {
     let highest = highest_bits::<N>(bits);
@@ -498,7 +499,7 @@ fn put_groups<const N: usize>(levels: &[u32], bits: u32, writer: &mut BitWriter<
     }
 }
 
-/// [`Packer::place`] where one word does not hold it.
+/// [`Packer::place`], if one word does not hold it.
 #[cold]
 #[inline(never)]
 fn place_long(
@@ -511,7 +512,7 @@ fn place_long(
     writer.put(on, width_of(events));
 }
 
-/// [`Packer::single`] where one word does not hold it.
+/// [`Packer::single`], if one word does not hold it.
 #[cold]
 #[inline(never)]
 fn single_long(
@@ -525,7 +526,7 @@ fn single_long(
     writer.put_clean(cell, cells_log2);
 }
 
-/// Whether `kept` is 0..`r` of a grid.
+/// Returns whether `kept` is 0..`r` of a grid.
 #[inline(always)]
 fn is_low(kept: &Kept, grid: usize, r: u32) -> bool {
     kept.words(grid).iter().enumerate().all(|(index, word)| {
@@ -564,7 +565,7 @@ mod tests {
         }
     }
 
-    /// Every code of a pixel at its longest, for the grids where the indices take most.
+    /// Every code of a pixel is at its longest, for the grids whose indices take most bits.
     #[test]
     fn the_largest_pixel_fits_its_bound() {
         let mut longest = 0;
@@ -603,8 +604,8 @@ mod tests {
             }
         }
         assert!(longest <= PIXEL_BYTES_MAX, "{longest}");
-        // Not by chance: counts and gap, 640 bits of indices, the levels' width in a bit, 128
-        // numbers of 32 bits. A narrower width takes 31 bits more at the most.
+        // The bound is met, not by chance: counts and gap, 640 bits of indices, one bit for the levels' width, and
+        // 128 numbers of 32 bits. A narrower width takes at most 31 bits more.
         assert_eq!(
             longest,
             (45 + 47 + 24 + 1 + 640 + 1 + 128 * 32_usize).div_ceil(8)

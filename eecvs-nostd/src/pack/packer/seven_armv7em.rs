@@ -1,4 +1,4 @@
-//! [`Packer::seven`] with everything in registers.
+//! [`Packer::seven`] with its state in registers.
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;
@@ -8,11 +8,11 @@ use crate::accumulate::dct8::Cosines;
 use crate::pack::bits_lsb_first::{BitWriter, Position};
 use crate::pack::packer::{GapCode, Packer};
 
-/// Words that [`put`] writes at the most: 32 bits, 70 of levels, and 31 that were there.
+/// Most words that [`put`] writes: 32 bits, 70 of levels, and 31 that were pending.
 const WORDS_MAX: usize = 5;
 
-/// The bits of [`Packer::seven_portable`]; `false`, and nothing has changed, where levels have
-/// over 10 bits, the place over 31, or the output is nearly full.
+/// Writes the same bits as [`Packer::seven_portable`]. Returns `false`, with nothing changed, if levels have over
+/// 10 bits, the place and the levels' width take over 32, or the output is nearly full.
 #[inline(always)]
 pub fn put(
     packer: &mut Packer,
@@ -25,9 +25,9 @@ pub fn put(
         return false;
     }
     let counts = ((on + off) << 16) | on;
-    // SAFETY: the pointer is that of the reference. `seven` writes `before` of `packer`, the
-    // position, and up to `WORDS_MAX` words from there on, which are there. This file is built only
-    // for cores that have the instructions.
+    // SAFETY: the pointer comes from the reference. `seven` writes `before` of `packer`, the position, and up to
+    // `WORDS_MAX` words from there on, which exist. This file is compiled only for cores that have the
+    // instructions.
     unsafe {
         let (position, words, _) = BitWriter::raw_parts(writer);
         seven(packer, index, counts, cosines, &mut *position, words)
@@ -36,10 +36,10 @@ pub fn put(
 
 const _: () = assert!(offset_of!(Packer, gap) == 0 && offset_of!(GapCode, before) == 0);
 const _: () = assert!(offset_of!(Packer, one_bits) == 16 && offset_of!(Packer, shift) == 20);
-/// `counts` are n (2 to 64) << 16 and the ON events.
+/// Writes the pixel; `counts` is n (2 to 63) << 16 plus the number of ON events.
 ///
 /// # Safety
-/// The words from `position.words` on are `WORDS_MAX` or more.
+/// There have to be at least `WORDS_MAX` words from `position.words` on.
 #[unsafe(naked)]
 unsafe extern "C" fn seven(
     packer: &mut Packer,
@@ -49,8 +49,8 @@ unsafe extern "C" fn seven(
     position: &mut Position,
     words: *mut [u8; 4],
 ) -> bool {
-    // Appends `$bits` bits of `$value`, which has no others; overwrites `$bits` and `$tmp`.
-    // r12: bits of the next word, lr: how many there are, r11: where the word goes.
+    // Appends `$bits` bits of `$value`, which is below 2^`$bits`; overwrites `$bits` and `$tmp`. r12: bits of the
+    // next word; lr: how many there are; r11: where the word goes.
     macro_rules! put {
         ($value:literal, $bits:literal, $tmp:literal) => {
             concat!(
@@ -74,7 +74,7 @@ unsafe extern "C" fn seven(
                 ", ",
                 $bits,
                 ", lr\n",
-                // What the word had no room for; nothing where that is a shift by 32.
+                // The bits that the word had no room for; none if that is a shift by 32.
                 "lsr r12, ",
                 $value,
                 ", ",
@@ -86,7 +86,7 @@ unsafe extern "C" fn seven(
     }
     naked_asm!(
         "push {{r4-r11, lr}}",
-        // r4: the code; r7: its bits. The gap first, and a 1 above it.
+        // r4: the code; r7: its bits. First the gap, with a 1 above it.
         "ldm r0, {{r4-r7}}",
         "subs r4, r1, r4",
         "subs r1, r1, r5",
@@ -96,7 +96,7 @@ unsafe extern "C" fn seven(
         "adds r4, r4, r4",
         "adds r4, #1",
         "lsls r4, r6",
-        // n, whose code has its 1 from the gap's; r2: n, r12: ON events.
+        // n, whose code takes its 1 from the gap's; r2: n; r12: ON events.
         "uxth r12, r2",
         "lsrs r2, r2, #16",
         "clz r5, r2",
@@ -109,13 +109,13 @@ unsafe extern "C" fn seven(
         "adds r4, r4, r6",
         "adds r7, #1",
         "add r7, r7, r5, lsl #1",
-        // ON events, with the 1 above n's code taken off.
+        // ON events, with the 1 above n's code subtracted.
         "sub r12, r12, #1",
         "lsl r12, r12, r7",
         "add r4, r4, r12",
         "adds r7, r7, r5",
         "adds r7, #1",
-        // r5: bits of the widest level that there can be; r6: of the one that there is.
+        // r5: most bits that a level can have; r6: bits of the widest level.
         "subs r2, #1",
         "clz r5, r2",
         "ldrd r6, r8, [r0, #16]",
@@ -138,14 +138,14 @@ unsafe extern "C" fn seven(
         "adds r7, #1",
         "cmp r7, #32",
         "bhi 4f",
-        // No way back from here.
+        // From here on nothing is undone.
         "str r1, [r0]",
         "ldrd r10, r0, [sp, #36]",
         "ldm r10, {{r11, r12, lr}}",
         "add r11, r0, r11, lsl #2",
         "rsb lr, lr, #32",
         put!("r4", "r7", "r5"),
-        // The first three levels; r9: 2^bits, r5: half of it, r4: the highest bit of each.
+        // The first three levels; r9: 2^bits; r5: half of it; r4: the highest bit of each.
         "add r10, r3, #{sums_at}",
         "ldm r10!, {{r1-r3}}",
         "asrs r1, r8",
@@ -157,8 +157,7 @@ unsafe extern "C" fn seven(
         "mla r4, r5, r9, r5",
         "mla r1, r2, r9, r1",
         "mla r4, r4, r9, r5",
-        // A negative level has borrowed from its neighbour, which half of a range more gives
-        // back.
+        // A negative level has borrowed from the field above it: adding half of a field's range gives that back.
         "adds r1, r1, r4",
         "eors r1, r4",
         "add r7, r6, r6, lsl #1",
@@ -187,7 +186,7 @@ unsafe extern "C" fn seven(
         "stm r10, {{r11, r12, lr}}",
         "movs r0, #1",
         "pop {{r4-r11, pc}}",
-        // Four of over 8 bits are more than a word: three and one.
+        // Four levels of over 8 bits do not fit a word: three, then one.
         "3:",
         "ldm r10!, {{r1-r3}}",
         "asrs r1, r8",

@@ -1,4 +1,4 @@
-//! Pixels whose sums or levels are in vectors to bits: [`Packer`] on a host.
+//! Packs pixels whose sums or levels are in vectors: [`Packer`] on a host.
 
 use crate::accumulate::dct8;
 use crate::pack::bits_lsb_first::BitWriter;
@@ -6,8 +6,8 @@ use crate::pack::packer::Packer;
 use crate::transform::shape::width_of;
 
 impl Packer {
-    /// A pixel of 2 to [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events, whole: its place
-    /// and the levels of its sums, which are in vectors. The output has room for it.
+    /// Writes a whole pixel of 2 to [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events: its place and the
+    /// levels of its sums, which are in vectors. The output has to have room for it.
     #[inline(always)]
     pub(crate) fn seven_vectors(
         &mut self,
@@ -20,7 +20,7 @@ impl Packer {
         writer.aside(|writer| {
             let (code, code_bits) = self.place_code(index, (on, off), writer);
             let levels = sums.levels(self.shift);
-            // No clamp as in `Packing::level_bits_max`: the step is 1 at the most, and events few.
+            // Unlike `Packing::level_bits_max` without a clamp: the step is at most 1, and events are few.
             let most = width_of((on + off).wrapping_sub(1)) + self.one_bits;
             let bits = width_of(levels.spread()) + 1;
             let width = 1 << (most.wrapping_sub(bits) & 31);
@@ -42,9 +42,9 @@ impl Packer {
         });
     }
 
-    /// A pixel of 2 to [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events of complex coefficients,
-    /// whole: its place, the set `kept`, fewer than K of up to 32, and out of `pairs` their levels, of
-    /// `bits` each and side by side. The output has room for it.
+    /// Writes a whole pixel of 2 to [`CHUNK_EVENTS`](crate::fixed_point::CHUNK_EVENTS) events with complex
+    /// coefficients: its place, the set `kept` (fewer than K, which is at most 32), and the levels of that set,
+    /// `bits` bits each, side by side in `pairs`. The output has to have room for it.
     #[inline(always)]
     pub(crate) fn pairs(
         &mut self,
@@ -58,7 +58,7 @@ impl Packer {
         let low = !(u32::MAX << (self.packing.kept() as u32 & 31));
         writer.aside(|writer| {
             let (code, code_bits) = self.place_code(index, (on, off), writer);
-            // A one where the set is k = 0..r, else a zero and a bit for each k.
+            // A one if the set is k = 0..r, else a zero and a bit for each k.
             let (set, set_bits) = if kept == low {
                 (1, 1)
             } else {
@@ -69,7 +69,7 @@ impl Packer {
             if left == 0 {
                 return;
             }
-            // The step is 1 at the most, and events few: 22 bits are the widest level.
+            // The step is at most 1, and events are few: the widest level has 22 bits.
             let most = width_of((on + off).wrapping_sub(1)) + self.one_bits;
             writer.put_unary(most.wrapping_sub(bits) & 31);
             let pair = |k: u32| pairs.get(k as usize).copied().unwrap_or_default();

@@ -1,8 +1,8 @@
-//! In assembly, for the cores with Arm's DSP instructions. An event needs fourteen registers, of which a
-//! compiler has thirteen and uses them less well: this takes two thirds of the instructions.
+//! In assembly, for cores with Arm's DSP instructions.
 //!
-//! Its frames are checked against events taken one by one, on the machine: see
-//! `firmware/src/bin/golden.rs`.
+//! An event needs 14 registers. A compiler has only 13 and uses them less well: this loop takes two thirds of its
+//! instructions. `firmware/src/bin/golden.rs` compares the resulting frames on the microcontroller with those of
+//! events pushed one by one.
 
 use core::arch::naked_asm;
 use core::mem::offset_of;
@@ -11,13 +11,13 @@ use super::Intake;
 use crate::window::{COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_HEAD, SLOTS_MAX, Slot};
 use event_types::evt2::{KIND_SHIFT, LOW_BITS, LOW_SHIFT, NO_EVENT, SIDE_BITS, SIDE_MASK, X_SHIFT};
 
-/// x where it is in a word, and the bits that an event has not.
+/// The bits of x in a word, and those that are never set in an event.
 const X_MASK: u32 = NO_EVENT | (SIDE_MASK << X_SHIFT);
 
-/// What [`take_words`] works on.
+/// The arguments and results of [`take_words`].
 #[repr(C)]
 struct State {
-    // In r1 to r9.
+    // Loaded into r1 to r9.
     word: *const [u8; 4],
     end: *const [u8; 4],
     slot: *mut Slot,
@@ -27,21 +27,22 @@ struct State {
     width: u32,
     stride: u32,
     span_us: u32,
-    // In memory.
+    // Left in memory.
     bitmap: *mut u32,
     time: u32,
     time_last: u32,
-    /// Offset of the `TIME_HIGH` of 0, wrapping.
+    /// Offset of `TIME_HIGH` 0 from the window's start; wraps.
     zero_us: u32,
     span_at: u32,
     before_us: u32,
     before_at: u32,
 }
 
+/// Implements [`Intake::take`].
 pub fn take(intake: &mut Intake<'_>, words: &[[u8; 4]]) -> usize {
     let free = intake.slots.get_mut(intake.len as usize..);
     let free = free.unwrap_or_default();
-    // A word takes a slot at the most.
+    // Each word takes at most one slot.
     let some = words.get(..free.len()).unwrap_or(words);
     let range = some.as_ptr_range();
     let mut state = State {
@@ -62,9 +63,9 @@ pub fn take(intake: &mut Intake<'_>, words: &[[u8; 4]]) -> usize {
         before_us: intake.before_us,
         before_at: intake.before_at,
     };
-    // SAFETY: the words from `word` to `end` are those of `some`. From `slot` on there are as
-    // many slots as words, all of them lent to `intake`, as are `heads_len` heads and a bit of
-    // the bitmap for each.
+    // SAFETY: the words from `word` to `end` are those of `some`. From `slot` on there are at least as many slots
+    // as words. `intake` has all of these slots on loan, and also `heads_len` heads and one bit of the bitmap for
+    // each head.
     unsafe { take_words(&mut state) };
     intake.len = state.len;
     intake.time = state.time;
@@ -72,7 +73,7 @@ pub fn take(intake: &mut Intake<'_>, words: &[[u8; 4]]) -> usize {
     intake.span_at = state.span_at;
     intake.before_us = state.before_us;
     intake.before_at = state.before_at;
-    // Both are of one slice, the first not below the second.
+    // Both addresses lie in one slice, the first not below the second.
     (state.word.addr() - range.start.addr()) / size_of::<[u8; 4]>()
 }
 
@@ -80,13 +81,14 @@ const _: () = assert!(size_of::<Head>() == 2 && NO_HEAD == 0xffff && SLOTS_MAX <
 const _: () = assert!(NEXT_SHIFT == 16 && COLUMN_SHIFT == X_SHIFT);
 const _: () = assert!(offset_of!(State, span_us) == 32);
 
-/// An event, or on to 5 with the next word, or on to 7 where that has no segment.
+/// Stores the next word's event. Jumps to 5 if the word is no event or its x is off the sensor, to 7 if no segment
+/// holds it.
 ///
 /// | r0 | r1 | r2 | r3 | r4 | r5 | r6 | r7 | r8 | r9 |
 /// |---|---|---|---|---|---|---|---|---|---|
 /// | `X_MASK` | next word | bytes left | slot | len | heads | heads_len | width | stride | span_us |
 ///
-/// lr is the word, r10 its segment, r11 the segment's head, r12 the link. At sp: state, bitmap.
+/// lr holds the word, r10 its segment, r11 the segment's head, r12 the link. The stack holds `state` and `bitmap`.
 macro_rules! event {
     () => {
         "
@@ -121,15 +123,14 @@ macro_rules! event {
     };
 }
 
-/// Takes the words from `word` to `end`, up to one that [`Intake::take`] does not take, and
-/// leaves `word` there.
+/// Takes the words from `word` to `end`, up to the first one that [`Intake::take`] does not take, and leaves `word`
+/// pointing to it.
 ///
-/// Reads those words; writes a slot for an event, from `slot` on; reads and writes heads below
-/// `heads_len` and the words of `bitmap` with their bits; reads and writes `state`. Restores
-/// every register that a callee must.
+/// Reads those words. Writes one slot per event, from `slot` on. Reads and writes heads below `heads_len`, the
+/// words of `bitmap` that hold their bits, and `state`. Restores every register that a callee must.
 ///
 /// # Safety
-/// All of these can be read and written, and no one else does.
+/// All of this memory must be valid for these reads and writes, and nothing else may access it meanwhile.
 #[unsafe(naked)]
 unsafe extern "C" fn take_words(state: &mut State) {
     naked_asm!(

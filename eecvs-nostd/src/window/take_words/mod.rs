@@ -1,4 +1,4 @@
-//! EVT 2.0 words into a window's slots: the loop that every event passes.
+//! Stores EVT 2.0 words in a window's slots: the loop that every event passes through.
 
 #[cfg(target_pointer_width = "64")]
 mod portable64;
@@ -14,37 +14,38 @@ use core::num::NonZeroU32;
 
 use crate::window::{Head, Slot};
 
-/// The part of an open window that takes words whose times all lie in it.
+/// The part of an open window that takes words, all of whose times must lie in the window.
 #[derive(Debug)]
 pub(crate) struct Intake<'w> {
     pub slots: &'w mut [Slot],
-    /// One a segment; a word whose segment has none is not taken.
+    /// One head per segment; a word whose segment has no head is not taken.
     pub heads: &'w mut [Head],
-    /// One bit a head.
+    /// One bit per head.
     pub bitmap: &'w mut [u32],
-    /// The sensor's.
+    /// Width of the sensor.
     pub width: u16,
-    /// Segments in a row.
+    /// Number of segments in a row.
     pub stride: NonZeroU32,
-    /// Slots in use.
+    /// Number of slots in use.
     pub len: u32,
-    /// The current `TIME_HIGH`.
+    /// The current `TIME_HIGH` word.
     pub time: u32,
-    /// The last one that may be stepped to.
+    /// The last `TIME_HIGH` word that may be taken.
     pub time_last: u32,
-    /// Offset of the current one; wraps where it is before the window, and its events are not.
+    /// Offset of the current `TIME_HIGH` from the window's start. It wraps if that time is before the window, while
+    /// the events with it lie in the window all the same.
     pub span_us: u32,
-    /// Slot of the first event since.
+    /// Slot of the first event after the current `TIME_HIGH`.
     pub span_at: u32,
-    /// Offset of the last `TIME_HIGH` before that had events.
+    /// Offset of the latest earlier `TIME_HIGH` that has events.
     pub before_us: u32,
-    /// Slot of the first of them.
+    /// Slot of the first of these events.
     pub before_at: u32,
 }
 
 impl Intake<'_> {
-    /// Stores events on the sensor while there are slots and follows the time, up to the first word
-    /// that is neither; returns how many words it took.
+    /// Stores events on the sensor while there are free slots, and follows the time. Stops at the first word that
+    /// is neither an event it can store nor a time it may step to. Returns the number of words taken.
     #[inline]
     pub fn take(&mut self, words: &[[u8; 4]]) -> usize {
         #[cfg(eecvs_intake_asm)]

@@ -1,7 +1,6 @@
-//! [`crate::window::take_words`] on cores of 32 bits, in Rust: sixteen events in a row, for what a loop
-//! costs by the event.
+//! In Rust, for 32-bit cores without the assembly: handles 16 events in a row, to spread the cost of the loop.
 //!
-//! Everything is in locals: what is behind a reference would be loaded again after every store.
+//! Everything is kept in locals, because values behind a reference would be loaded again after every store.
 
 use crate::machine::HAS_LONG_PRODUCT;
 use crate::window::take_words::Intake;
@@ -10,10 +9,10 @@ use event_types::evt2::{
     KIND_SHIFT, NO_EVENT, SIDE_BITS, SIDE_MASK, X_SHIFT, low_us, time_step_us,
 };
 
-/// Events in a row.
+/// Number of events handled in a row.
 const ROW: usize = 16;
 
-/// See [`Intake::take`].
+/// Implements [`Intake::take`].
 #[inline(never)]
 pub fn take(intake: &mut Intake<'_>, words: &[[u8; 4]]) -> usize {
     let Intake {
@@ -40,12 +39,12 @@ pub fn take(intake: &mut Intake<'_>, words: &[[u8; 4]]) -> usize {
             macro_rules! event {
                 ($word:expr, $slot:expr) => {{
                     let word = u32::from_le_bytes(*$word);
-                    // x is compared where it is in the word, together with the bits that an event has not.
+                    // x is compared in place, together with the bits that are never set in an event.
                     let x = word & (NO_EVENT | (SIDE_MASK << X_SHIFT) | SIDE_MASK);
                     if x >= width {
                         break 'run true;
                     }
-                    // An x on the sensor makes the segment's index tell whether y is.
+                    // Once x is known to be on the sensor, the segment's index shows whether y is.
                     let segment = first_of_row(word, stride) + (x >> (X_SHIFT + COLUMN_BITS));
                     let Some(head) = heads.get_mut(segment as usize) else {
                         break 'run false;
@@ -55,7 +54,7 @@ pub fn take(intake: &mut Intake<'_>, words: &[[u8; 4]]) -> usize {
                     let x = (word >> (X_SHIFT - COLUMN_SHIFT))
                         & (((1 << COLUMN_BITS) - 1) << COLUMN_SHIFT);
                     *$slot = Slot::new(span.wrapping_add(low_us(word)), next, x | (word >> KIND_SHIFT));
-                    // The head of an empty list is more than any slot.
+                    // The head of an empty list is larger than any slot's number.
                     if next >= now {
                         mark(bitmap, segment);
                     }
@@ -119,7 +118,7 @@ pub fn take(intake: &mut Intake<'_>, words: &[[u8; 4]]) -> usize {
     words.len() - rest.len()
 }
 
-/// A segment has its first event.
+/// Notes that a segment has its first event.
 #[inline(always)]
 fn mark(bitmap: &mut [u32], segment: u32) {
     if let Some(bits) = bitmap.get_mut(segment as usize / 32) {
@@ -127,11 +126,11 @@ fn mark(bitmap: &mut [u32], segment: u32) {
     }
 }
 
-/// Index of the first segment of a word's row, of which there are `stride` in each.
+/// Returns the index of the first segment in the word's row, with `stride` segments per row.
 #[inline(always)]
 fn first_of_row(word: u32, stride: u32) -> u32 {
     if HAS_LONG_PRODUCT {
-        // The upper half of a product with y at the top: nothing has to be cut off it.
+        // The upper half of a product with y in the top bits: nothing has to be masked off.
         let top = u64::from(word << (u32::BITS - SIDE_BITS));
         ((top * u64::from(stride << SIDE_BITS)) >> 32) as u32
     } else {

@@ -1,9 +1,10 @@
-//! On a host.
+//! In Rust, for hosts.
 
 use super::Intake;
 use crate::window::{COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, Slot, index};
 use event_types::evt2::{KIND_SHIFT, NO_EVENT, SIDE_MASK, X_SHIFT, low_us, time_step_us};
 
+/// Implements [`Intake::take`].
 pub fn take(intake: &mut Intake<'_>, words: &[[u8; 4]]) -> usize {
     let mut rest = words;
     loop {
@@ -23,7 +24,7 @@ pub fn take(intake: &mut Intake<'_>, words: &[[u8; 4]]) -> usize {
 }
 
 impl Intake<'_> {
-    /// Steps to a `TIME_HIGH`.
+    /// Steps to a later `TIME_HIGH`.
     #[inline(always)]
     fn step(&mut self, time: u32) {
         if self.len != self.span_at {
@@ -34,7 +35,7 @@ impl Intake<'_> {
         self.time = time;
     }
 
-    /// Stores events up to the first word that is none on the sensor; returns how many.
+    /// Stores events up to the first word that is not an event on the sensor; returns how many it stored.
     #[inline(always)]
     fn take_events(&mut self, words: &[[u8; 4]]) -> usize {
         let before = self.len;
@@ -52,11 +53,11 @@ impl Intake<'_> {
     }
 }
 
-/// What an event needs.
+/// What is needed to store an event.
 struct Segments<'w> {
     heads: &'w mut [Head],
     bitmap: &'w mut [u32],
-    /// Where x is in a word.
+    /// Width of the sensor, shifted to where x is in a word.
     width: u32,
     stride: u32,
     span_us: u32,
@@ -74,19 +75,19 @@ impl Segments<'_> {
         self.len
     }
 
-    /// Stores an event on the sensor; `false` for any other word.
+    /// Stores the word's event if it is on the sensor; returns `false` for any other word.
     #[inline(always)]
     fn event(&mut self, word: u32, slot: &mut Slot) -> bool {
-        // x is compared where it is in the word, together with the bits that an event has not.
+        // x is compared in place, together with the bits that are never set in an event.
         let x = word & (NO_EVENT | (SIDE_MASK << X_SHIFT) | SIDE_MASK);
-        // An x on the sensor makes the segment's index tell whether y is.
+        // Once x is known to be on the sensor, the segment's index shows whether y is.
         let segment = (word & SIDE_MASK) * self.stride + (x >> (X_SHIFT + COLUMN_BITS));
         let is_outside = (x >= self.width) | (segment as usize >= self.heads.len());
         let (false, Some(head)) = (is_outside, self.heads.get_mut(segment as usize)) else {
             return false;
         };
         let next = index(*head);
-        // The head of an empty list is more than any slot.
+        // The head of an empty list is larger than any slot's number.
         if next >= self.len {
             mark(self.bitmap, segment);
         }
@@ -102,7 +103,7 @@ impl Segments<'_> {
     }
 }
 
-/// A segment has its first event.
+/// Notes that a segment has its first event.
 #[inline(always)]
 fn mark(bitmap: &mut [u32], segment: u32) {
     if let Some(bits) = bitmap.get_mut(segment as usize / 32) {

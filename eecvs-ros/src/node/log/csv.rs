@@ -1,4 +1,4 @@
-//! A table as CSV: a line of names, then a line for each row; what nothing tells is empty.
+//! A table as CSV: a line of column names, then a line per row; missing values are empty.
 
 use std::fs::File;
 
@@ -7,17 +7,17 @@ use anyhow::{Context as _, Result};
 use super::file::TableFile;
 use super::table::{Cell, Rows, Table};
 
-/// A CSV file that is written.
+/// A CSV file being written.
 pub struct CsvFile {
     name: String,
     writer: csv::Writer<File>,
 }
 
 impl CsvFile {
-    /// Begins a table.
+    /// Starts the file with the names of the table's columns.
     ///
     /// # Errors
-    /// I/O.
+    /// Writing fails.
     pub fn new(file: File, name: String, table: &Table) -> Result<Self> {
         let mut writer = csv::WriterBuilder::new()
             .buffer_capacity(1 << 16)
@@ -40,7 +40,7 @@ impl TableFile for CsvFile {
             row.extend_from_slice(own);
             Ok(self.writer.serialize(&row)?)
         });
-        // Whoever looks at the file finds whole windows in it.
+        // Flush, so that a reader of the file finds only whole windows.
         put.and_then(|()| Ok(self.writer.flush()?))
             .with_context(|| format!("{}: cannot be written", self.name))
     }

@@ -1,4 +1,4 @@
-//! The files that tables are written to: what they are called, and that none is written over.
+//! The files that tables are written to: their formats by file name, and their creation without overwriting.
 
 use std::fs::File;
 use std::path::PathBuf;
@@ -11,18 +11,18 @@ use super::mcap::McapFile;
 use super::parquet::ParquetFile;
 use super::table::{Rows, Table};
 
-/// A file of one table or several.
+/// A file of one or several tables.
 pub trait TableFile {
-    /// Takes the rows that a window has in table number `table` of this file.
+    /// Appends a window's rows to the table with index `table` in this file.
     ///
     /// # Errors
-    /// I/O; the message names the file.
+    /// Writing fails; the message names the file.
     fn put(&mut self, table: usize, rows: &Rows<'_>) -> Result<()>;
 
-    /// Writes what ends the file.
+    /// Completes the file.
     ///
     /// # Errors
-    /// I/O; the message names the file.
+    /// Writing fails; the message names the file.
     fn finish(self: Box<Self>) -> Result<()>;
 }
 
@@ -33,7 +33,7 @@ enum Kind {
     Mcap,
 }
 
-/// A file that is to be written, of a kind that its ending names.
+/// A file to be written, in the format that the extension of its name selects.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LogFile {
     path: PathBuf,
@@ -41,10 +41,10 @@ pub struct LogFile {
 }
 
 impl LogFile {
-    /// Looks at the ending.
+    /// Parses a file name; its extension selects the format.
     ///
     /// # Errors
-    /// Which endings there are.
+    /// The extension is unknown; the message lists the known ones.
     pub fn parse(text: &str) -> Result<Self, String> {
         let path = PathBuf::from(text);
         let ending = path.extension().unwrap_or_default().to_ascii_lowercase();
@@ -57,12 +57,12 @@ impl LogFile {
         Ok(Self { path, kind })
     }
 
-    /// Its name.
+    /// Returns the file's path, for messages.
     pub fn name(&self) -> String {
         self.path.display().to_string()
     }
 
-    /// Creates the file, which must not be there.
+    /// Creates the file, which must not exist yet.
     fn create(&self, tables: &[(Table, String)]) -> Result<Box<dyn TableFile>> {
         let name = self.name();
         let table = match (self.kind, tables) {
@@ -86,15 +86,16 @@ impl LogFile {
 /// The files of a log.
 pub struct Files {
     files: Vec<Box<dyn TableFile>>,
-    /// For each table, its file and its number there.
+    /// For each table, the index of its file and its index in that file.
     places: Vec<Option<(usize, usize)>>,
 }
 
 impl Files {
-    /// Creates the files of tables, each of which has a topic and may have none; tables of one name share it.
+    /// Creates the files of the tables. Each table comes with its file, if it has one, and its topic; tables with
+    /// the same file share it.
     ///
     /// # Errors
-    /// A file that is there, or that cannot be created: then there is none.
+    /// A file exists or cannot be created; the files created before it are then removed.
     pub fn create(tables: &[(Option<&LogFile>, Table, String)]) -> Result<Self> {
         let mut files: Vec<(&LogFile, Vec<(Table, String)>)> = Vec::new();
         let mut places = Vec::new();
@@ -130,10 +131,10 @@ impl Files {
         })
     }
 
-    /// Takes the rows that a window has in table number `table`, where that has a file.
+    /// Appends a window's rows to the table with index `table`, if that table has a file.
     ///
     /// # Errors
-    /// I/O; the message names the file.
+    /// Writing fails; the message names the file.
     pub fn put(&mut self, table: usize, rows: &Rows<'_>) -> Result<()> {
         let Some((file, number)) = self.places.get(table).copied().flatten() else {
             return Ok(());
@@ -144,10 +145,10 @@ impl Files {
             .put(number, rows)
     }
 
-    /// Writes what ends each file.
+    /// Completes all files.
     ///
     /// # Errors
-    /// The first that fails; the others are ended all the same.
+    /// The first error, after all files have been completed as far as possible.
     pub fn finish(self) -> Result<()> {
         let ends: Vec<Result<()>> = self.files.into_iter().map(TableFile::finish).collect();
         ends.into_iter().collect()

@@ -1,7 +1,7 @@
-//! Tables as MCAP: a topic for each, messages in JSON with a schema.
+//! Tables as MCAP: one topic per table, with messages in JSON and a schema.
 //!
-//! A message has a window's row or, as arrays, many of its rows; what nothing tells is left out. Messages are at the
-//! stamps of their frames.
+//! A message contains a window's single row or, as arrays, many of its rows; missing values are left out. Messages
+//! carry the stamps of their frames.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -17,13 +17,13 @@ use super::file::TableFile;
 use super::table::{Cell, Column, Rows, Table};
 use crate::message::Time;
 
-/// Bytes of a chunk, about.
+/// Approximate size of a chunk, in bytes.
 const CHUNK_BYTES: u64 = 1 << 20;
 
-/// Rows of a message, at the most.
+/// Maximum number of rows per message.
 const MESSAGE_ROWS: usize = 1 << 14;
 
-/// An MCAP file that is written.
+/// An MCAP file being written.
 pub struct McapFile {
     name: String,
     writer: mcap::Writer<BufWriter<File>>,
@@ -42,10 +42,10 @@ fn failed(name: &str, error: mcap::McapError) -> anyhow::Error {
 }
 
 impl McapFile {
-    /// Begins a file of tables, each with its topic.
+    /// Starts a file of tables, each with its topic.
     ///
     /// # Errors
-    /// I/O.
+    /// Writing fails.
     pub fn new(file: File, name: String, tables: &[(Table, String)]) -> Result<Self> {
         let begin = || {
             let mut writer = WriteOptions::new()
@@ -55,7 +55,8 @@ impl McapFile {
                 .create(BufWriter::new(file))?;
             let mut topics = Vec::new();
             for (table, topic) in tables {
-                // Viewers read it without a definition of ours installed, which CDR would want of some.
+                // Viewers read JSON with a schema directly; for CDR, some would need the message definitions
+                // installed.
                 let schema = schema(table).to_string();
                 let schema = writer.add_schema(table.name, "jsonschema", schema.as_bytes())?;
                 topics.push(Topic {
@@ -76,7 +77,8 @@ impl McapFile {
     }
 }
 
-/// What a message of a table is. Viewers know one type for each property: none is said to be null.
+/// Returns the JSON schema of a table's messages. Viewers support one type per property, so none is declared
+/// nullable.
 fn schema(table: &Table) -> Value {
     let kind = |kind| match kind {
         Kind::Bool => "boolean",
@@ -96,12 +98,12 @@ fn schema(table: &Table) -> Value {
     json!({ "title": table.name, "type": "object", "properties": properties })
 }
 
-/// A message that is being made.
+/// A message being assembled.
 struct Message<'t> {
     topic: &'t Topic,
-    /// The values of the own columns, between commas.
+    /// The values of each own column, separated by commas.
     arrays: Vec<Vec<u8>>,
-    /// Whether a column has any value.
+    /// Whether each own column has any value.
     has_any: Vec<bool>,
     rows: usize,
 }
@@ -129,14 +131,14 @@ impl<'t> Message<'t> {
         Ok(())
     }
 
-    /// The JSON, of which the next message begins.
+    /// Returns the message as JSON, and starts the next one.
     fn take(&mut self, shared: &[Cell]) -> Result<Vec<u8>> {
         let mut json = vec![b'{'];
         let mut property = |name: &str, value: &[&[u8]]| {
             if json.len() > 1 {
                 json.push(b',');
             }
-            // Names of columns are plain words.
+            // Column names need no escaping.
             json.extend([b"\"", name.as_bytes(), b"\":"].concat());
             value.iter().for_each(|part| json.extend_from_slice(part));
         };

@@ -1,4 +1,4 @@
-//! `log`: what frames tell, and their coefficients, as tables.
+//! `log`: writes the contents of frames as tables, one of windows and one of coefficients.
 
 mod csv;
 mod file;
@@ -19,23 +19,23 @@ use file::{Files, LogFile};
 use table::{COEFFICIENTS, FEATURES, Rows};
 use window::{Told, Window};
 
-/// Write what frames tell as tables: a row per window, and a row per coefficient
+/// Write the contents of frames as tables: a row per window, and a row per coefficient
 ///
-/// A window that came as events (mode hybrid) has no coefficients, and no row among them. Files end as .csv, .parquet
-/// or .mcap (JSON with a schema); what nothing tells is empty. No file is written over.
+/// A window sent as events (mode hybrid) has no coefficients, and no rows in their table. File names end in .csv,
+/// .parquet or .mcap (JSON with a schema); unknown values are empty. Existing files are never overwritten.
 #[derive(Debug, Clone, Args)]
 pub struct Log {
-    /// A row for each window: its time, density, regime, transform, coder, frames, bytes, losses. window_events are
-    /// those of the encoder's window, events those in the frames that came
+    /// A row for each window: its time, density, regime, transform, coder, frames, bytes, losses. window_events
+    /// counts the events in the encoder's window, events those in the frames received
     #[arg(long, value_name = "FILE", value_parser = LogFile::parse)]
     features: Option<LogFile>,
 
-    /// A row for each coefficient: its window, pixel, transform, k and value, re, of the DTFT im too. Both tables may
-    /// share one .mcap
+    /// A row for each coefficient: its window, pixel, transform, k and value: re, and for the DTFT also im. Both
+    /// tables may share one .mcap
     #[arg(long, value_name = "FILE", value_parser = LogFile::parse)]
     coefficients: Option<LogFile>,
 
-    /// End after so many seconds without frames; of none at all, never
+    /// End after this many seconds without frames, once there was one
     #[arg(long, value_name = "S")]
     idle_s: Option<u32>,
 
@@ -43,15 +43,15 @@ pub struct Log {
     qos: QosOptions,
 }
 
-/// Numbers of the tables in [`Files`].
+/// Indices of the tables in [`Files`].
 const FEATURES_TABLE: usize = 0;
 const COEFFICIENTS_TABLE: usize = 1;
 
 impl Log {
-    /// Writes until it is to stop.
+    /// Writes the tables until a stop is requested, or until no frames arrive for the idle time.
     ///
     /// # Errors
-    /// No file is asked for, or one cannot be written; the transport.
+    /// No file is requested, a file exists or cannot be written, or the transport fails.
     pub fn run(self, mut context: Context, operators: &Operators) -> Result<()> {
         ensure!(
             self.features.is_some() || self.coefficients.is_some(),
@@ -74,7 +74,7 @@ impl Log {
         };
         let written = writing.all(&context, &mut frames, operators);
         let Writing { files, totals, .. } = writing;
-        // What was written before an error is to be read too.
+        // Complete the files even after an error, so that what was written before it can be read.
         let finished = files.finish();
         written.and(finished)?;
         context.say(&totals.line(frames.account(), &frames.counts()));
@@ -88,7 +88,7 @@ impl Log {
     }
 }
 
-/// What was written.
+/// Counts of what was written.
 #[derive(Debug, Default)]
 struct Totals {
     windows: u64,
@@ -117,10 +117,10 @@ impl Totals {
     }
 }
 
-/// Puts rows together as frames come.
+/// Assembles rows as frames arrive.
 struct Writing {
     files: Files,
-    /// The window whose last frame has not come.
+    /// The window whose last frame has not arrived.
     open: Option<Window>,
     totals: Totals,
 }
@@ -158,14 +158,14 @@ impl Writing {
         if told.is_last() {
             self.close(lost, &mut ready)?;
         }
-        // Another operator's windows are ready when it likes.
+        // Windows of other operators may become ready with any frame.
         for decoded in ready {
             self.coefficients(&decoded, frame.seq, frame.header.stamp)?;
         }
         Ok(())
     }
 
-    /// Ends the open window, whose events are the next that are ready.
+    /// Ends the open window, whose contents are the next that are ready.
     fn close(&mut self, lost: u64, ready: &mut dyn Iterator<Item = Decoded>) -> Result<()> {
         let Some(open) = &self.open else {
             return Ok(());
@@ -187,7 +187,7 @@ impl Writing {
         Ok(())
     }
 
-    /// Takes what was decoded of the open window.
+    /// Writes the coefficients of the open window, if its decoded contents have any.
     fn coefficients(&mut self, decoded: &Decoded, seq: u64, stamp: Time) -> Result<()> {
         let (Decoded::Window(decoded), Some(open)) = (decoded, &mut self.open) else {
             return Ok(());

@@ -1,5 +1,5 @@
-//! A table as Parquet, in row groups of 131,072 rows; without its end, which [`TableFile::finish`] writes, nothing
-//! reads the file.
+//! A table as Parquet, in row groups of 131,072 rows. The file cannot be read without its footer, which
+//! [`TableFile::finish`] writes.
 
 use std::fs::File;
 
@@ -9,7 +9,7 @@ use event_files::parquet::table::{self, Cells, GROUP_ROWS, Kind, Values};
 use super::file::TableFile;
 use super::table::{Cell, Rows, Table};
 
-/// A Parquet file that is written, with the row group that is being filled.
+/// A Parquet file being written, with the row group that is being filled.
 pub struct ParquetFile {
     table: table::Table,
     columns: Vec<Filled>,
@@ -30,10 +30,10 @@ enum Owned {
 }
 
 impl ParquetFile {
-    /// Begins a table.
+    /// Starts a file of one table.
     ///
     /// # Errors
-    /// I/O.
+    /// Writing fails.
     pub fn new(file: File, name: String, table: &Table) -> Result<Self> {
         let columns = || table.shared.iter().chain(table.own);
         let schema: Vec<table::Column> = columns()
@@ -88,7 +88,7 @@ impl Filled {
         }
     }
 
-    /// Takes a cell of its kind; any other is left out.
+    /// Appends a cell of the column's kind; any other cell counts as missing.
     fn push(&mut self, cell: Cell) {
         let is_there = match (&mut self.values, cell) {
             (Owned::Whole(values), Cell::Whole(number)) => {

@@ -1,4 +1,4 @@
-//! The two tables: their columns, and what a row of them is.
+//! The two tables: their columns and rows.
 
 use anyhow::Result;
 use eecvs::reconstruct::DecodedWindow;
@@ -8,38 +8,39 @@ use serde::{Serialize, Serializer};
 use super::window::Window;
 use crate::message::Time;
 
-/// A column: its name and what it holds.
+/// A column: its name and the kind of its values.
 pub type Column = (&'static str, Kind);
 
-/// A table's columns.
+/// The columns of a table.
 #[derive(Debug, Clone, Copy)]
 pub struct Table {
-    /// Its name, which is a topic's too.
+    /// The table's name, which is also its topic's.
     pub name: &'static str,
-    /// What all rows of a window share.
+    /// Columns whose values all rows of a window share.
     pub shared: &'static [Column],
-    /// What each row has of its own; without any, a window has one row.
+    /// Columns with separate values in each row; if there are none, a window has one row.
     pub own: &'static [Column],
 }
 
-/// A value of a row.
+/// A value in a row.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Cell {
-    /// Nothing tells it.
+    /// The value is unknown or does not apply.
     Missing,
-    /// A whole number.
+    /// An integer.
     Whole(i64),
-    /// A float.
+    /// A floating-point number.
     Float(f64),
-    /// One of a few words.
+    /// One of a few fixed words.
     Text(&'static str),
 }
 
-/// One row for each window.
+/// Table with one row per window.
 ///
-/// `seq` and `stamp_ns` are those of its last frame that came. `window_events` are N_w, which rate and density are of;
-/// `events` those in the frames that came, which `bits_per_event` is of. What another operator's frames do not tell is
-/// missing, and so are coefficients of a window that came as events. `frames_lost` are those of all windows so far.
+/// `seq` and `stamp_ns` are those of the window's last frame received. `window_events` is N_w, from which rate and
+/// density are computed; `events` counts the events in the frames received, from which `bits_per_event` is
+/// computed. Values that another operator's frames do not provide are missing, and so are the coefficients of a
+/// window sent as events. `frames_lost` counts the losses of all windows so far.
 pub const FEATURES: Table = Table {
     name: "features",
     shared: &[
@@ -77,7 +78,8 @@ pub const FEATURES: Table = Table {
     own: &[],
 };
 
-/// One row for each coefficient; `seq` is that of its window's row. A real transform's have no `im`.
+/// Table with one row per coefficient; `seq` is that of its window's row. Coefficients of real transforms have no
+/// `im`.
 pub const COEFFICIENTS: Table = Table {
     name: "coefficients",
     shared: &[
@@ -95,21 +97,21 @@ pub const COEFFICIENTS: Table = Table {
     ],
 };
 
-/// The rows of a window.
+/// The rows of a window in one table.
 pub struct Rows<'w> {
     /// The stamp of the window's frame.
     pub stamp: Time,
-    /// Cells of [`Table::shared`].
+    /// Values of the columns [`Table::shared`].
     pub shared: Vec<Cell>,
-    /// Where cells of [`Table::own`] come from.
+    /// Source of the values of [`Table::own`]; `None` if the table has no such columns.
     pub coefficients: Option<&'w DecodedWindow>,
 }
 
-/// Takes the cells of a row's own columns.
+/// Callback that receives the values of a row's own columns.
 pub type Each<'e> = &'e mut dyn FnMut(&[Cell]) -> Result<()>;
 
 impl<'w> Rows<'w> {
-    /// The row of [`FEATURES`].
+    /// Returns a window's row of [`FEATURES`].
     pub fn features(window: &Window, frames_lost: u64) -> Self {
         let header = window.header.as_ref();
         let density = window.density();
@@ -153,7 +155,7 @@ impl<'w> Rows<'w> {
         }
     }
 
-    /// The rows of [`COEFFICIENTS`], of a window that the frame `seq` has ended.
+    /// Returns the rows of [`COEFFICIENTS`] of a window that was completed by the frame `seq`.
     pub fn coefficients(seq: u64, stamp: Time, window: &'w DecodedWindow) -> Self {
         let header = &window.header;
         Self {
@@ -168,10 +170,10 @@ impl<'w> Rows<'w> {
         }
     }
 
-    /// Hands on every row's own cells.
+    /// Passes the own cells of every row to `each`.
     ///
     /// # Errors
-    /// What `each` says.
+    /// `each` returns an error.
     pub fn each(&self, each: Each<'_>) -> Result<()> {
         let Some(window) = self.coefficients else {
             return each(&[]);
@@ -194,7 +196,7 @@ impl<'w> Rows<'w> {
 }
 
 impl Cell {
-    /// A quotient, where there is one.
+    /// Returns the quotient, or a missing cell if the divisor is not positive.
     fn ratio(of: f64, by: f64) -> Self {
         if by > 0.0 {
             Self::Float(of / by)
@@ -205,7 +207,7 @@ impl Cell {
 }
 
 impl From<u64> for Cell {
-    /// A number beyond 63 bits, which no table holds, is left out.
+    /// A number beyond 63 bits, which no table can hold, becomes a missing cell.
     fn from(number: u64) -> Self {
         i64::try_from(number).map_or(Self::Missing, Self::Whole)
     }

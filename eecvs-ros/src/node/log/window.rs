@@ -1,4 +1,4 @@
-//! A window whose frames come, and what they tell of it.
+//! A window assembled from the frames that arrive.
 
 use eecvs::reconstruct::{DecodedWindow, same_window};
 use eecvs_nostd::{Density, Fidelity, Header, Mode};
@@ -6,16 +6,16 @@ use eecvs_nostd::{Density, Fidelity, Header, Mode};
 use crate::message::{Frame, Time};
 use crate::operator::{Eecvs, Operator as _};
 
-/// A frame that has been decoded.
+/// A decoded frame, with its parsed header.
 pub struct Told<'f> {
     frame: &'f Frame,
     operator: &'static str,
-    /// What a frame of docs/wire-format.md tells.
+    /// Header of a frame of docs/wire-format.md; `None` for another operator's frame.
     header: Option<Header>,
 }
 
 impl<'f> Told<'f> {
-    /// What a frame of an operator tells.
+    /// Parses a frame of an operator.
     pub fn new(frame: &'f Frame, operator: &'static str) -> Self {
         let is_ours = operator == Eecvs.name();
         let parsed = is_ours.then(|| eecvs_nostd::Frame::parse(&frame.data).ok());
@@ -26,7 +26,8 @@ impl<'f> Told<'f> {
         }
     }
 
-    /// Whether no further frame of its window follows; of another operator's nothing tells it.
+    /// Returns whether this is the last frame of its window; false for other operators, whose frames do not show
+    /// it.
     pub fn is_last(&self) -> bool {
         self.header.is_some_and(|header| header.last)
     }
@@ -37,47 +38,47 @@ impl<'f> Told<'f> {
     }
 }
 
-/// What the frames of a window that came tell.
+/// What the received frames of a window report.
 #[derive(Debug)]
 pub struct Window {
-    /// Of the first frame.
+    /// Header of the first frame, if it is the project's own.
     pub header: Option<Header>,
-    /// Of the latest frame.
+    /// Sequence number of the latest frame.
     pub seq: u64,
-    /// Of the latest frame.
+    /// Stamp of the latest frame.
     pub stamp: Time,
-    /// Start of the window.
+    /// Start of the window in microseconds.
     pub t0_us: u64,
-    /// Its duration.
+    /// Duration of the window in microseconds.
     pub duration_us: u32,
     /// Columns of the sensor.
     pub width: u32,
-    /// Rows.
+    /// Rows of the sensor.
     pub height: u32,
-    /// What encoded it.
+    /// Name of the operator that encoded the window.
     pub operator: &'static str,
-    /// Events in the frames.
+    /// Events in the frames received.
     pub events: u64,
-    /// Frames.
+    /// Number of frames received.
     pub frames: u64,
-    /// Their bytes.
+    /// Bytes of the frames received.
     pub bytes: u64,
-    /// Coefficients, where these came in place of events.
+    /// Coefficients, if the window was sent as coefficients.
     pub coefficients: Option<u64>,
-    /// Pixels that have some.
+    /// Pixels that have coefficients.
     pub coefficient_pixels: Option<u64>,
-    /// Counts of the frames.
+    /// Late events, as counted by the frames.
     pub late: Option<u64>,
-    /// Counts of the frames.
+    /// Filtered events, as counted by the frames.
     pub filtered: Option<u64>,
-    /// Counts of the frames.
+    /// Dropped events, as counted by the frames.
     pub dropped: Option<u64>,
-    /// Counts of the frames.
+    /// Thinned events, as counted by the frames.
     pub thinned: Option<u64>,
 }
 
 impl Window {
-    /// A window that begins with a frame, which is to be added.
+    /// Creates the window that begins with a frame; the frame is still to be added.
     pub fn new(first: &Told<'_>) -> Self {
         let frame = first.frame;
         let header = first.header;
@@ -104,7 +105,7 @@ impl Window {
         }
     }
 
-    /// Whether a frame is another part of this window, as the decoder puts windows together.
+    /// Returns whether a frame is another part of this window, by the rules of the decoder.
     pub fn has_part(&self, told: &Told<'_>) -> bool {
         match (&self.header, &told.header) {
             (Some(first), Some(header)) => {
@@ -121,7 +122,7 @@ impl Window {
         }
     }
 
-    /// Adds a frame.
+    /// Adds a received frame to the window's counts.
     pub fn add(&mut self, told: &Told<'_>) {
         self.seq = told.frame.seq;
         self.stamp = told.frame.header.stamp;
@@ -140,7 +141,7 @@ impl Window {
         }
     }
 
-    /// Adds what was decoded of it; the number of coefficients.
+    /// Adds the counts of the decoded window; returns its number of coefficients.
     pub fn add_decoded(&mut self, decoded: &DecodedWindow) -> u64 {
         if !decoded.header.mode.is_transform() {
             return 0;
@@ -153,13 +154,13 @@ impl Window {
         coefficients
     }
 
-    /// N_w: the events that the encoder had in it.
+    /// Returns N_w, the number of events in the encoder's window.
     pub fn window_events(&self) -> u64 {
         self.header
             .map_or(self.events, |header| header.window_events.into())
     }
 
-    /// Events per pixel and second.
+    /// Returns the events per pixel and second.
     pub fn density(&self) -> Option<f64> {
         let density = Density {
             events: u32::try_from(self.window_events()).ok()?,
@@ -169,13 +170,13 @@ impl Window {
         Some(density.per_pixel_s()).filter(|density| density.is_finite())
     }
 
-    /// As `encode --mode` is called.
+    /// Returns the name of the mode, as `encode --mode` takes it.
     pub fn mode(&self) -> Option<&'static str> {
         let is_transform = self.header?.mode.is_transform();
         Some(if is_transform { "transform" } else { "hybrid" })
     }
 
-    /// How events or coefficients became bits.
+    /// Returns the name of the coder that turned events or coefficients into bits.
     pub fn coder(&self) -> Option<&'static str> {
         match self.header?.mode {
             Mode::Transform => Some("plain"),
@@ -191,7 +192,7 @@ impl Window {
         }
     }
 
-    /// Of events, by how much their times may be off; 0: lossless.
+    /// For a window sent as events: how far event times may be off, in microseconds; 0 if lossless.
     pub fn time_tolerance_us(&self) -> Option<u32> {
         match self.fidelity()? {
             Fidelity::Lossless => Some(0),
@@ -200,7 +201,7 @@ impl Window {
         }
     }
 
-    /// Of events, the bins whose volume alone is exact.
+    /// For a window sent as events: the number of time bins, if only the volume of the bins is exact.
     pub fn bins(&self) -> Option<u32> {
         match self.fidelity()? {
             Fidelity::Bins(bins) => Some(bins.into()),
@@ -208,7 +209,7 @@ impl Window {
         }
     }
 
-    /// The quantiser's step.
+    /// Returns the step of the quantiser.
     pub fn step(&self) -> Option<f64> {
         Some(f64::from(self.header?.quantiser.step_log2()).exp2())
     }

@@ -1,27 +1,27 @@
 //! The image of warped events of a tile, and its contrast.
 //!
-//! An event (x, y, t, p) that moves with velocity v was at (x, y) - v t in the middle of the window,
-//! t = 0. Votes p of +1 and -1 there, bilinear to the four nearest pixels, make an image; its
-//! contrast is the sum of its squares. Where v is that of the scene, the events of an edge meet and
-//! the contrast is greatest. The image has room for every event at every velocity, so that its sum
-//! does not depend on v: the sum of squares is greatest where the variance is.
+//! An event (x, y, t, p) that moves with velocity v was at (x, y) - v t at t = 0, the middle of the window. Votes p
+//! of +1 and -1 at these positions, distributed bilinearly to the four nearest pixels, form an image; its contrast
+//! is the sum of the squared pixels. If v is the velocity of the scene, the events of an edge coincide and the
+//! contrast is greatest. The image has room for every event at every velocity, so that its sum does not depend on
+//! v, and the greatest sum of squares is also the greatest variance.
 
 use super::{SPEED_MAX_PX, TILE_PX};
 
 /// An event of a tile.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Point {
-    /// Pixels from the tile's left.
+    /// Pixels from the tile's left border.
     pub(super) x: f32,
-    /// Pixels from the tile's top.
+    /// Pixels from the tile's top border.
     pub(super) y: f32,
-    /// Windows from the window's middle, -1/2 to 1/2.
+    /// Time from the window's middle, in windows: -1/2 to 1/2.
     pub(super) t: f32,
-    /// -1 or 1.
+    /// Polarity, -1 or 1.
     pub(super) p: f32,
 }
 
-/// Pixels per window.
+/// Velocity in pixels per window.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Velocity {
     pub(super) x: f32,
@@ -31,7 +31,7 @@ pub(super) struct Velocity {
 /// An image of warped events.
 #[derive(Debug, Clone)]
 pub(super) struct Image {
-    /// Side of a pixel in those of the sensor.
+    /// Side of an image pixel, in sensor pixels.
     cell: f32,
     side: usize,
     is_blurred: bool,
@@ -39,23 +39,23 @@ pub(super) struct Image {
     blurred_rows: Vec<f32>,
 }
 
-/// Sums are kept in as many parts, so that they are vectors.
+/// Number of partial sums, so that the loops can be vectorised.
 const LANES: usize = 8;
 
 impl Image {
-    /// For a first look at many velocities: pixels twice as wide.
+    /// Makes an image with pixels twice as wide, for a first search among many velocities.
     pub(super) fn coarse() -> Self {
         Self::new(2, false)
     }
 
-    /// As the sensor's pixels, blurred by (1 2 1)/4 along rows and columns, so that the contrast is
-    /// smooth in v.
+    /// Makes an image with the sensor's pixels, blurred by (1 2 1)/4 along rows and columns, so that the contrast
+    /// is smooth in v.
     pub(super) fn fine() -> Self {
         Self::new(1, true)
     }
 
     fn new(cell: u16, is_blurred: bool) -> Self {
-        // On each side half the speed, and two pixels that votes and blur reach.
+        // Margin on each side: half the greatest speed, and two pixels for votes and blur.
         let room = usize::from(TILE_PX + SPEED_MAX_PX) / usize::from(cell);
         let side = (room + 4).next_multiple_of(LANES);
         Self {
@@ -67,7 +67,7 @@ impl Image {
         }
     }
 
-    /// The contrast at velocity `v`, each component at most [`SPEED_MAX_PX`].
+    /// Returns the contrast at velocity `v`, each component of which is at most [`SPEED_MAX_PX`].
     pub(super) fn contrast<'p>(
         &mut self,
         points: impl IntoIterator<Item = &'p Point>,
@@ -79,7 +79,7 @@ impl Image {
         for point in points {
             let x = (point.x - v.x * point.t) * scale + origin;
             let y = (point.y - v.y * point.t) * scale + origin;
-            // Towards 0: x and y are above it.
+            // The casts round down, since x and y are positive.
             let (column, row) = (x as usize, y as usize);
             let (right, down) = (x - column as f32, y - row as f32);
             let first = row * self.side + column;
@@ -93,7 +93,7 @@ impl Image {
         }
     }
 
-    /// Adds `weight`, the share `right` of it to the pixel after `first`.
+    /// Adds `weight` to two adjacent pixels: the share `right` to the one after `first`, the rest to `first`.
     fn vote(&mut self, first: usize, right: f32, weight: f32) {
         if let Some([left, next]) = self.pixels.get_mut(first..first + 2) {
             *left += weight * (1.0 - right);
@@ -101,7 +101,7 @@ impl Image {
         }
     }
 
-    /// The sum of squares of the blurred image.
+    /// Returns the sum of squares of the blurred image.
     fn blurred_squares(&mut self) -> f32 {
         let side = self.side;
         let rows = self.pixels.chunks_exact(side);
@@ -124,7 +124,7 @@ impl Image {
         {
             *to = 0.25 * (a + 2.0 * b + c);
         }
-        // The last two rows keep their votes: there are none.
+        // The last two rows are not blurred, but they have no votes.
         squares(&self.pixels)
     }
 }
@@ -155,7 +155,7 @@ mod tests {
         let points: Vec<Point> = [-0.5, -0.25, 0.0, 0.25, 0.5]
             .map(|t| point(16.0 + 8.0 * t, 10.0 - 4.0 * t, t, 1.0))
             .into();
-        // In cells of 2 x 2 px, (16, 10) is a cell's place.
+        // On the grid of 2 x 2 px cells, (16, 10) is exactly a cell.
         assert_eq!(Image::coarse().contrast(&points, v), 25.0);
         let fine = |v| Image::fine().contrast(&points, v);
         // The sum of squares of (1 2 1)/4 is 3/8 along each axis.
@@ -171,7 +171,7 @@ mod tests {
     fn votes_are_bilinear_and_signed() {
         let between = [point(2.5, 3.0, 0.0, 1.0)];
         assert_eq!(Image::coarse().contrast(&between, REST), {
-            // 1.25 and 1.5 cells from the first: shares of 3/4, 1/4 and of halves.
+            // At 1.25 and 1.5 cells: shares of 3/4 and 1/4, and of 1/2 each.
             (0.75 * 0.75 + 0.25 * 0.25) * 0.5
         });
         let opposite = [point(4.0, 4.0, 0.1, 1.0), point(4.0, 4.0, -0.1, -1.0)];
@@ -186,7 +186,7 @@ mod tests {
                 for v in [(-speed, -speed), (speed, -speed), (speed, speed)] {
                     let v = Velocity { x: v.0, y: v.1 };
                     let lone = [point(x, y, t, 1.0)];
-                    // Places are whole pixels and cells, or halves of cells.
+                    // The positions are whole pixels, and whole or half cells.
                     assert!(Image::coarse().contrast(&lone, v) >= 0.25);
                     assert_eq!(Image::fine().contrast(&lone, v), 9.0 / 64.0);
                 }

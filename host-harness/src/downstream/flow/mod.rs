@@ -1,25 +1,25 @@
-//! Optical flow of the original and of the decoded events, by contrast maximisation (Gallego,
-//! Rebecq, Scaramuzza 2018): no trained model.
+//! Optical flow of the original and of the decoded events, by contrast maximisation (Gallego, Rebecq, Scaramuzza
+//! 2018), without a trained model.
 //!
-//! A window of [`WINDOW_US`] is cut into tiles of [`TILE_PX`] x [`TILE_PX`] pixels. A tile's flow is the
-//! velocity at which the image of its warped events has the most contrast, in px per window:
-//! first of those on a grid of 2 px per window up to [`SPEED_MAX_PX`] along each axis, in an image of
-//! 2 x 2 px cells; then, from the best of these on, of all, by the simplex method in a blurred
-//! image of the sensor's pixels.
+//! A window of [`WINDOW_US`] is cut into tiles of [`TILE_PX`] x [`TILE_PX`] pixels. A tile's flow is the velocity,
+//! in px per window, at which the image of its warped events has the greatest contrast. The search starts on a grid
+//! of velocities, 2 px per window apart and up to [`SPEED_MAX_PX`] along each axis, with an image of 2 x 2 px cells
+//! and some of the events. The simplex method then refines the best of these, with all events and a blurred image
+//! of the sensor's pixels.
 //!
-//! A tile is *reliable* where the first look shows that it has one flow and no other:
+//! A tile is *reliable* if the grid search shows that it has one distinct flow:
 //!
 //! * it has [`EVENTS_MIN`] events or more;
-//! * *contrast gain*: the greatest contrast is [`GAIN_MIN`] times the grid's median or more; noise, and events
-//!   that have lost their times, have the same contrast at any velocity;
-//! * velocities that reach [`PEAK_SHARE`] of the way from the median to the greatest contrast are
-//!   [`PEAK_RADIUS_PX`] from the best, or nearer: the flow along a straight edge cannot be told;
-//! * the best is not on the grid's border.
+//! * *contrast gain*: the greatest contrast is at least [`GAIN_MIN`] times the grid's median; noise, and events that
+//!   have lost their times, have the same contrast at any velocity;
+//! * all velocities whose contrast reaches [`PEAK_SHARE`] of the way from the median to the greatest are within
+//!   [`PEAK_RADIUS_PX`] of the best; this excludes straight edges, along which the flow is ambiguous;
+//! * the best velocity is not on the grid's border.
 //!
-//! Compared are the tiles that are reliable in the original. One that is not in the reconstruction
-//! has no flow there any more: it is counted as lost. So that a comparison takes seconds, at most
-//! [`WINDOWS`] windows are used: those with events are cut into as many stretches of equal number, and of
-//! each the window with the most events is taken (the first of equal ones).
+//! The comparison covers the tiles that are reliable in the original. Such a tile counts as lost if it is not
+//! reliable in the reconstruction. So that a comparison takes seconds, at most [`WINDOWS`] windows are used: the
+//! windows with events are divided into that many stretches of equal length, and each stretch contributes its
+//! window with the most events (the first of equals).
 
 mod contrast;
 mod search;
@@ -35,55 +35,54 @@ use super::slices::Slices;
 use contrast::Point;
 use search::Search;
 
-/// Side of a tile in px; the last ones of a row or column are what is left.
+/// Side of a tile in px; the last tile of a row or column may be smaller.
 pub const TILE_PX: u16 = 32;
-/// Greatest flow along an axis, in px per window: faster edges leave their tile within it.
+/// Greatest flow along an axis, in px per window; faster edges leave their tile within a window.
 pub const SPEED_MAX_PX: u16 = 32;
-/// Least events of a reliable tile.
+/// Least number of events of a reliable tile.
 pub const EVENTS_MIN: usize = 64;
 /// Least contrast gain of a reliable tile.
 pub const GAIN_MIN: f32 = 1.5;
-/// Where the foot of the peak of a reliable tile is: 0 at the median contrast, 1 at the greatest.
+/// Level of the peak's foot in a reliable tile: 0 is the median contrast, 1 the greatest.
 pub const PEAK_SHARE: f32 = 0.75;
 /// Greatest radius of the peak's foot, in px per window.
 pub const PEAK_RADIUS_PX: f32 = 6.0;
-/// Most windows that are compared.
+/// Greatest number of windows compared.
 pub const WINDOWS: usize = 8;
 
-/// How far two flows agree; the fields are JSON keys.
+/// Agreement of two flows; the fields are JSON keys.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Flow {
-    /// Tiles that are reliable in the original.
+    /// Number of tiles that are reliable in the original.
     pub tiles: usize,
-    /// Of them, those that are not in the reconstruction.
+    /// Number of these that are not reliable in the reconstruction.
     pub lost: usize,
-    /// Mean length of the difference of the flows of the other tiles, in px per window; `None` where
-    /// there are none.
+    /// Mean length of the difference of the flows over the other tiles, in px per window; `None` if there are none.
     pub mean_px: Option<f64>,
-    /// The median of these lengths.
+    /// Median of these lengths, in px per window.
     pub median_px: Option<f64>,
 }
 
-/// Number of a window, row and column of a tile in it.
+/// Number of a window, row and column of a tile in the window.
 pub type Tile = (u64, u16, u16);
 
-/// The flow of a reliable tile.
+/// Flow of a reliable tile.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TileFlow {
-    /// Which tile.
+    /// The tile.
     pub tile: Tile,
-    /// To the right and down, in px per window.
+    /// Components to the right and down, in px per window.
     pub velocity: (f32, f32),
 }
 
-/// Compares the flow of a recording with that of what was decoded; see [`FlowReference`], which serves
-/// where there are several decoded ones.
+/// Compares the flow of a recording with that of its decoded events; use [`FlowReference`] to compare one recording
+/// with several decoded versions.
 #[must_use]
 pub fn flow(original: &Source, decoded: &[Event]) -> Flow {
     FlowReference::new(original).against(decoded)
 }
 
-/// The flow of a recording.
+/// Flow of a recording, to compare decoded events with.
 #[derive(Debug, Clone)]
 pub struct FlowReference {
     slices: Slices,
@@ -91,8 +90,8 @@ pub struct FlowReference {
 }
 
 impl FlowReference {
-    /// Finds the flow in windows of [`WINDOW_US`] from the recording's first event on; see
-    /// [the module](self) for which ones.
+    /// Finds the flow in windows of [`WINDOW_US`] from the recording's first event on; [the module](self) says
+    /// which windows are used.
     #[must_use]
     pub fn new(original: &Source) -> Self {
         let slices = Slices::new(original.sensor, &original.events, WINDOW_US);
@@ -101,7 +100,7 @@ impl FlowReference {
         let stretch = windows.len().div_ceil(WINDOWS).max(1);
         let mut tiles = BTreeMap::new();
         for stretch in windows.chunks(stretch) {
-            // The last of equal ones, of the reversed.
+            // On the reversed stretch, the last of equals is the first window.
             let most = stretch.iter().rev().max_by_key(|(_, events)| events.len());
             if let Some((number, events)) = most {
                 add_points(&mut tiles, &slices, *number, events);
@@ -113,14 +112,14 @@ impl FlowReference {
         }
     }
 
-    /// The flow of the tiles that are reliable, in order.
+    /// Returns the flow of the reliable tiles, in order of the tiles.
     #[must_use]
     pub fn flows(&self) -> &[TileFlow] {
         &self.flows
     }
 
-    /// Compares it with the flow of `decoded`: events in any order; those outside of the sensor or of
-    /// the recording's windows are ignored.
+    /// Compares the flow with that of `decoded`, whose events may be in any order; events outside of the sensor or
+    /// of the recording's windows are ignored.
     #[must_use]
     pub fn against(&self, decoded: &[Event]) -> Flow {
         let sorted = self.slices.sorted(decoded);
@@ -138,15 +137,15 @@ impl FlowReference {
         self.flows.binary_search_by_key(tile, |flow| flow.tile)
     }
 
-    /// Whether window `number` has a reliable tile.
+    /// Returns whether window `number` has a reliable tile.
     fn flows_of(&self, number: u64) -> bool {
         let (Ok(at) | Err(at)) = self.position(&(number, 0, 0));
         self.flows.get(at).is_some_and(|flow| flow.tile.0 == number)
     }
 }
 
-/// Compares the flows of tiles, each at most once on either side: those of `original`, and where
-/// `reconstructed` has them, too, |difference| in px per window.
+/// Returns the length of the flow difference, in px per window, over the tiles of `original` that `reconstructed`
+/// has as well; the others count as lost. A tile occurs at most once on either side.
 #[must_use]
 pub fn end_point_difference(original: &[TileFlow], reconstructed: &[TileFlow]) -> Flow {
     let of_tile: BTreeMap<Tile, (f32, f32)> = reconstructed
@@ -172,7 +171,7 @@ pub fn end_point_difference(original: &[TileFlow], reconstructed: &[TileFlow]) -
     }
 }
 
-/// Sorts the events of a window into its tiles.
+/// Distributes the events of a window among its tiles.
 fn add_points(
     tiles: &mut BTreeMap<Tile, Vec<Point>>,
     slices: &Slices,
@@ -192,7 +191,7 @@ fn add_points(
     }
 }
 
-/// The flow of those tiles that are reliable, in order.
+/// Returns the flow of the reliable tiles, in order of the tiles.
 fn flows(tiles: BTreeMap<Tile, Vec<Point>>) -> Vec<TileFlow> {
     let tiles: Vec<(Tile, Vec<Point>)> = tiles.into_iter().collect();
     tiles

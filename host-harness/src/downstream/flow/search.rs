@@ -1,25 +1,25 @@
-//! The velocity of greatest contrast of a tile.
+//! Finds the velocity of greatest contrast of a tile.
 
 use super::contrast::{Image, Point, Velocity};
 use super::{EVENTS_MIN, GAIN_MIN, PEAK_RADIUS_PX, PEAK_SHARE, SPEED_MAX_PX};
 
-/// Between velocities of the first look, in px per window.
+/// Step of the grid of velocities, in px per window.
 const STEP_PX: u16 = 2;
-/// Velocities of the first look along an axis.
+/// Number of grid velocities along an axis.
 const STEPS: u16 = 2 * (SPEED_MAX_PX / STEP_PX) + 1;
-/// Events of the first look: of more, every second, third, ... one.
+/// Largest number of events in the grid search; of more, every second, third, ... event is used.
 const COARSE_EVENTS: usize = 4096;
-/// Evaluations of the refinement.
+/// Largest number of evaluations in the refinement.
 const EVALUATIONS: usize = 80;
-/// The refinement ends where its triangle is smaller, in px per window.
+/// The refinement ends when its triangle is smaller than this, in px per window.
 const RESOLUTION_PX: f32 = 0.005;
 
-/// Finds velocities; holds the images between calls.
+/// Finds velocities; keeps the images between calls.
 #[derive(Debug, Clone)]
 pub(super) struct Search {
     coarse: Image,
     fine: Image,
-    /// Contrast by velocity of the first look.
+    /// Contrast of each velocity on the grid.
     looked: Vec<(Velocity, f32)>,
     sorted: Vec<f32>,
 }
@@ -34,7 +34,7 @@ impl Search {
         }
     }
 
-    /// The velocity of a tile's events, `None` where it is not reliable; see [the module](super).
+    /// Returns the velocity of a tile's events; `None` if the tile is not reliable, see [the module](super).
     pub(super) fn velocity(&mut self, points: &[Point]) -> Option<Velocity> {
         if points.len() < EVENTS_MIN {
             return None;
@@ -55,7 +55,7 @@ impl Search {
         Some(self.refined(points, best))
     }
 
-    /// The best velocity of the first look, where it stands out.
+    /// Returns the best velocity on the grid, if it is distinct.
     fn reliable_peak(&mut self) -> Option<Velocity> {
         let mut looked = self.looked.iter();
         let (mut best, mut greatest) = *looked.next()?;
@@ -78,7 +78,8 @@ impl Search {
         (greatest >= GAIN_MIN * *median && is_alone && is_inside).then_some(best)
     }
 
-    /// The greatest contrast of the fine image about `start`, by Nelder and Mead (1965).
+    /// Returns the velocity of greatest contrast of the fine image near `start`, by the method of Nelder and Mead
+    /// (1965).
     fn refined(&mut self, points: &[Point], start: Velocity) -> Velocity {
         let limit = f32::from(SPEED_MAX_PX);
         let mut evaluations = 0;
@@ -131,7 +132,7 @@ impl Search {
     }
 }
 
-/// A corner of the triangle; its loss is the contrast, negative.
+/// A corner of the triangle; its loss is the negative contrast.
 #[derive(Debug, Clone, Copy)]
 struct Corner {
     v: Velocity,
@@ -149,7 +150,7 @@ fn between(from: Velocity, to: Velocity) -> Velocity {
     }
 }
 
-/// `from` + `share` * `way`.
+/// Returns `from` + `share` * `way`.
 fn along(from: Velocity, share: f32, way: Velocity) -> Velocity {
     Velocity {
         x: from.x + share * way.x,
@@ -166,7 +167,7 @@ mod tests {
     use super::*;
     use crate::downstream::test_events::Random;
 
-    /// Points of a texture that moves by `v`: each fires `fires` times, in the pixel it is in.
+    /// Returns the events of a texture that moves by `v`; each dot fires `fires` times, in the pixel it is in.
     fn texture(v: Velocity, dots: usize, fires: usize) -> Vec<Point> {
         let mut random = Random::new(3);
         let mut points = Vec::new();
@@ -190,7 +191,7 @@ mod tests {
         for (x, y) in [(0.0, 0.0), (6.3, -2.8), (-17.5, 9.1), (24.0, 20.0)] {
             let v = Velocity { x, y };
             let found = Search::new().velocity(&texture(v, 120, 12)).unwrap();
-            // Places are whole pixels.
+            // Positions are rounded to whole pixels.
             assert!(distance(found, v) < 0.5, "{v:?}: {found:?}");
         }
     }

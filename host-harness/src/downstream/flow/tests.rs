@@ -13,7 +13,7 @@ static SCENE: LazyLock<(Source, FlowReference)> = LazyLock::new(|| {
     (source, reference)
 });
 
-/// Each event in the middle of its window.
+/// Moves each event to the middle of its window.
 fn collapsed(source: &Source) -> Vec<Event> {
     let window_us = u64::from(WINDOW_US);
     let start_us = source.start_us();
@@ -32,8 +32,8 @@ fn collapsed(source: &Source) -> Vec<Event> {
 
 #[test]
 fn the_scene_moves_as_its_camera_does() {
-    // A camera at some 170 px/s: the background moves to the left, the faster the further down, but
-    // for a box that crosses rows 3 and 4 of tiles at 1.7 widths per second.
+    // The camera pans at about 170 px/s: the background moves to the left, faster further down. A box crosses rows
+    // 3 and 4 of tiles at 1.7 sensor widths per second.
     let reference = &SCENE.1;
     let background = |rows: std::ops::Range<u16>| {
         let flows = reference.flows().iter();

@@ -1,15 +1,16 @@
-//! Segments without a trained model: where events lie close together.
+//! Segments event frames without a trained model, by the density of events.
 //!
-//! 1. *Activity*: events of either polarity per pixel, at most [`COUNT_MAX`], so that a hot pixel
-//!    counts little; 0 where none of the 8 neighbours has an event (noise).
-//! 2. *Density* s: its sum over the square of 5 x 5 pixels about each pixel, cut at the borders.
-//! 3. *Threshold*: Otsu's (1979), of ln(1 + s): events per area span decades, and of s itself the
-//!    densest spot would be the only segment. At least [`DENSITY_MIN`].
-//! 4. *Closing*: dilation, then erosion, by 5 x 5 pixels: the two edges of a thin thing are one segment.
-//! 5. *Components* of 8 neighbours; those below 1/1000 of the frame, or [`AREA_MIN`] pixels, are dropped.
-//!    Labels go by their first pixels in raster order.
+//! 1. *Activity*: events of either polarity per pixel, at most [`COUNT_MAX`], so that a hot pixel counts little; 0 if
+//!    none of the 8 neighbours has an event (noise).
+//! 2. *Density* s: sum of the activity over 5 x 5 pixels about each pixel, cut at the borders.
+//! 3. *Threshold* by Otsu (1979) on ln(1 + s), since events per area span decades: on s itself, the densest spot would
+//!    be the only segment. At least [`DENSITY_MIN`].
+//! 4. *Closing*: dilation, then erosion, by 5 x 5 pixels, which joins the two edges of a thin object.
+//! 5. *Components* of 8 neighbours; those below 1/1000 of the frame, or below [`AREA_MIN`] pixels, are dropped. Labels
+//!    are numbered by the first pixel in raster order.
 //!
-//! Every step is O(pixels), in integers but for the threshold's logarithms, whatever the events' order.
+//! Every step takes O(pixels) and uses integers, except for the threshold's logarithms. The result does not depend
+//! on the order of the events.
 
 use std::array::from_fn;
 
@@ -19,19 +20,19 @@ use rayon::prelude::*;
 
 use super::{Frame, Masks, Segmenter};
 
-/// Most events that a pixel counts.
+/// Largest number of events counted per pixel.
 pub const COUNT_MAX: u8 = 8;
-/// Least density of a segment: events in 5 x 5 pixels.
+/// Least density of a segment, in events per 5 x 5 pixels.
 pub const DENSITY_MIN: u8 = 3;
 /// Least area of a segment in pixels.
 pub const AREA_MIN: u32 = 16;
 
-/// Half a side of the squares, without the middle.
+/// Half the side of the squares, without the middle pixel.
 const RADIUS: usize = 2;
-/// Largest density, and one more: at most 200, so that sums are bytes.
+/// Number of density values: the largest is 200, so that sums fit a byte.
 const DENSITIES: usize = (2 * RADIUS + 1).pow(2) * COUNT_MAX as usize + 1;
 
-/// Segments by the density of events; see [the module](self).
+/// Segmenter by the density of events; see [the module](self).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Classical;
 
@@ -58,7 +59,7 @@ fn segment(frame: &Frame) -> Result<Masks> {
     Masks::new(sensor, &components(sensor, &closed(width, &foreground)))
 }
 
-/// Events per pixel, clipped, without lone pixels.
+/// Returns the events per pixel, limited, without isolated pixels.
 fn activity(frame: &Frame) -> Vec<u8> {
     let mut activity: Vec<u8> = frame
         .counts()
@@ -67,7 +68,7 @@ fn activity(frame: &Frame) -> Vec<u8> {
     let active: Vec<u8> = activity.iter().map(|count| u8::from(*count > 0)).collect();
     let about = square_sum(usize::from(frame.sensor().width), 1, &active);
     for (count, active) in activity.iter_mut().zip(about) {
-        // Of the pixel itself.
+        // The sum includes the pixel itself.
         if active <= 1 {
             *count = 0;
         }
@@ -75,13 +76,13 @@ fn activity(frame: &Frame) -> Vec<u8> {
     activity
 }
 
-/// The sum over the square of 2 `radius` + 1 pixels about each pixel; outside of the image is 0.
+/// Returns the sum over the square of 2 `radius` + 1 pixels about each pixel; outside of the image is 0.
 ///
-/// The values are such that no sum is above 255.
+/// The values must be small enough that no sum exceeds 255.
 fn square_sum(width: usize, radius: usize, values: &[u8]) -> Vec<u8> {
     let mut rows = vec![0_u8; values.len()];
     for (sums, row) in rows.chunks_mut(width).zip(values.chunks(width)) {
-        // Of each neighbour in turn, so that the loops are vectors.
+        // One neighbour at a time, so that the loops can be vectorised.
         for shift in 0..=radius {
             add(sums.get_mut(shift..), row);
             if shift > 0 {
@@ -102,15 +103,15 @@ fn square_sum(width: usize, radius: usize, values: &[u8]) -> Vec<u8> {
     sums
 }
 
-/// Adds value by value, to the end of the shorter.
+/// Adds value by value, up to the end of the shorter slice.
 fn add(sums: Option<&mut [u8]>, values: &[u8]) {
     for (sum, value) in sums.unwrap_or_default().iter_mut().zip(values) {
         *sum = sum.wrapping_add(*value);
     }
 }
 
-/// The least density of the upper class: of all cuts, that of the greatest variance between the classes
-/// (the lowest of equal ones); 0 where there are no two densities.
+/// Returns the least density of the upper class, at the cut with the greatest variance between the classes (the
+/// lowest of equals); 0 if all densities are equal.
 fn otsu(density: &[u8]) -> u8 {
     let mut pixels = [0_u64; 256];
     for s in density {
@@ -128,7 +129,7 @@ fn otsu(density: &[u8]) -> u8 {
     let (mut below, mut total_below) = (0.0, 0.0);
     let (mut best, mut threshold) = (0.0, 0);
     for (s, class) in (0_u8..).zip(classes()) {
-        // The cut is between the densities before and this one.
+        // The cut is between the previous density and this one.
         let above = all - below;
         if below > 0.0 && above > 0.0 {
             let difference = total_below / below - (total - total_below) / above;
@@ -143,8 +144,8 @@ fn otsu(density: &[u8]) -> u8 {
     threshold
 }
 
-/// Closing by a square: outside of the image there is neither foreground to dilate nor background to
-/// erode by.
+/// Closes the foreground by a square; outside of the image there is neither foreground to dilate nor background to
+/// erode.
 fn closed(width: usize, foreground: &[u8]) -> Vec<u8> {
     let near = square_sum(width, RADIUS, foreground);
     let background: Vec<u8> = near.iter().map(|sum| u8::from(*sum == 0)).collect();
@@ -152,9 +153,9 @@ fn closed(width: usize, foreground: &[u8]) -> Vec<u8> {
     near.iter().map(|sum| u8::from(*sum == 0)).collect()
 }
 
-/// Labels of the components that are large enough.
+/// Labels the components that are large enough.
 fn components(sensor: Sensor, foreground: &[u8]) -> Vec<u32> {
-    /// Foreground that no component has reached.
+    /// Foreground pixel that no component has reached yet.
     const FREE: u32 = u32::MAX;
     let area_min = (sensor.pixels() / 1000).max(AREA_MIN) as usize;
     let (width, height) = (usize::from(sensor.width), usize::from(sensor.height));
@@ -207,7 +208,7 @@ mod tests {
         height: 48,
     };
 
-    /// `count` events in each pixel of a box.
+    /// Adds `n` events in each pixel of a box.
     fn filled(events: &mut Vec<Event>, x: std::ops::Range<u16>, y: std::ops::Range<u16>, n: usize) {
         for y in y {
             for x in x.clone() {

@@ -1,8 +1,8 @@
-//! An event frame: how often each pixel fired, by polarity.
+//! Event frames: how often each pixel fired, by polarity.
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 
-/// Counts of events per pixel, in raster order.
+/// Counts of events per pixel and polarity, in raster order.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Frame {
     sensor: Sensor,
@@ -11,7 +11,7 @@ pub struct Frame {
 }
 
 impl Frame {
-    /// Counts `events` in any order; those outside of `sensor` are ignored.
+    /// Counts `events`, in any order; those outside of `sensor` are ignored.
     #[must_use]
     pub fn new(sensor: Sensor, events: &[Event]) -> Self {
         let pixels = sensor.pixels() as usize;
@@ -31,25 +31,25 @@ impl Frame {
         Self { sensor, on, off }
     }
 
-    /// Its size.
+    /// Returns the size of the frame.
     #[must_use]
     pub const fn sensor(&self) -> Sensor {
         self.sensor
     }
 
-    /// ON events per pixel.
+    /// Returns the ON events per pixel.
     #[must_use]
     pub fn on(&self) -> &[u32] {
         &self.on
     }
 
-    /// OFF events per pixel.
+    /// Returns the OFF events per pixel.
     #[must_use]
     pub fn off(&self) -> &[u32] {
         &self.off
     }
 
-    /// Events of either polarity per pixel.
+    /// Returns the events of either polarity per pixel.
     pub fn counts(&self) -> impl Iterator<Item = u32> + '_ {
         let pairs = self.on.iter().zip(&self.off);
         pairs.map(|(on, off)| on.saturating_add(*off))

@@ -7,12 +7,12 @@ use anyhow::Result;
 
 use super::masks::{Masks, segment};
 
-/// Pixels in a segment of both / pixels in a segment of either; 1 where neither has one.
+/// Returns the pixels in segments of both over the pixels in segments of either; 1 if neither has a segment.
 ///
-/// Which segments they are does not matter.
+/// The labels of the segments do not matter.
 ///
 /// # Errors
-/// Masks of different sizes.
+/// Fails if the masks differ in size.
 pub fn foreground_iou(a: &Masks, b: &Masks) -> Result<f64> {
     let (mut both, mut either) = (0_u64, 0_u64);
     a.overlaps(b, |pixels, a, b| {
@@ -26,16 +26,15 @@ pub fn foreground_iou(a: &Masks, b: &Masks) -> Result<f64> {
     })
 }
 
-/// Mean IoU over the matched pairs of segments and those left over on either side.
+/// Returns the mean IoU over matched pairs of segments and unmatched segments of either side.
 ///
-/// Of all pairs of a segment of `a` and one of `b` that overlap, the one of the greatest IoU is
-/// matched (of equal ones that of the lowest labels), then the greatest among segments that are
-/// still free, and so on: one to one. A segment left over counts 0:
-/// sum of the pairs' IoU / (pairs + left over in `a` + left over in `b`). 1 where neither has a
-/// segment.
+/// The match is one to one and greedy: of all pairs of overlapping segments of `a` and `b`, the pair with the
+/// greatest IoU is matched first (of equals, the one with the lowest labels), then the next among segments that are
+/// still free. An unmatched segment counts as 0: sum of the pairs' IoU / (pairs + unmatched in `a` + unmatched in
+/// `b`). The result is 1 if neither has a segment.
 ///
 /// # Errors
-/// Masks of different sizes.
+/// Fails if the masks differ in size.
 pub fn mean_iou(a: &Masks, b: &Masks) -> Result<f64> {
     let mut shared: BTreeMap<(usize, usize), u64> = BTreeMap::new();
     a.overlaps(b, |pixels, a, b| {
@@ -56,7 +55,7 @@ pub fn mean_iou(a: &Masks, b: &Masks) -> Result<f64> {
             })
         })
         .collect();
-    // Stable: pairs of equal IoU stay in the order of their labels.
+    // The sort is stable: pairs of equal IoU stay in the order of their labels.
     pairs.sort_by(|p, q| Reverse(p.both * q.either).cmp(&Reverse(q.both * p.either)));
     let (mut free_a, mut free_b) = (vec![true; a.segments()], vec![true; b.segments()]);
     let (mut sum, mut matched) = (0.0, 0_usize);
@@ -80,7 +79,7 @@ pub fn mean_iou(a: &Masks, b: &Masks) -> Result<f64> {
     })
 }
 
-/// Two segments that overlap: IoU = both / either, at most 2^22 pixels each.
+/// Two overlapping segments: IoU = both / either, each at most 2^22 pixels.
 struct Pair {
     in_a: usize,
     in_b: usize,
@@ -130,10 +129,10 @@ mod tests {
 
     #[test]
     fn the_greatest_pair_is_matched_first() {
-        // 1 of A overlaps 1 of B (3 of 7 pixels) and 2 of B (2 of 5); 2 of A overlaps 1 of B (2 of 5).
+        // Segment 1 of A overlaps 1 of B (3 of 7 pixels) and 2 of B (2 of 5); 2 of A overlaps 1 of B (2 of 5).
         let a = masks(&["1111122"]);
         let b = masks(&["2211111"]);
-        // (1, 1) takes both of its segments; 2 of A and 2 of B are left over.
+        // The pair (1, 1) is matched; 2 of A and 2 of B are left over.
         assert_eq!(mean_iou(&a, &b).unwrap(), (3.0 / 7.0) / 3.0);
         assert_eq!(foreground_iou(&a, &b).unwrap(), 1.0);
     }

@@ -1,33 +1,33 @@
-//! Segments of a frame.
+//! Masks of the segments of a frame.
 
 use anyhow::{Result, ensure};
 use eecvs_nostd::Sensor;
 
-/// Pixels of one label, in raster order.
+/// Consecutive pixels of one label, in raster order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Run {
     pub(super) pixels: u32,
-    /// 0 is the background.
+    /// Label; 0 is the background.
     pub(super) label: u32,
 }
 
-/// A label image: 0 is the background, 1 to [`Masks::segments`] the segments.
+/// A label image: 0 is the background, 1 to [`Masks::segments`] are the segments.
 ///
-/// Kept as runs: most of a frame is background, and studies hold one of these per frame.
+/// Stored as runs, since most of a frame is background and studies hold one of these per frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Masks {
     sensor: Sensor,
     runs: Vec<Run>,
-    /// Of each segment; none is 0.
+    /// Area of each segment in pixels; none is 0.
     areas: Vec<u64>,
 }
 
 impl Masks {
-    /// The segments of a label image in raster order. Labels that occur are renumbered from 1, in
-    /// their order; 0 stays the background.
+    /// Makes masks from a label image in raster order. The labels that occur are renumbered from 1, in ascending
+    /// order; 0 stays the background.
     ///
     /// # Errors
-    /// Not one label per pixel of `sensor`.
+    /// Fails if there is not one label per pixel of `sensor`.
     pub fn new(sensor: Sensor, labels: &[u32]) -> Result<Self> {
         ensure!(
             labels.len() == sensor.pixels() as usize,
@@ -50,7 +50,7 @@ impl Masks {
         known.dedup();
         let mut areas = vec![0; known.len() - 1];
         for run in &mut runs {
-            // Every label is known, and there are no more of them than pixels.
+            // Every label is in `known`, and there are no more labels than pixels.
             run.label = known.binary_search(&run.label).unwrap_or(0) as u32;
             if let Some(area) = segment(run.label).and_then(|number| areas.get_mut(number)) {
                 *area += u64::from(run.pixels);
@@ -63,25 +63,25 @@ impl Masks {
         })
     }
 
-    /// Its size.
+    /// Returns the size of the frame.
     #[must_use]
     pub const fn sensor(&self) -> Sensor {
         self.sensor
     }
 
-    /// Number of segments.
+    /// Returns the number of segments.
     #[must_use]
     pub fn segments(&self) -> usize {
         self.areas.len()
     }
 
-    /// Pixels of each segment, by label from 1; none is empty.
+    /// Returns the pixels of each segment, by label from 1; none is empty.
     #[must_use]
     pub fn areas(&self) -> &[u64] {
         &self.areas
     }
 
-    /// The label of every pixel, in raster order.
+    /// Returns the label of every pixel, in raster order.
     #[must_use]
     pub fn labels(&self) -> Vec<u32> {
         let mut labels = Vec::with_capacity(self.sensor.pixels() as usize);
@@ -91,11 +91,11 @@ impl Masks {
         labels
     }
 
-    /// Calls `overlap(pixels, a, b)` for stretches of pixels with label `a` here and `b` in `other`,
-    /// in raster order.
+    /// Calls `overlap(pixels, a, b)` for stretches of pixels with label `a` in `self` and `b` in `other`, in raster
+    /// order.
     ///
     /// # Errors
-    /// Another size.
+    /// Fails if the masks differ in size.
     pub(super) fn overlaps(
         &self,
         other: &Self,
@@ -128,7 +128,7 @@ impl Masks {
     }
 }
 
-/// The number from 0 of the segment with `label`, `None` for the background.
+/// Returns the index from 0 of the segment with `label`; `None` for the background.
 pub(super) fn segment(label: u32) -> Option<usize> {
     label.checked_sub(1).map(|number| number as usize)
 }

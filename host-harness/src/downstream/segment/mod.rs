@@ -19,39 +19,39 @@ use anyhow::Result;
 pub use frame::Frame;
 pub use masks::Masks;
 
-/// What finds segments in event frames.
+/// Finds segments in event frames.
 pub trait Segmenter {
-    /// Its name, for tables.
+    /// Returns the name of the segmenter, for tables.
     fn name(&self) -> &str;
 
-    /// The segments of a frame; they have its size. The same frame gives the same segments.
+    /// Returns the segments of a frame, in its size; equal frames give equal segments.
     ///
     /// # Errors
-    /// What keeps it from segmenting the frame.
+    /// Fails if the frame cannot be segmented.
     fn segment(&mut self, frame: &Frame) -> Result<Masks>;
 
-    /// The segments of each frame in turn.
+    /// Segments each of `frames`, in order.
     ///
     /// # Errors
-    /// As [`Segmenter::segment`].
+    /// Fails as [`Segmenter::segment`] does.
     fn segment_all(&mut self, frames: &[Frame]) -> Result<Vec<Masks>> {
         frames.iter().map(|frame| self.segment(frame)).collect()
     }
 }
 
-/// A segmenter by the trained model in an ONNX file: docs/segmentation.md tells which ones fit.
+/// Loads a segmenter from the trained model in an ONNX file; docs/segmentation.md says which models fit.
 ///
 /// # Errors
-/// A file that cannot be read or holds no model that fits; a build without the feature `onnx`.
+/// Fails if the file cannot be read or holds no model that fits; always in a build without the feature `onnx`.
 #[cfg(feature = "onnx")]
 pub fn open_model(path: &Path) -> Result<Box<dyn Segmenter>> {
     Ok(Box::new(onnx::OnnxModel::open(path)?))
 }
 
-/// A segmenter by the trained model in an ONNX file: not in this build.
+/// Loads a segmenter from the trained model in an ONNX file; not supported by this build.
 ///
 /// # Errors
-/// Always: build with the feature `onnx`.
+/// Always fails: build with the feature `onnx`.
 #[cfg(not(feature = "onnx"))]
 pub fn open_model(path: &Path) -> Result<Box<dyn Segmenter>> {
     anyhow::bail!(

@@ -1,4 +1,4 @@
-//! Segments by a trained model in an ONNX file.
+//! Segments event frames by a trained model in an ONNX file.
 //!
 //! ```text
 //! Frame -> 1 x C x H x W -> the model's size -> model -> logits -> the frame's size -> Masks
@@ -10,17 +10,17 @@
 //! | 2 | ON events, OFF events |
 //! | 3 | a picture: red min(ON / [`FULL`], 1), green 0, blue min(OFF / [`FULL`], 1) |
 //!
-//! H and W that the model fixes are resized to, others are the frame's. Of several outputs the one
-//! named `masks` counts, else the first:
+//! Frames are resized to the H and W that the model fixes; dynamic sides take the frame's size. If the model has
+//! several outputs, the one named `masks` is used, else the first:
 //!
 //! | output | segments |
 //! |---|---|
-//! | 1 x 1 x h x w | one: logits above 0 |
-//! | 1 x K x h x w | the class of the greatest logit (the first of equal ones), class 0 the background |
-//! | N x h x w, N x 1 x h x w | the mask of the greatest logit, where that is above 0 |
+//! | 1 x 1 x h x w | one segment: logits above 0 |
+//! | 1 x K x h x w | the class of the greatest logit (the first of equals); class 0 is the background |
+//! | N x h x w, N x 1 x h x w | the mask of the greatest logit, if that is above 0 |
 //!
-//! Logits are float32; masks and one class may be integers (or Booleans), which are logits of 1
-//! where they are above 0 and of -1 elsewhere. Both ways are resized bilinearly about the pixels' centres.
+//! Logits are float32. Masks and a single class may also be integers (or Booleans), which are taken as logits of 1
+//! if above 0, else of -1. Input and output are resized bilinearly about the pixels' centres.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -33,32 +33,32 @@ use rten_tensor::prelude::*;
 
 use super::{Frame, Masks, Segmenter};
 
-/// Events of a pixel at which a picture's colour is full.
+/// Number of events at which a picture's colour saturates.
 pub const FULL: u8 = 3;
 /// Longest side of a model's input, in pixels.
 const SIDE_MAX: usize = 4096;
-/// Size of the frame that a model is tried on.
+/// Size of the frame on which a model is tried.
 const TRIED: Sensor = Sensor {
     width: 64,
     height: 48,
 };
-/// The output that counts where there are several.
+/// Name of the output that is used if there are several.
 const OUTPUT: &str = "masks";
 
-/// A model and what it wants.
+/// A model and the format of its input.
 pub struct OnnxModel {
     path: PathBuf,
     name: String,
     model: Model,
     input: NodeId,
     channels: Channels,
-    /// Of the input where the model fixes them, else the frame's.
+    /// Sides of the input if the model fixes them; `None` for the frame's.
     height: Option<usize>,
     width: Option<usize>,
     output: NodeId,
 }
 
-/// What the input's channels are.
+/// Meaning of the input's channels.
 #[derive(Debug, Clone, Copy)]
 enum Channels {
     Signed,
@@ -67,15 +67,15 @@ enum Channels {
 }
 
 impl OnnxModel {
-    /// Loads a model and checks its input.
+    /// Loads a model and checks its input and a first result.
     ///
     /// # Errors
-    /// A file that cannot be read or is no ONNX model; operators that the runtime lacks; another
-    /// input than [the module](self) tells; a model that cannot be run on a frame without events, or whose answer
-    /// to it is not finite. The message names the file.
+    /// Fails if the file cannot be read or is not an ONNX model, the runtime lacks an operator, the input differs
+    /// from what [the module](self) describes, the model cannot be run on a frame without events, or its output for
+    /// that is not finite. The message names the file.
     pub fn open(path: &Path) -> Result<Self> {
         let opened = Self::load(path).and_then(|model| {
-            // Better now than after minutes of other work.
+            // A failure now is better than one after minutes of other work.
             model.run(&Frame::new(TRIED, &[]))?;
             Ok(model)
         });
@@ -92,7 +92,7 @@ impl OnnxModel {
             .extension()
             .is_some_and(|ending| ending.eq_ignore_ascii_case("onnx"));
         ensure!(is_named_onnx, "the file's name must end in .onnx");
-        // Of the runtime's own errors this one is the least clear.
+        // The runtime's own error for a missing file is unclear.
         std::fs::File::open(path).context("the file cannot be opened")?;
         let model = guarded(|| Ok(Model::load_file(path)?))?;
         let [input] = *model.input_ids() else {
@@ -192,7 +192,7 @@ impl Segmenter for OnnxModel {
     }
 }
 
-/// The size that a model fixes.
+/// Returns the size that the model fixes, if any.
 fn side(dimension: &Dimension) -> Result<Option<usize>> {
     match dimension {
         Dimension::Fixed(size @ 1..=SIDE_MAX) => Ok(Some(*size)),
@@ -203,15 +203,15 @@ fn side(dimension: &Dimension) -> Result<Option<usize>> {
     }
 }
 
-/// Runs what belongs to the runtime, which may panic on a model that contradicts itself.
+/// Runs code of the runtime, which may panic on an inconsistent model.
 fn guarded<T>(run: impl FnOnce() -> Result<T>) -> Result<T> {
-    // Nothing of a run that failed is used again but the model, which a run does not change.
+    // After a failure only the model is used again, and a run does not change it.
     catch_unwind(AssertUnwindSafe(run))
         .unwrap_or_else(|_| Err(anyhow!("the ONNX runtime fails on the model")))
 }
 
 impl Channels {
-    /// Each channel's values in raster order.
+    /// Returns each channel's values in raster order.
     fn of(self, frame: &Frame) -> Vec<Vec<f32>> {
         let counts = |counts: &[u32]| counts.iter().map(|count| *count as f32).collect();
         let colour = |counts: &[u32]| {
@@ -260,7 +260,7 @@ impl Image<'_> {
     }
 }
 
-/// Where a pixel of the new size lies among those of the old one.
+/// Position of a new pixel among the old ones along one axis.
 #[derive(Debug, Clone, Copy)]
 struct Place {
     before: usize,
@@ -269,7 +269,7 @@ struct Place {
 }
 
 impl Place {
-    /// Of each of `new` pixels along an axis, of `old` ones; both are 1 or more.
+    /// Returns the position of each of `new` pixels along an axis of `old` pixels; both are at least 1.
     fn all(old: usize, new: usize) -> Vec<Self> {
         let last = old.saturating_sub(1);
         let scale = old as f64 / new as f64;
@@ -286,7 +286,7 @@ impl Place {
             .collect()
     }
 
-    /// Between two values; the second is not asked for where it has no share.
+    /// Interpolates between two values; `after` is called only if it has a share.
     fn blend(self, before: f32, after: impl FnOnce() -> f32) -> f32 {
         if self.share_after == 0.0 {
             return before;
@@ -295,13 +295,13 @@ impl Place {
     }
 }
 
-/// A model's answer: layers of h x w logits.
+/// A model's output: layers of h x w logits.
 struct Logits {
     values: Vec<f32>,
     layers: usize,
     height: usize,
     width: usize,
-    /// Whether the first layer is the background; else it is where all logits are 0 or less.
+    /// Whether the first layer is the background; otherwise, pixels where all logits are 0 or less are background.
     has_background: bool,
 }
 
@@ -343,7 +343,7 @@ impl Logits {
         })
     }
 
-    /// The label of every pixel of the frame.
+    /// Returns the label of every pixel of the frame.
     fn labels(&self, height: usize, width: usize) -> Vec<u32> {
         let mut labels = vec![0; height * width];
         let least = if self.has_background {
@@ -364,7 +364,7 @@ impl Logits {
             resized.clear();
             layer.resized(height, width, &mut resized);
             for ((known, greatest), logit) in labels.iter_mut().zip(&mut greatest).zip(&resized) {
-                // Not so for NaN.
+                // False for NaN.
                 if *logit > *greatest {
                     (*known, *greatest) = (label, *logit);
                 }
@@ -374,7 +374,7 @@ impl Logits {
     }
 }
 
-/// Integers as logits.
+/// Converts integers to logits.
 fn signs<T: Copy + Default + PartialOrd>(tensor: &Tensor<T>) -> Vec<f32> {
     let is_above = |value: &T| *value > T::default();
     tensor

@@ -1,9 +1,9 @@
-//! One colour for each representation, in every chart of a study: the Okabe-Ito set, which colour-blind
-//! readers tell apart, and forms besides.
+//! One colour for each representation in every chart of a study, from the Okabe-Ito set, which colour-blind readers
+//! can distinguish; shapes distinguish them as well.
 
 use plotters::style::RGBColor;
 
-/// Representation, what charts call it, its colour, and whether its points are triangles.
+/// Representation, its label in charts, its colour, and whether its points are triangles.
 pub const REPRESENTATIONS: [(&str, &str, RGBColor, bool); 10] = [
     ("events", "events (hybrid)", RGBColor(0, 114, 178), false),
     ("dct", "DCT", RGBColor(213, 94, 0), false),
@@ -17,7 +17,7 @@ pub const REPRESENTATIONS: [(&str, &str, RGBColor, bool); 10] = [
     ("time-surface", "time surface", RGBColor(90, 70, 150), true),
 ];
 
-/// What a representation is called.
+/// Returns the label of a representation in charts.
 #[must_use]
 pub fn label(representation: &str) -> &str {
     let known = REPRESENTATIONS

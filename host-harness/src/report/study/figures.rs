@@ -1,4 +1,4 @@
-//! The pictures of a study: charts of its rows, and strips of its sources.
+//! Pictures of a study: charts of its rows, and strips of its sources.
 
 use anyhow::Result;
 use eecvs::reconstruct::events::Finder;
@@ -24,18 +24,18 @@ use crate::study::perception::SLICE_US;
 use crate::study::set::Set;
 use crate::study::{Results, quality};
 
-/// A picture on the page, and beside it.
+/// A picture on the page, which is also saved beside it.
 #[derive(Debug, Clone)]
 pub struct Figure {
-    /// Where it is on the page.
+    /// Section of the page that shows it.
     pub section: Section,
-    /// Name of its files without ending.
+    /// Name of its files without extension.
     pub name: String,
-    /// What stands below it.
+    /// Caption below the picture.
     pub caption: String,
-    /// Where it is a chart.
+    /// The picture as SVG, if it is a chart.
     pub svg: Option<String>,
-    /// Always.
+    /// The picture in pixels.
     pub png: Picture,
 }
 
@@ -51,10 +51,10 @@ impl Figure {
     }
 }
 
-/// Everything that the page shows beside its tables.
+/// Makes all pictures of the page.
 ///
 /// # Errors
-/// As [`charts`], [`of_slices`] and [`of_kernels`].
+/// Fails as [`charts`], [`of_slices`] and [`of_kernels`] do.
 pub fn all(sets: &[Set], results: &Results) -> Result<Vec<Figure>> {
     let mut figures = charts(results)?;
     figures.extend(of_slices(sets)?);
@@ -62,10 +62,10 @@ pub fn all(sets: &[Set], results: &Results) -> Result<Vec<Figure>> {
     Ok(figures)
 }
 
-/// Rates, errors of times, and densities.
+/// Makes the charts of rates, errors of times and densities.
 ///
 /// # Errors
-/// Rows that are no numbers.
+/// Fails if a row holds a value that is not a number.
 pub fn charts(results: &Results) -> Result<Vec<Figure>> {
     let mut figures = vec![
         Figure::chart(
@@ -130,10 +130,10 @@ fn over_time(set: &Densities) -> Result<Sheet> {
     chart::density_over_time(&title, &points, thresholds(set))
 }
 
-/// What a tenth of a window of each set becomes by each method: original, decoded, difference.
+/// Draws a tenth of a window of each set as each method decodes it: original, decoded, difference.
 ///
 /// # Errors
-/// A codec that does not give back what it promises.
+/// Fails if a codec breaks its promise.
 pub fn of_slices(sets: &[Set]) -> Result<Vec<Figure>> {
     let mut figures = Vec::new();
     for set in sets {
@@ -178,7 +178,7 @@ fn figure_ms(us: u32) -> String {
     format!("{:.1}", f64::from(us) / 1e3)
 }
 
-/// What strips show.
+/// Returns the methods shown in strips.
 fn shown() -> Vec<Method> {
     let transform = |transform| Method::Transform {
         transform: Some(transform),
@@ -204,7 +204,7 @@ fn shown() -> Vec<Method> {
     methods
 }
 
-/// Of the densest source, the window in the middle of its events.
+/// Returns the densest source, and its window in the middle of its events.
 fn dense_window(set: &Set) -> Option<(&Source, Source)> {
     let by_density = |a: &&Source, b: &&Source| {
         let density = |source: &Source| quality::density_per_px_s(source);
@@ -228,10 +228,10 @@ fn dense_window(set: &Set) -> Option<(&Source, Source)> {
     Some((source, window))
 }
 
-/// Run time against error of every kernel.
+/// Makes the chart of run time against error of every kernel.
 ///
 /// # Errors
-/// Rows that no chart can be made of.
+/// Fails if a row cannot be drawn.
 pub fn of_kernels(results: &Results) -> Result<Figure> {
     let rows = results.kernels.iter().map(KernelRow::of_bench);
     let rows = rows.collect::<Result<Vec<_>>>()?;

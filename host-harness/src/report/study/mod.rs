@@ -1,4 +1,4 @@
-//! The page of a study: tables, charts, pictures and prose, all from its rows.
+//! The page of a study: tables, charts, pictures and prose, all made from its rows.
 
 pub mod colours;
 pub mod figures;

@@ -1,4 +1,4 @@
-//! The page itself: HTML that needs nothing beside it.
+//! The page of a study, as HTML that needs no other file.
 
 use std::fmt::Write as _;
 
@@ -36,10 +36,10 @@ nav a { display: inline-block }
   figure svg { max-width: none } figure img { width: 980px; max-width: none } }
 ";
 
-/// The page of a study; figures come after the tables of their section.
+/// Formats the page of a study; figures follow the tables of their section.
 ///
 /// # Errors
-/// A picture that is no PNG file.
+/// Fails if a picture cannot be encoded as PNG.
 pub fn html(results: &Results, figures: &[Figure]) -> anyhow::Result<String> {
     let mut html = format!(
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\n\
@@ -126,7 +126,7 @@ fn claims(results: &Results) -> String {
     html + "</dl>\n"
 }
 
-/// The answer to what keeps events best at equal bits.
+/// Formats the answer to what keeps events best at equal bits.
 #[must_use]
 pub fn text(answer: &Answer) -> String {
     let Answer {
@@ -149,7 +149,7 @@ pub fn text(answer: &Answer) -> String {
     )
 }
 
-/// Representations and their errors, those of all sources first.
+/// Lists representations and their errors; those that cover all sources come first.
 fn list(answer: &Answer, rows: &[(String, Option<f64>, usize)]) -> String {
     let parts = rows.iter().filter_map(|(method, emd, count)| {
         let emd = (*emd)?;
@@ -174,10 +174,10 @@ fn list(answer: &Answer, rows: &[(String, Option<f64>, usize)]) -> String {
 }
 
 impl Figure {
-    /// As the page has it.
+    /// Formats the figure for the page.
     ///
     /// # Errors
-    /// A picture that is no PNG file.
+    /// Fails if the picture cannot be encoded as PNG.
     fn html(&self) -> anyhow::Result<String> {
         let caption = escape(&self.caption);
         let picture = match &self.svg {
@@ -193,7 +193,7 @@ impl Figure {
     }
 }
 
-/// As RFC 4648 has it, with padding.
+/// Encodes as in RFC 4648, with padding.
 fn base64(bytes: &[u8]) -> String {
     const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);

@@ -1,4 +1,4 @@
-//! What the charts of a study share: a head with the title and the key, and a panel for each set below.
+//! Layout shared by the charts of a study: a head with title and legend, and below it one panel per set.
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -11,20 +11,20 @@ use crate::study::Results;
 const WIDTH: u32 = 820;
 const HEAD: u32 = 66;
 
-/// A chart with a panel for each set.
+/// A chart with one panel per set.
 pub trait Panels {
-    /// Stands above all.
+    /// Title of the chart.
     const TITLE: &'static str;
     /// Height of a panel.
     const HEIGHT: u32;
 
-    /// Where the sets are.
+    /// Returns the results, which name the sets.
     fn results(&self) -> &Results;
 
     /// Draws the panel of a set.
     ///
     /// # Errors
-    /// What the backend reports.
+    /// Fails with the error of the backend.
     fn panel<B: DrawingBackend>(
         &self,
         set: &str,
@@ -62,7 +62,7 @@ impl<P: Panels> Chart for Whole<P> {
     }
 }
 
-/// A point of a representation at a place in pixels.
+/// Draws a point of a representation at a position in pixels.
 pub fn mark<B: DrawingBackend>(
     area: &DrawingArea<B, Shift>,
     at: (i32, i32),
@@ -80,7 +80,7 @@ where
     }
 }
 
-/// The representations and their colours, in two lines.
+/// Draws the legend of the representations, in two lines.
 fn key<B: DrawingBackend>(head: &DrawingArea<B, Shift>, top: i32, scale: i32) -> Drawn<B>
 where
     B::ErrorType: 'static,

@@ -1,7 +1,7 @@
-//! Bits per event against the error of times: a panel for each set, medians over its sources.
+//! Chart of bits per event against the error of times: one panel per set, with medians over its sources.
 //!
-//! Both axes are logarithmic; what is exact stands at the foot. A point is a setting of a
-//! representation at the bits of what packs it best; settings of one representation are joined.
+//! Both axes are logarithmic; exact results are drawn at the foot. A point is a setting of a representation, at its
+//! bits when packed best; settings of one group are joined.
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -13,10 +13,10 @@ use crate::report::kernel_chart::{Drawn, FRONT, GRID, power, text};
 use crate::study::Results;
 use crate::study::claims::{family, median};
 
-/// Where no error is, in us; and the least that is drawn above it.
+/// Error at which exact results are drawn, and the least error drawn above it, in us.
 const FOOT_US: f64 = 0.01;
 const LEAST_US: f64 = 0.1;
-/// Points that are nearer have one label, in pixels.
+/// Points at most this far apart, in pixels, share a label.
 const NEAR: i32 = 12;
 
 /// A point of a representation.
@@ -25,7 +25,7 @@ struct Point {
     bits: f64,
     error_us: f64,
     label: String,
-    /// Points of one are joined: of one type of numbers, of tolerances, of bins.
+    /// Points of one group are joined: those of one number type, of tolerances, or of bins.
     group: String,
 }
 
@@ -34,7 +34,7 @@ struct Point {
 pub struct RateDistortion<'r>(pub &'r Results);
 
 impl RateDistortion<'_> {
-    /// Of a representation, group by group in the order of their bits.
+    /// Returns the points of a representation, group by group in the order of their bits.
     fn points(&self, set: &str, representation: &str) -> Vec<Point> {
         let rows = || {
             self.0.quality.iter().filter(|row| {
@@ -171,7 +171,8 @@ impl Panels for RateDistortion<'_> {
                 .map(|(at, point)| (*at, point.label.as_str()))
                 .collect::<Vec<_>>();
             for (at, label) in labels(&named, NEAR * scale) {
-                // Below the front, which events are, and above all others; both exact settings are close.
+                // Labels of events are below their points, which form the front, those of all others above. The two
+                // exact settings are close together, so their labels are on either side.
                 let (x, y, anchor) = match (*name, label.as_str()) {
                     ("events", "fast") => (6, 2, HPos::Left),
                     ("events", _) => (-6, 2, HPos::Right),
@@ -188,7 +189,7 @@ impl Panels for RateDistortion<'_> {
     }
 }
 
-/// Labels of points, one for those that are at most `near` pixels from the first of them either way.
+/// Returns the labels; points at most `near` pixels along each axis from the first of a label share it.
 fn labels(points: &[((i32, i32), &str)], near: i32) -> Vec<((i32, i32), String)> {
     let mut labels: Vec<((i32, i32), String)> = Vec::new();
     for ((x, y), label) in points {
@@ -206,7 +207,7 @@ fn labels(points: &[((i32, i32), &str)], near: i32) -> Vec<((i32, i32), String)>
     labels
 }
 
-/// Ones, twos and fives.
+/// Labels only one, two and five times powers of ten.
 fn bits_label(bits: f64) -> String {
     let lead = bits / 10_f64.powf(bits.log10().floor());
     let is_round = [1.0, 2.0, 5.0, 10.0]

@@ -1,11 +1,11 @@
 //! The sections of the page, in their order.
 
-/// What the page has a heading and a link for.
+/// A section with a heading and a link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Section {
     /// Rate and distortion.
     Rate,
-    /// What the paper says, and what is found here.
+    /// The paper's claims, and whether they hold here.
     Claims,
     /// Quality at M = 16.
     TableOne,
@@ -17,12 +17,12 @@ pub enum Section {
     Perception,
     /// Densities and regimes.
     Density,
-    /// What is measured.
+    /// The sources measured.
     Sources,
 }
 
 impl Section {
-    /// All of them.
+    /// All sections, in their order.
     pub const ALL: [Self; 8] = [
         Self::Rate,
         Self::Claims,
@@ -34,7 +34,7 @@ impl Section {
         Self::Sources,
     ];
 
-    /// What links lead to.
+    /// Returns the anchor of the section.
     #[must_use]
     pub const fn id(self) -> &'static str {
         match self {
@@ -49,7 +49,7 @@ impl Section {
         }
     }
 
-    /// Its heading.
+    /// Returns the heading.
     #[must_use]
     pub const fn title(self) -> &'static str {
         match self {

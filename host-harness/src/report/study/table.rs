@@ -2,21 +2,21 @@
 
 use std::fmt::Write as _;
 
-/// Rows of cells below a row of headings. The first column is of names, others of names or of numbers.
+/// A table with a row of headings. The first column holds names, the others names or numbers.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Table {
-    /// What stands above it.
+    /// Title above the table.
     pub title: String,
-    /// What its columns are and what it is measured on.
+    /// Explains the columns and what was measured.
     pub caption: String,
-    /// Headings.
+    /// Headings of the columns.
     pub head: Vec<String>,
-    /// As many cells as headings each.
+    /// Cells row by row, one per heading.
     pub rows: Vec<Vec<String>>,
 }
 
 impl Table {
-    /// A table without rows.
+    /// Makes a table without rows.
     #[must_use]
     pub fn new(title: &str, caption: &str, head: &[&str]) -> Self {
         Self {
@@ -27,14 +27,14 @@ impl Table {
         }
     }
 
-    /// Whether a column is of names, which stand at its left.
+    /// Returns whether a column holds names, which are aligned to the left.
     fn is_text(&self, column: usize) -> bool {
         let is_number = |cell: &str| cell == "n/a" || cell.trim_matches('*').parse::<f64>().is_ok();
         let mut cells = self.rows.iter().filter_map(|row| row.get(column));
         column == 0 || cells.any(|cell| !is_number(cell))
     }
 
-    /// As HTML, in a box that scrolls where it is too wide. A cell between asterisks is bold.
+    /// Formats the table as HTML, in a box that scrolls if it is too wide. Cells between asterisks are bold.
     #[must_use]
     pub fn html(&self) -> String {
         let mut html = format!(
@@ -76,7 +76,7 @@ impl Table {
         html + "</tbody></table></div></section>\n"
     }
 
-    /// As Markdown, without title and caption.
+    /// Formats the table as Markdown, without title and caption.
     #[must_use]
     pub fn markdown(&self) -> String {
         let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
@@ -86,7 +86,7 @@ impl Table {
     }
 }
 
-/// Text as HTML has it.
+/// Escapes text for HTML.
 #[must_use]
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;")

@@ -1,5 +1,4 @@
-//! Tables I to V of the paper, from a study's rows, with the paper's own figures beside them where
-//! this project has them.
+//! Tables I to V of the paper, from a study's rows, with the paper's own figures if this project has them.
 
 use eecvs_nostd::Transform;
 
@@ -14,7 +13,7 @@ use crate::study::set::{RECORDINGS, SCENES};
 use crate::study::speed::HOST;
 use crate::study::{Results, paper};
 
-/// Columns of Table I: what a reader calls the method, as rows have it.
+/// Methods in the columns of Table I.
 const TABLE_ONE: [&str; 9] = [
     "dct",
     "dtft",
@@ -27,7 +26,7 @@ const TABLE_ONE: [&str; 9] = [
     "voxel",
 ];
 
-/// A column's heading.
+/// Returns the heading of a method's column.
 fn heading(method: &str) -> String {
     match method {
         "hybrid-fast" => "hybrid (default)".to_owned(),
@@ -36,14 +35,14 @@ fn heading(method: &str) -> String {
     }
 }
 
-/// A metric: title, what is best of it, and how it is had of a row.
+/// A metric: title, description, which values are better, and how to read it from a row.
 type Metric = (&'static str, &'static str, Better, fn(&Quality) -> f64);
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Better {
     Less,
     More,
-    /// Bits are not to be had without the errors beside them.
+    /// Bits mean nothing without the errors at the same setting.
     Neither,
 }
 
@@ -86,7 +85,7 @@ const METRICS: [Metric; 6] = [
     ),
 ];
 
-/// Table I: a table for each set and metric.
+/// Makes Table I, one table per set and metric.
 #[must_use]
 pub fn table_one(results: &Results) -> Vec<Table> {
     let mut tables = Vec::new();
@@ -156,7 +155,7 @@ fn cell(value: Option<f64>, metric: &str, is_best: bool) -> String {
     if is_best { format!("**{text}**") } else { text }
 }
 
-/// What the array of an event frame and of a time surface keeps: not in the paper's table.
+/// Makes the table of event frames and time surfaces, which is not in the paper.
 #[must_use]
 pub fn other_arrays(results: &Results) -> Table {
     let mut table = Table::new(
@@ -196,7 +195,7 @@ pub fn other_arrays(results: &Results) -> Table {
     table
 }
 
-/// Table II: medians over each set at every M.
+/// Makes Table II: medians over each set at every M.
 #[must_use]
 pub fn table_two(results: &Results) -> Table {
     let mut table = Table::new(
@@ -246,7 +245,7 @@ pub fn table_two(results: &Results) -> Table {
     table
 }
 
-/// Table III, with the paper's figures.
+/// Makes Table III, with the paper's figures.
 #[must_use]
 pub fn table_three(results: &Results) -> Table {
     let mut table = Table::new(
@@ -295,7 +294,7 @@ pub fn table_three(results: &Results) -> Table {
     table
 }
 
-/// Tables IV (M = 16) and V (M = 24) for each set.
+/// Makes Tables IV (M = 16) and V (M = 24) for each set.
 #[must_use]
 pub fn tables_four_and_five(results: &Results) -> Vec<Table> {
     let mut tables = Vec::new();
@@ -376,7 +375,7 @@ pub fn tables_four_and_five(results: &Results) -> Vec<Table> {
     tables
 }
 
-/// Where a row stands: representations as in the charts, tolerances before bins, each by its number.
+/// Returns the sort key of a row: representations as in the charts, tolerances before bins, each by its number.
 fn order(method: &str, setting: &str) -> (usize, bool, u32) {
     let representation = family(method);
     let place = REPRESENTATIONS
@@ -413,7 +412,7 @@ fn lost<'r>(rows: impl Iterator<Item = &'r Perception>) -> String {
     format!("{:.1}", 100.0 * lost as f64 / tiles as f64)
 }
 
-/// Regimes of the sets' windows.
+/// Makes the table of the regimes of the sets' windows.
 #[must_use]
 pub fn regimes(results: &Results) -> Table {
     let mut table = Table::new(
@@ -459,7 +458,7 @@ pub fn regimes(results: &Results) -> Table {
     table
 }
 
-/// What the study is of.
+/// Makes the table of the sources.
 #[must_use]
 pub fn sources(results: &Results) -> Table {
     let left_out = recordings::notice(&results.record.left_out);
@@ -494,7 +493,7 @@ pub fn sources(results: &Results) -> Table {
     table
 }
 
-/// What the README has: the answer, and medians of Table I.
+/// Formats the README's part: the answer, and medians of Table I.
 #[must_use]
 pub fn document(results: &Results) -> String {
     let mut text = String::new();

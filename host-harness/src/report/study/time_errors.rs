@@ -1,8 +1,7 @@
-//! How far decoded events are from their own times: the share of events within an error, for each
-//! representation of Table I.
+//! Chart of the errors of event times: the share of events within an error, for each representation of Table I.
 //!
-//! Of all sources of a set together; what does not reach 100 % came back as another number of events
-//! at their places.
+//! All sources of a set are taken together. A curve stays below 100 % by the events in whose place another number
+//! of events was decoded.
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
@@ -19,13 +18,13 @@ use crate::study::times::EDGES_US;
 pub struct TimeErrors<'r>(pub &'r Results);
 
 impl TimeErrors<'_> {
-    /// Shares of events within each edge, in percent; `None` where there are no rows.
+    /// Returns the shares of events within each edge, in per cent; `None` if there are no rows.
     fn shares(&self, set: &str, representation: &str) -> Option<Vec<f64>> {
         let rows = self.0.times.iter().filter(|row| {
             row.set == set
                 && family(&row.method) == representation
                 && row.setting != "peaks"
-                // Lossless events would be a line along the top.
+                // The curve of lossless events would be a line along the top.
                 && (row.m > 0 || row.setting == "50 us")
         });
         let mut counts = [0_u64; EDGES_US.len()];
@@ -112,7 +111,7 @@ impl Panels for TimeErrors<'_> {
     }
 }
 
-/// Every third edge.
+/// Labels every third edge.
 fn edge(at: f64) -> String {
     let index = at.round();
     if (at - index).abs() > 1e-6 || index < 0.0 || !(index as usize).is_multiple_of(3) {

@@ -1,4 +1,4 @@
-//! Currents and settings of the DAVIS chips, without which their pixels see nothing.
+//! Bias currents and settings of the DAVIS chips, without which their pixels do not respond.
 //!
 //! | kind | value of the register |
 //! |---|---|
@@ -10,7 +10,7 @@
 
 use crate::device::inivation::registers::Register;
 
-/// Module of the chip's own shift register.
+/// Module of the chip's configuration registers.
 const CHIP: u16 = 5;
 
 const fn n_type(register: u16, coarse: u32, fine: u32) -> (Register, u32) {
@@ -126,7 +126,7 @@ static DAVIS346: [(Register, u32); 44] = [
     setting(144, 0),
 ];
 
-/// Name of a chip by its number, where its settings are known.
+/// Returns the name of a chip by its number; `None` if its settings are not known.
 pub fn chip_name(chip: u32) -> Option<&'static str> {
     match chip {
         0 => Some("DAVIS240A"),
@@ -137,7 +137,7 @@ pub fn chip_name(chip: u32) -> Option<&'static str> {
     }
 }
 
-/// Settings for a camera of this name; none where they are not known, and the logic's own stay.
+/// Returns the settings for a camera of this name; empty if they are not known, so that the logic keeps its own.
 pub fn of(name: &str) -> &'static [(Register, u32)] {
     match name {
         "DAVIS240A" | "DAVIS240B" | "DAVIS240C" => &DAVIS240,

@@ -1,4 +1,4 @@
-//! A DAVIS that is simulated.
+//! A simulated DAVIS camera.
 
 use eecvs_nostd::Sensor;
 
@@ -13,7 +13,7 @@ use crate::device::inivation::registers::{
 use crate::peripheral::Speed;
 use crate::peripheral::descriptors::Endpoint;
 
-/// A camera of this model with a sensor of this size, just plugged in.
+/// Returns a camera of this model with a sensor of this size, as just plugged in.
 pub(super) fn camera(davis: &Davis, sensor: Sensor, stream: Box<dyn Stream>) -> LogicCamera {
     let is_super = davis.speed == Speed::Super;
     let registers = RegisterFile::new(&[

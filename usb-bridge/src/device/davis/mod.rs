@@ -1,8 +1,8 @@
-//! DAVIS240 (Cypress FX2, High speed) and DAVIS346 (FX3, SuperSpeed): two models, one stream.
+//! DAVIS240 (Cypress FX2, High speed) and DAVIS346 (FX3, SuperSpeed): two models with the same stream.
 //!
-//! Registers are those of [`inivation`](super::inivation). The sensor's size is read from the camera,
-//! so a simulated one may have any size up to its chip's, and says so. Only events are asked for:
-//! frames, inertial samples and external inputs stay off.
+//! The registers are those of [`inivation`](super::inivation). The sensor's size is read from the camera, so a
+//! simulated camera may report any size up to its chip's. Only events are requested; frames, inertial samples and
+//! external inputs stay off.
 
 mod biases;
 pub mod camera;
@@ -26,7 +26,7 @@ use super::{Identity, Info, Model, Parse, Stream, Transfers, WriteStream};
 use crate::link::control::Control;
 use crate::peripheral::{Peripheral, Speed};
 
-/// The DAVIS240, and others with its logic.
+/// The DAVIS240, and other cameras with its logic.
 pub static DAVIS240: Davis = Davis {
     name: "davis240",
     label: "DAVIS240",
@@ -82,7 +82,7 @@ const fn identity(product: u16) -> Identity {
     }
 }
 
-/// What sends, from the sensor to the host: stopped in this order.
+/// Registers that make the camera send, from the sensor to the host, in the order in which they are cleared.
 const RUNS: [Register; 10] = [
     DVS_RUN,
     APS_RUN,
@@ -96,14 +96,14 @@ const RUNS: [Register; 10] = [
     MUX_CHIP_RUN,
 ];
 
-/// Streams, by what the logic calls a row.
+/// Names of the streams; in the second, the logic exchanges columns and rows.
 const STREAM: &str = "davis";
 const STREAM_INVERTED: &str = "davis-transposed";
 
 /// Time in which the sensor's biases settle.
 const SETTLE: Duration = Duration::from_millis(200);
 
-/// Time in which the way to the host becomes ready.
+/// Time in which the path to the host becomes ready.
 const READY: Duration = Duration::from_millis(50);
 
 impl Davis {

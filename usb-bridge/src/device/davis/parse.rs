@@ -1,13 +1,13 @@
-//! Stream of the DAVIS cameras: words of 16 bits, of [`words16`](crate::device::inivation) and these.
+//! Parses the stream of the DAVIS cameras: 16-bit words, those of [`words16`](crate::device::inivation) and these.
 //!
 //! | bits 15..12 | bits 11..0 | meaning |
 //! |---|---|---|
-//! | 1 | y | row of what follows |
-//! | 2, 3 | x | an OFF, ON event in that row at the latest time |
+//! | 1 | y | row of the events that follow |
+//! | 2, 3 | x | an OFF or ON event in that row at the latest time |
 //! | 4 | sample | a pixel of a frame; a DAVIS240 sends each twice |
 //!
-//! An address outside of the sensor is counted and left out; the row before stays. After a loss
-//! nothing is an event until there was a time and, after it, a row.
+//! An address outside the sensor is counted and skipped; the row before it stays valid. After a loss, events are
+//! decoded again once a time and, after it, a row have arrived.
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 
@@ -15,12 +15,12 @@ use crate::device::inivation::parser::{Reader, State, Word, WordParser};
 use crate::device::inivation::tally::Count;
 use crate::device::inivation::words16;
 
-/// Parser of a DAVIS's stream.
+/// Parses the stream of a DAVIS.
 pub type DavisParser = WordParser<Rows>;
 
 impl DavisParser {
-    /// A parser at the beginning of the stream of a camera whose events are in `sensor`; `inverted`
-    /// where its logic calls columns rows.
+    /// Starts at the beginning of the stream of a camera with this sensor; `inverted` if its logic exchanges
+    /// columns and rows.
     #[must_use]
     pub fn begin(sensor: Sensor, inverted: bool) -> Self {
         let (columns, rows) = if inverted {
@@ -45,16 +45,16 @@ const EVENT: u32 = 1;
 /// Bits 15..12 of a row.
 const ROW: u32 = 1;
 
-/// Reads rows and their columns.
+/// Reads rows and the columns in them.
 #[derive(Debug)]
 pub struct Rows {
     columns: u32,
     rows: u32,
-    /// Columns, or 0 while no row is known.
+    /// Number of columns, or 0 while no row is known.
     columns_known: u32,
-    /// The row where it belongs in y << 16 | x.
+    /// The row, shifted to its place in y << 16 | x.
     row_place: u32,
-    /// Where a column belongs: 16 where the logic calls columns rows.
+    /// Shift of a column to its place: 16 if the logic exchanges columns and rows, else 0.
     column_shift: u32,
 }
 
@@ -69,7 +69,7 @@ impl Reader for Rows {
             return words16::time(word, state);
         }
         let data = bits & 0xFFF;
-        // Both polarities in one branch: which of them comes cannot be predicted.
+        // Both polarities share one branch, because their sequence cannot be predicted.
         if bits >> 13 == EVENT && data < self.columns_known {
             let place = self.row_place | data << self.column_shift;
             events.push(Event {

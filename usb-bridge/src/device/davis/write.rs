@@ -1,8 +1,8 @@
-//! Events as a DAVIS sends them: see [`super::parse`].
+//! Writes events as a DAVIS sends them; [`super::parse`] describes the format.
 //!
-//! A word of time where it changes, before it wraps as one word with their count, after it a row; a
-//! row again where it changes; a column for each event. So an event costs 2 to 6 bytes, and order and
-//! duplicates are kept.
+//! When the time changes, the writer emits its wraps as one word with their count, a time word and a row; when the
+//! row changes, another row; and for each event a column. An event therefore costs at least 2 bytes and usually at
+//! most 6, and order and duplicates are kept.
 
 use anyhow::Result;
 use eecvs_nostd::{Event, Polarity, Sensor};
@@ -11,7 +11,7 @@ use crate::device::WriteStream;
 use crate::device::inivation::words16;
 use crate::device::inivation::writer::{Order, Time16};
 
-/// Writer of a DAVIS's stream.
+/// Writes the stream of a DAVIS.
 #[derive(Debug)]
 pub struct DavisWriter {
     order: Order,
@@ -20,7 +20,7 @@ pub struct DavisWriter {
 }
 
 impl DavisWriter {
-    /// A writer of events of `sensor` for the model of this name.
+    /// Creates a writer for events of `sensor`, for the model of this name.
     #[must_use]
     pub const fn new(model: &'static str, sensor: Sensor) -> Self {
         Self {

@@ -1,4 +1,4 @@
-//! A DVS128 that is simulated.
+//! A simulated DVS128 camera.
 
 use super::{
     BIAS_BYTES, BIASES, ENDPOINT, MASTER, PRODUCT, RESET_PIXELS, RESET_TIME, START, STOP, VENDOR,
@@ -9,10 +9,10 @@ use crate::link::control::Request;
 use crate::peripheral::descriptors::Endpoint;
 use crate::peripheral::{Bulk, Descriptors, Peripheral, Reply, Speed};
 
-/// Firmware that it says it has.
+/// Firmware version that the camera reports.
 const RELEASE: u16 = 14;
 
-/// A DVS128 that sends what a [`Stream`] has, from start to stop.
+/// A DVS128 that sends a [`Stream`] between start and stop.
 pub struct Dvs128Camera {
     descriptors: Descriptors,
     source: Source,
@@ -20,7 +20,7 @@ pub struct Dvs128Camera {
 }
 
 impl Dvs128Camera {
-    /// One that was just plugged in.
+    /// Creates a camera as just plugged in.
     #[must_use]
     pub fn new(stream: Box<dyn Stream>) -> Self {
         Self {

@@ -1,13 +1,13 @@
-//! DVS128: 128 x 128 pixels, a Cypress FX2 without registers, High speed.
+//! DVS128: 128 x 128 pixels, Cypress FX2 without registers, High speed.
 //!
-//! | request, vendor's, to the device | |
+//! | vendor request to the device | meaning |
 //! |---|---|
 //! | 0xB3, 0xB4 | start, stop |
 //! | 0xB8, 36 bytes | 12 biases of 3 bytes, big-endian |
 //! | 0xBB, 0xBD | reset of the time, of the pixels |
-//! | 0xBE, value's bit 0 | whether it gives the time to others |
+//! | 0xBE, bit 0 of the value | whether it is the time master for other cameras |
 //!
-//! It has no register of its size: a recording of a smaller sensor, simulated, is seen in the upper
+//! The camera reports no size. A simulated camera that plays a recording of a smaller sensor shows it in the upper
 //! left of 128 x 128 pixels.
 
 pub mod camera;
@@ -42,7 +42,7 @@ const ENDPOINT: u8 = 0x86;
 const VENDOR: u16 = 0x152A;
 const PRODUCT: u16 = 0x8400;
 
-/// Oldest firmware whose records are as [`parse`] reads them.
+/// Oldest firmware whose records have the format that [`parse`] reads.
 const FIRMWARE_MIN: u16 = 14;
 
 const START: u8 = 0xB3;
@@ -100,7 +100,7 @@ impl Model for Dvs128 {
             "{}: its firmware {firmware} is too old: install {FIRMWARE_MIN} or a later one",
             control.name()
         );
-        // It may run since another program crashed.
+        // It may still be running for a program that crashed.
         send(control, STOP, 0, &[])?;
         control
             .clear_halt(ENDPOINT)

@@ -1,17 +1,17 @@
-//! Stream of the DVS128: records of 4 bytes.
+//! Parses the stream of the DVS128: records of 4 bytes.
 //!
-//! | bytes | bits | |
+//! | bytes | bits | meaning |
 //! |---|---|---|
 //! | 0, 1 | 15 | external input, not an event |
 //! | | 14..8 | 127 - y |
 //! | | 7..1 | 127 - x |
 //! | | 0 | polarity, 0 = ON |
-//! | 2, 3 | 15 | wrap: + 2^14 us, the rest is not looked at |
-//! | | 14 | the counter is reset, the rest is not looked at |
+//! | 2, 3 | 15 | wrap: + 2^14 us, the other bits are ignored |
+//! | | 14 | the counter was reset, the other bits are ignored |
 //! | | 13..0 | time in us |
 //!
-//! Every record has its time, so events come again with the first one after a loss. x and y are
-//! flipped as libcaer flips them: (0, 0) is the upper left.
+//! Every record has its own time, so events are decoded again from the first record after a loss. x and y are
+//! flipped as in libcaer: (0, 0) is the upper left.
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 
@@ -22,18 +22,18 @@ use crate::device::inivation::tally::Count;
 /// Bits of time in a record.
 pub const TIME_BITS: u32 = 14;
 
-/// Parser of a DVS128's stream.
+/// Parses the stream of a DVS128.
 pub type Dvs128Parser = WordParser<Records>;
 
 impl Dvs128Parser {
-    /// A parser at the beginning of a stream.
+    /// Starts at the beginning of a stream.
     #[must_use]
     pub fn begin() -> Self {
         Self::new(Records, SENSOR, TIME_BITS)
     }
 }
 
-/// Reads records: they stand alone.
+/// Reads records, which are independent of each other.
 #[derive(Debug)]
 pub struct Records;
 
@@ -73,7 +73,7 @@ fn mark(word: Word, state: &mut State) -> bool {
         state.clock.wrap(1);
         return state.count(Count::Wraps);
     }
-    // One comes when somebody asks for it; several in a row only from misaligned records.
+    // A reset occurs when someone requests it; several in a row come only from misaligned records.
     let goes_on = state.strike(word);
     state.clock.reset();
     state.tally.add(Count::Resets);

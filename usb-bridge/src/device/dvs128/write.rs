@@ -1,4 +1,4 @@
-//! Events as a DVS128 sends them: see [`super::parse`].
+//! Writes events as a DVS128 sends them; [`super::parse`] describes the format.
 
 use anyhow::Result;
 use eecvs_nostd::{Event, Polarity, Sensor};
@@ -8,19 +8,19 @@ use super::parse::TIME_BITS;
 use crate::device::WriteStream;
 use crate::device::inivation::writer::Order;
 
-/// A record that says that the counter wrapped.
+/// The record of a wrapped counter.
 const WRAP: u32 = 1 << 31;
 
-/// Writer of a DVS128's stream.
+/// Writes the stream of a DVS128.
 #[derive(Debug)]
 pub struct Dvs128Writer {
     order: Order,
-    /// Periods so far.
+    /// Number of periods so far.
     periods: u64,
 }
 
 impl Dvs128Writer {
-    /// A writer of events of `sensor`, which are the chip's upper left.
+    /// Creates a writer for events of `sensor`, which is placed in the upper left of the chip.
     #[must_use]
     pub const fn new(sensor: Sensor) -> Self {
         Self {

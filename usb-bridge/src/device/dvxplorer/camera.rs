@@ -1,4 +1,4 @@
-//! A DVXplorer that is simulated.
+//! A simulated DVXplorer camera.
 
 use eecvs_nostd::Sensor;
 
@@ -15,7 +15,7 @@ use crate::device::inivation::registers::{
 use crate::peripheral::Speed;
 use crate::peripheral::descriptors::Endpoint;
 
-/// A camera with a sensor of this size, just plugged in.
+/// Returns a camera with a sensor of this size, as just plugged in.
 pub(super) fn camera(sensor: Sensor, stream: Box<dyn Stream>) -> LogicCamera {
     let runs = |registers: &RegisterFile| {
         registers.all_set(&[USB_RUN, MUX_RUN, MUX_TIME_RUN, MUX_CHIP_RUN, DVS_RUN])
@@ -24,7 +24,7 @@ pub(super) fn camera(sensor: Sensor, stream: Box<dyn Stream>) -> LogicCamera {
     of_release(0, sensor, stream, runs)
 }
 
-/// A camera whose release has this major number; it sends while `runs`.
+/// Returns a camera whose release has this major number; it sends while `runs` returns true.
 pub(in crate::device) fn of_release(
     major: u8,
     sensor: Sensor,

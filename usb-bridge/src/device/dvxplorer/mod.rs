@@ -1,8 +1,8 @@
 //! DVXplorer (640 x 480) and DVXplorer Lite (320 x 240): Cypress FX3 with logic, SuperSpeed.
 //!
-//! Registers are those of [`inivation`](super::inivation); the sensor's own are module 5. The size is
-//! read from the camera: a simulated one may have any size up to 640 x 480, and is a Lite where it
-//! fits one. Only events are asked for. The variant whose sensor is behind MIPI has another stream:
+//! The registers are those of [`inivation`](super::inivation); the sensor's own are module 5. The size is read from
+//! the camera: a simulated camera may report any size up to 640 x 480, and is a Lite if the size fits a Lite. Only
+//! events are requested. The variant whose sensor is behind MIPI has another stream:
 //! [`dvxplorer_mipi`](super::dvxplorer_mipi).
 
 pub mod camera;
@@ -46,7 +46,7 @@ pub const SENSOR_LITE: Sensor = Sensor {
 /// The DVXplorer and DVXplorer Lite.
 pub struct Dvxplorer;
 
-/// USB product of every variant.
+/// USB product ID of every variant.
 pub(super) const PRODUCT: u16 = 0x8419;
 
 /// Numbers of the chips.
@@ -59,14 +59,14 @@ pub(super) const VERSIONS: Versions = Versions {
     patch_min: 2,
 };
 
-/// The sensor's mode: 0 off, 2 streaming.
+/// Mode of the sensor: 0 off, 2 streaming.
 pub(super) const SENSOR_MODE: Register = (5, 0x3000);
 pub(super) const MODE_STREAM: u32 = 2;
 
-/// Reset of the sensor's own time, which is 0 after a 1.
+/// Resets the sensor's own time: write 1, then 0.
 pub(super) const SENSOR_TIME_RESET: Register = (5, 0x3238);
 
-/// What sends, from the sensor to the host: stopped in this order.
+/// Registers that make the camera send, from the sensor to the host, in the order in which they are cleared.
 const RUNS: [Register; 10] = [
     SENSOR_MODE,
     DVS_RUN,
@@ -80,17 +80,17 @@ const RUNS: [Register; 10] = [
     MUX_CHIP_RUN,
 ];
 
-/// Streams, by what the logic calls a row.
+/// Names of the streams; in the second, the logic exchanges columns and rows.
 const STREAM: &str = "dvxplorer";
 const STREAM_INVERTED: &str = "dvxplorer-transposed";
 
 /// Time in which the sensor wakes.
 const SHORT: Duration = Duration::from_millis(10);
 
-/// Time in which the way to the host becomes ready.
+/// Time in which the path to the host becomes ready.
 const READY: Duration = Duration::from_millis(50);
 
-/// Name for people, by the chip's number.
+/// Returns the camera's name for people, by the number of its chip.
 pub(super) const fn label(chip: u32) -> &'static str {
     match chip {
         CHIP_LITE => "DVXplorer Lite",
@@ -98,7 +98,7 @@ pub(super) const fn label(chip: u32) -> &'static str {
     }
 }
 
-/// Whether events of this sensor fit the larger chip.
+/// Returns whether events of this sensor fit the larger chip.
 pub(super) const fn fits(sensor: Sensor) -> bool {
     sensor.width <= SENSOR.width && sensor.height <= SENSOR.height
 }

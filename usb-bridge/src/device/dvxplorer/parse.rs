@@ -1,13 +1,13 @@
-//! Stream of the DVXplorer: words of 16 bits, of [`words16`](crate::device::inivation) and these.
+//! Parses the stream of the DVXplorer: 16-bit words, those of [`words16`](crate::device::inivation) and these.
 //!
 //! | bits 15..12 | bits | meaning |
 //! |---|---|---|
-//! | 1 | 9..0 x, 11 first of a readout | column of what follows |
+//! | 1 | 9..0 x, 11 first of a readout | column of the events that follow |
 //! | 4 | 5..0 group 1; 10..6 distance, 11 its sign (1: minus), of group 2 | two groups of 8 rows |
 //! | 3, 2 | 7..0 mask, 8 polarity (0 = ON) | events of group 1, 2: bit i is row 8 * group + i |
 //!
-//! An address outside of the sensor is counted and left out; what was known before stays. After a loss
-//! nothing is an event until there was a time, after it a column, and groups.
+//! An address outside the sensor is counted and skipped; the state before it stays valid. After a loss, events are
+//! decoded again once a time, after it a column, and groups have arrived.
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 
@@ -16,12 +16,12 @@ use crate::device::inivation::parser::{Reader, State, Word, WordParser};
 use crate::device::inivation::tally::Count;
 use crate::device::inivation::words16;
 
-/// Parser of a DVXplorer's stream.
+/// Parses the stream of a DVXplorer.
 pub type DvxplorerParser = WordParser<Columns>;
 
 impl DvxplorerParser {
-    /// A parser at the beginning of the stream of a camera whose events are in `sensor`; `inverted`
-    /// where its logic calls columns rows.
+    /// Starts at the beginning of the stream of a camera with this sensor; `inverted` if its logic exchanges
+    /// columns and rows.
     #[must_use]
     pub fn begin(sensor: Sensor, inverted: bool) -> Self {
         let (columns, rows) = if inverted {
@@ -43,12 +43,12 @@ impl DvxplorerParser {
 /// No column is known.
 const NONE: u32 = u32::MAX;
 
-/// Reads columns and their groups.
+/// Reads columns and the groups in them.
 #[derive(Debug)]
 pub struct Columns {
     columns: u32,
     groups: Groups,
-    /// Where a column belongs in y << 16 | x: 16 where the logic calls columns rows.
+    /// Shift of a column to its place in y << 16 | x: 16 if the logic exchanges columns and rows, else 0.
     column_shift: u32,
     /// Column of what follows.
     column: u32,
@@ -128,7 +128,7 @@ impl Reader for Columns {
     }
 }
 
-/// Counts events whose time or place is not known.
+/// Counts a mask whose time or place is unknown.
 #[cold]
 pub fn without(state: &mut State) -> bool {
     state.count(if state.clock.is_known() {

@@ -1,5 +1,5 @@
-//! Registers of the DVXplorer's sensor (module 5), as they are set at the start: biases, a system clock
-//! of 50 MHz, time in microseconds, masks of two groups, no crop and no filter.
+//! Start values of the DVXplorer's sensor registers (module 5): biases, a system clock of 50 MHz, time in
+//! microseconds, masks of two groups, no crop and no filter.
 
 use crate::device::inivation::registers::Register;
 
@@ -7,7 +7,7 @@ const fn byte(register: u16, value: u32) -> (Register, u32) {
     ((5, register), value)
 }
 
-/// Registers and values in their order.
+/// Registers and values, in the order in which they are written.
 pub static SENSOR_REGISTERS: [(Register, u32); 57] = [
     // Biases: reset, pins, ranges, levels, currents.
     byte(0x000D, 0x24),
@@ -29,7 +29,7 @@ pub static SENSOR_REGISTERS: [(Register, u32); 57] = [
     byte(0x3067, 0x80),
     byte(0x3255, 0x0C),
     byte(0x3266, 0x08),
-    // Reference of 1000 us, and fine counts, of 50 ticks for a microsecond.
+    // Reference of 1000 us, and fine counts of 50 ticks per microsecond.
     byte(0x3235, 0x03),
     byte(0x3236, 0xE7),
     byte(0x3234, 49),
@@ -41,7 +41,7 @@ pub static SENSOR_REGISTERS: [(Register, u32); 57] = [
     byte(0x3600, 0x01),
     byte(0x3500, 0x01),
     byte(0x3300, 0x01),
-    // No trigger, no reset while reading, no binning; held while reading.
+    // No trigger, no reset during the readout, no binning; held during the readout.
     byte(0x3260, 0x00),
     byte(0x3248, 0x00),
     byte(0x3200, 0x06),
@@ -70,7 +70,7 @@ pub static SENSOR_REGISTERS: [(Register, u32); 57] = [
     byte(0x324B, 4),
     byte(0x325D, 45_000 >> 8),
     byte(0x325E, 45_000 & 0xFF),
-    // The counter of its time starts anew.
+    // Restart of the counter of the sensor's time.
     byte(0x3201, 0x01),
     byte(0x3201, 0x02),
 ];

@@ -1,9 +1,9 @@
-//! Events as a DVXplorer sends them: see [`super::parse`].
+//! Writes events as a DVXplorer sends them; [`super::parse`] describes the format.
 //!
-//! A word of time where it changes, after it a column, which is the first of a readout where the one
-//! before was not to the left of it; then groups in pairs with their masks. Events of one mask are
-//! those that follow each other in the order in which a mask is read, so order and duplicates are
-//! kept; where the order is another, masks have one bit. An event costs 0.5 to 8 bytes.
+//! When the time changes, the writer emits a time word and a column. A column is marked as the first of a readout
+//! unless the column before it was to its left. Pairs of groups with their masks follow. A mask holds consecutive
+//! events that are in the order in which a mask is read, so order and duplicates are kept; events in another order
+//! get masks of one bit. An event costs 0.4 to 8 bytes, not counting wraps.
 
 use anyhow::Result;
 use eecvs_nostd::{Event, Sensor};
@@ -13,22 +13,22 @@ use crate::device::inivation::masks::Mask;
 use crate::device::inivation::words16;
 use crate::device::inivation::writer::{Order, Time16};
 
-/// First column of a readout.
+/// Marks the first column of a readout.
 const FIRST: u16 = 0x800;
 
 /// Code of two groups.
 const GROUPS: u16 = 0x4000;
 
-/// The second group is above the first.
+/// The number of the second group is lower than that of the first.
 const MINUS: u16 = 0x800;
 
-/// Largest distance of two groups.
+/// Largest distance between two groups.
 const DISTANCE_MAX: u16 = 31;
 
-/// Codes of the masks of group 1 and 2.
+/// Codes of the masks of groups 1 and 2.
 const MASKS: [u16; 2] = [0x3000, 0x2000];
 
-/// Writer of a DVXplorer's stream.
+/// Writes the stream of a DVXplorer.
 #[derive(Debug)]
 pub struct DvxplorerWriter {
     order: Order,
@@ -38,7 +38,7 @@ pub struct DvxplorerWriter {
 }
 
 impl DvxplorerWriter {
-    /// A writer of events of `sensor`.
+    /// Creates a writer for events of `sensor`.
     #[must_use]
     pub const fn new(sensor: Sensor) -> Self {
         Self {

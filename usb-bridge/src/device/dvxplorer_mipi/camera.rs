@@ -1,4 +1,4 @@
-//! A DVXplorer behind MIPI that is simulated.
+//! A simulated DVXplorer with its sensor behind MIPI.
 
 use eecvs_nostd::Sensor;
 
@@ -9,7 +9,7 @@ use crate::device::dvxplorer::{MODE_STREAM, SENSOR_MODE};
 use crate::device::inivation::camera::LogicCamera;
 use crate::device::inivation::registers::RegisterFile;
 
-/// A camera with a sensor of this size, just plugged in.
+/// Returns a camera with a sensor of this size, as just plugged in.
 pub(super) fn camera(sensor: Sensor, stream: Box<dyn Stream>) -> LogicCamera {
     let runs = |registers: &RegisterFile| registers.get(SENSOR_MODE) == MODE_STREAM;
     of_release(MAJOR, sensor, stream, runs)

@@ -1,7 +1,7 @@
 //! DVXplorer with its sensor behind MIPI (DVXplorer Mini and others): Cypress CX3, SuperSpeed.
 //!
-//! It has the DVXplorer's identity with major number 4 in its release, its firmware configures the
-//! sensor, and there is no multiplexer: the sensor's mode alone starts and stops it.
+//! It has the USB identity of the DVXplorer, with major number 4 in its release. Its firmware configures the
+//! sensor, and there is no multiplexer: the sensor's mode alone starts and stops the stream.
 
 pub mod camera;
 pub mod parse;
@@ -29,13 +29,13 @@ use crate::peripheral::Peripheral;
 /// Name of the model.
 pub const NAME: &str = "dvxplorer-mipi";
 
-/// The DVXplorer behind MIPI.
+/// The DVXplorer with its sensor behind MIPI.
 pub struct DvxplorerMipi;
 
 /// Major number of its release.
 const MAJOR: u8 = 4;
 
-/// What sends: stopped in this order.
+/// Registers that make the camera send, in the order in which they are cleared.
 const RUNS: [Register; 5] = [
     SENSOR_MODE,
     DVS_RUN,
@@ -44,7 +44,7 @@ const RUNS: [Register; 5] = [
     IMU_TEMPERATURE_RUN,
 ];
 
-/// Restart of the sensor's counter of time.
+/// Restarts the counter of the sensor's time.
 const SENSOR_RESTART: Register = (5, 0x3201);
 
 impl Model for DvxplorerMipi {

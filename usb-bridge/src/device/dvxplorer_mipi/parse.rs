@@ -1,22 +1,25 @@
-//! Stream of a DVXplorer whose sensor is behind MIPI: words of 32 bits.
+//! Parses the stream of a DVXplorer whose sensor is behind MIPI: 32-bit words.
 //!
 //! | bits | meaning |
 //! |---|---|
 //! | all 0 | padding |
-//! | 31 set | two groups of 8 rows: 7..0 mask of group 1, 15..8 of group 2, 16 and 17 their polarities (0 = ON), 23..18 group 1, 30..26 distance of group 2, which is not above it |
+//! | 31 set | two groups of 8 rows, in the following fields |
+//! | 31 set: 7..0, 15..8 | masks of groups 1 and 2 |
+//! | 31 set: 16, 17 | polarities of groups 1 and 2 (0 = ON) |
+//! | 31 set: 23..18 | number of group 1 |
+//! | 31 set: 30..26 | distance of group 2, whose number is not lower than that of group 1 |
 //! | 31 clear, 26 set | column: 9..0 x, 20..11 microseconds after the reference, 21 first of a frame |
 //! | 31, 26 clear, 27 set | 21..0 reference of time in ms |
 //!
-//! A frame has one time, that of its first column: reference * 1000 + microseconds. Columns of a frame
-//! go up. Nothing is an event until there was a reference and, after it, a first column. The same is
-//! waited for where the stream tells by itself that words are missing, which is counted as "columns
-//! out of order":
+//! A frame has one time, that of its first column: reference * 1000 + microseconds. Columns within a frame
+//! increase. Events are decoded once a reference and, after it, a first column have arrived. The parser also waits
+//! for these where the stream itself shows that words are missing, which is counted as "columns out of order":
 //!
-//! * a column that does not go up: columns, or the first one of the next frame, were lost;
-//! * a frame at the time of the one before or earlier, of the same reference: a reference was lost.
+//! * a column that does not increase: columns, or the first column of the next frame, were lost;
+//! * a frame of the same reference that is not later than the frame before it: a reference was lost.
 //!
-//! The reference wraps after 70 minutes: where it falls by more than half of that; where it falls by
-//! less, time ran back. A lost one is not missed: the next one tells the time anew.
+//! The reference wraps after 70 minutes, which shows as a fall by more than half of that; a fall by less means that
+//! time ran back. A lost reference does no lasting harm, as the next one sets the time again.
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 
@@ -29,23 +32,23 @@ use crate::device::inivation::tally::Count;
 /// Bits of the reference.
 pub const REFERENCE_BITS: u32 = 22;
 
-/// Two groups.
+/// Marks two groups.
 pub const GROUPS: u32 = 1 << 31;
 
-/// A column.
+/// Marks a column.
 pub const COLUMN: u32 = 1 << 26;
 
-/// The first column of a frame.
+/// Marks the first column of a frame.
 pub const FIRST: u32 = 1 << 21;
 
-/// A reference of time.
+/// Marks a time reference.
 pub const REFERENCE: u32 = 1 << 27;
 
-/// Parser of the stream.
+/// Parses the stream of a DVXplorer with MIPI.
 pub type MipiParser = WordParser<Frames>;
 
 impl MipiParser {
-    /// A parser at the beginning of the stream of a camera with this sensor.
+    /// Starts at the beginning of the stream of a camera with this sensor.
     #[must_use]
     pub fn begin(sensor: Sensor) -> Self {
         let reader = Frames {
@@ -62,7 +65,7 @@ impl MipiParser {
 /// No frame has begun.
 const NONE: u32 = u32::MAX;
 
-/// No frame came before: there is no such reference.
+/// No frame came before; no reference has this value.
 const NO_FRAME: (u64, u32) = (u64::MAX, 0);
 
 /// Reads frames, their columns and groups.
@@ -74,7 +77,7 @@ pub struct Frames {
     column: u32,
     /// Reference and microseconds of the frame before.
     frame: (u64, u32),
-    /// Time of what follows.
+    /// Time of what follows, in microseconds.
     t_us: u64,
 }
 
@@ -125,7 +128,7 @@ impl Reader for Frames {
 
     fn time_us(&self, clock: &Clock) -> Option<u64> {
         let reference = clock.time().map(|ms| ms * 1000);
-        // A frame is after its reference, but not where that was corrected since.
+        // A frame is later than its reference, unless the reference was corrected since.
         reference.map(|reference| {
             let goes_on = self.t_us / 1000 == reference / 1000;
             if goes_on { self.t_us } else { reference }
@@ -134,7 +137,7 @@ impl Reader for Frames {
 }
 
 impl Frames {
-    /// Takes what is not a group.
+    /// Takes a word that is not a pair of groups.
     #[inline(always)]
     fn mark(&mut self, word: Word, state: &mut State) -> bool {
         if word.bits & COLUMN != 0 {
@@ -176,7 +179,7 @@ impl Frames {
         state.count(Count::Columns)
     }
 
-    /// Words are missing: waits for the next reference.
+    /// Records that words are missing: waits for the next reference.
     #[cold]
     fn lost(&mut self, word: Word, state: &mut State) -> bool {
         let goes_on = state.strange(Count::OutOfOrder, word);
@@ -186,7 +189,7 @@ impl Frames {
     }
 }
 
-/// Takes a reference that is below the one before, or the first after a loss.
+/// Takes a reference that is below the one before, or the first one after a loss.
 #[cold]
 fn reference(low: u64, word: Word, state: &mut State) -> bool {
     let before = state.clock;

@@ -1,9 +1,8 @@
-//! Events as a DVXplorer behind MIPI sends them: see [`super::parse`].
+//! Writes events as a DVXplorer with MIPI sends them; [`super::parse`] describes the format.
 //!
-//! A frame has one time and its columns go up: so events of one time are sorted by column, within
-//! which they keep their order, and are held back until the time changes or the stream is finished. A
-//! reference is written for every millisecond, but over gaps of more than a second for every 17
-//! minutes only.
+//! A frame has one time and increasing columns. Events of one time are therefore sorted by column, keeping their
+//! order within it, and are held back until the time changes or the stream is finished. A reference is written for
+//! every millisecond, except across gaps of more than a second, where one is written only every 17 minutes.
 
 use anyhow::{Result, ensure};
 use eecvs_nostd::{Event, Sensor};
@@ -13,30 +12,30 @@ use crate::device::WriteStream;
 use crate::device::inivation::masks::Mask;
 use crate::device::inivation::writer::Order;
 
-/// Most events of one time: they are held in memory.
+/// Most events of one time, which are held in memory.
 const FRAME_EVENTS_MAX: usize = 1 << 22;
 
-/// Gap in ms up to which every reference is written.
+/// Longest gap across which every reference is written, in ms.
 const QUIET_MS: u64 = 1000;
 
-/// Step in ms of references over longer gaps: less than half of the wrap.
+/// Step between references across longer gaps, in ms: less than half of the wrap.
 const STEP_MS: u64 = 1 << (REFERENCE_BITS - 2);
 
-/// Largest distance of two groups.
+/// Largest distance between two groups.
 const DISTANCE_MAX: u16 = 31;
 
-/// Writer of the stream.
+/// Writes the stream of a DVXplorer with MIPI.
 #[derive(Debug)]
 pub struct MipiWriter {
     order: Order,
     /// Events of the latest time.
     frame: Vec<Event>,
-    /// Latest reference.
+    /// Latest reference, in ms.
     reference: Option<u64>,
 }
 
 impl MipiWriter {
-    /// A writer of events of `sensor`.
+    /// Creates a writer for events of `sensor`.
     #[must_use]
     pub const fn new(sensor: Sensor) -> Self {
         Self {

@@ -1,4 +1,4 @@
-//! Cameras that are simulated: a source of bytes behind an endpoint, and registers before it.
+//! Simulated cameras: an endpoint that sends a stream, and the registers that control it.
 
 use super::registers::RegisterFile;
 use crate::device::{Due, Stream};
@@ -6,7 +6,7 @@ use crate::link::control::Request;
 use crate::peripheral::descriptors::{Device, Endpoint, Interface};
 use crate::peripheral::{Bulk, Descriptors, Peripheral, Reply, Speed};
 
-/// Bytes of a stream behind an endpoint.
+/// The stream that an endpoint sends.
 pub struct Source {
     stream: Box<dyn Stream>,
     ended: bool,
@@ -22,8 +22,8 @@ impl Source {
         }
     }
 
-    /// Sends what is due while the camera is `started`. Once the recording has ended, or cannot be
-    /// read any more, the camera is quiet: the former as one that sees nothing, the latter halts.
+    /// Sends what is due while the camera is `started`. After the end of the recording the camera stays quiet, like
+    /// one that sees nothing; if the recording cannot be read, the endpoint halts.
     pub fn send(&mut self, started: bool, room: usize, data: &mut Vec<u8>) -> Bulk {
         if self.halted {
             return Bulk::Stall;
@@ -51,8 +51,8 @@ impl Source {
     }
 }
 
-/// Descriptors of a camera with one interface of the vendor's class: `ids` are vendor, product and
-/// release, `names` maker, product and serial number.
+/// Creates the descriptors of a camera with one vendor-class interface. `ids` are vendor, product and release;
+/// `names` are manufacturer, product and serial number.
 pub fn descriptors(
     speed: Speed,
     ids: (u16, u16, u16),
@@ -73,18 +73,18 @@ pub fn descriptors(
     .describe()
 }
 
-/// The endpoint of the firmware's own messages, each 125 us at the most.
+/// Returns the interrupt endpoint for the firmware's own messages, polled every 125 us.
 pub const fn messages(address: u8) -> Endpoint {
     Endpoint::interrupt(address, 64, 1)
 }
 
-/// A camera whose logic has registers.
+/// A camera controlled by registers of its logic.
 pub struct LogicCamera {
     descriptors: Descriptors,
     registers: RegisterFile,
     source: Source,
     endpoint: u8,
-    /// Whether the registers let it send.
+    /// Returns whether the registers let the camera send.
     runs: fn(&RegisterFile) -> bool,
 }
 
@@ -124,7 +124,7 @@ impl Peripheral for LogicCamera {
 
     fn bulk_in(&mut self, endpoint: u8, room: usize, data: &mut Vec<u8>) -> Bulk {
         if endpoint != self.endpoint {
-            // The endpoint of the firmware's own messages has none.
+            // The endpoint for the firmware's own messages has none to send.
             return Bulk::Wait;
         }
         let started = (self.runs)(&self.registers);

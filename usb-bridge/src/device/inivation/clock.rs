@@ -1,76 +1,75 @@
-//! Time of a device that counts in few bits: wraps, resets, losses.
+//! Extends the time of a device that counts in few bits, through wraps, resets and losses.
 //!
 //! ```text
 //! time = base + low        low < period, in ticks of the device
 //! ```
 //!
-//! A wrap adds its multiplier of periods to the base. All is 64 bits: a stream would have to hold
-//! 2^62 ticks to stop the clock, and then it stays there.
+//! A wrap adds a number of periods to the base. All times have 64 bits: only a stream of 2^62 ticks would stop the
+//! clock, which then stays there.
 //!
 //! | what happens | what the clock does |
 //! |---|---|
-//! | the device resets its counter | time goes on from the last time seen: base = now |
-//! | low falls by more than half a period, without a wrap | a wrap is missing: base += period |
-//! | low falls by less | taken as it is: output runs back by less than half a period, until the next word of time |
-//! | bytes are lost, the host's time is known | the time nearest to it that the next low allows; a wrap that comes first is the next one after it |
+//! | the device resets its counter | time continues from the last time seen: base = now |
+//! | low falls by more than half a period without a wrap | a wrap is missing: base += period |
+//! | low falls by less | it is taken as it is: time runs back by at most half a period, until the next time word |
+//! | bytes are lost, the host's time is known | the time nearest to it that low allows, or the first wrap after it |
 //! | bytes are lost, nothing else is known | the next time that low allows, not before the last one |
 //!
-//! What cannot be known without the host's time: a wrap that was lost or forged shifts what follows
-//! by whole periods; a reset that was forged shifts it by less than one; where a device was quiet for
-//! longer than a period, a lost wrap leaves no trace in what follows. The next loss that comes with
-//! the host's time ([`Clock::lose`]) ends the first two: the phase from before a reset is kept until
-//! then, and taken again where it fits better than the one after it, or where it fits and there were
-//! other signs of damage: time that ran back, misaligned words, or a counter that did not begin anew. A
-//! reset that was lost itself leaves times up to half a period off. A host's time is good enough if it
-//! is off by less than half a period, after a reset by less than a quarter.
+//! Some errors cannot be detected without the host's time. A lost or forged wrap shifts what follows by whole
+//! periods. A forged reset shifts it by less than one period. If a device was quiet for longer than a period, a
+//! lost wrap leaves no trace in what follows. The next loss that comes with the host's time ([`Clock::lose`]) ends
+//! the first two errors: the phase from before a reset is kept until then. It is restored if it fits better than
+//! the phase after the reset, or if it fits and there were other signs of damage: time that ran back, misaligned
+//! words, or a counter that did not restart. A lost reset leaves times up to half a period off. The host's time is
+//! accurate enough if it is off by less than half a period, or after a reset by less than a quarter.
 
-/// Largest base: leaves room for every sum below.
+/// Largest base; it leaves room for every sum below.
 const BASE_MAX: u64 = 1 << 62;
 
 /// A counter of few bits, extended to 64.
 #[derive(Debug, Clone, Copy)]
 pub struct Clock {
-    /// Ticks after which the counter begins anew: a power of two.
+    /// Number of ticks after which the counter wraps: a power of two.
     period: u64,
     /// Time at which the counter was 0.
     base: u64,
     /// Latest time.
     now: u64,
-    /// Least time that is taken without a question: `now`, or the maximum while time is not known.
+    /// Least time that [`Clock::take`] accepts: `now`, or a maximum that forces [`Clock::settle`].
     floor: u64,
     /// Whether any time was seen.
     seen: bool,
-    /// Time of the host at a loss.
+    /// The host's time at a loss.
     anchor: Option<u64>,
-    /// What was before the first reset since the host's time was last compared.
+    /// State before the first reset since the last comparison with the host's time.
     before_reset: Option<BeforeReset>,
-    /// Words were damaged since then: a reset may be one of them.
+    /// Whether words were damaged since then, so that a reset may be one of them.
     damaged: bool,
 }
 
-/// The counter before a reset, should that have been none.
+/// The counter before a reset, in case the reset was forged.
 #[derive(Debug, Clone, Copy)]
 struct BeforeReset {
     base: u64,
-    /// Its low part at the reset, until the next one is compared with it.
+    /// The counter's low part at the reset, until the next low part is compared with it.
     low: Option<u64>,
-    /// The counter seems to have run on: resets came in a row, or the low part did not begin anew.
+    /// The counter seems to have run on: resets came in a row, or the low part did not restart.
     ran_on: bool,
 }
 
-/// What became of a low part that [`Clock::take`] had a question about.
+/// What became of a low part that [`Clock::take`] refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Settled {
-    /// The first time after a start, a loss or a reset.
+    /// It is the first time after a start, a loss or a reset.
     Found,
-    /// It fell by more than half a period: a wrap belongs between.
+    /// It fell by more than half a period: a wrap is missing before it.
     Wrapped,
     /// It fell by less, and is taken as it is.
     Back,
 }
 
 impl Clock {
-    /// A counter of `bits` bits (1 to 32) that was never read.
+    /// Creates a clock for a counter of `bits` bits (1 to 32) that has not been read yet.
     #[must_use]
     pub const fn new(bits: u32) -> Self {
         Self {
@@ -85,31 +84,31 @@ impl Clock {
         }
     }
 
-    /// Latest time.
+    /// Returns the latest time, in ticks of the device.
     #[must_use]
     pub const fn now(&self) -> u64 {
         self.now
     }
 
-    /// Latest time, once there was one.
+    /// Returns the latest time, in ticks of the device; `None` before the first.
     #[must_use]
     pub const fn time(&self) -> Option<u64> {
         if self.seen { Some(self.now) } else { None }
     }
 
-    /// Whether [`Clock::now`] is the time of what comes next.
+    /// Returns whether [`Clock::now`] is the time of what follows.
     #[must_use]
     pub const fn is_known(&self) -> bool {
         self.floor != u64::MAX
     }
 
-    /// Whether a low part that [`Clock::take`] does not take runs back.
+    /// Returns whether a low part that [`Clock::take`] refused makes time run back.
     #[must_use]
     pub const fn runs_back(&self, low: u64) -> bool {
         self.is_known() && self.base + low < self.now
     }
 
-    /// Takes the next low part; `false` where [`Clock::settle`] has to.
+    /// Takes the next low part. Returns `false` if it was refused and [`Clock::settle`] must take it.
     #[inline(always)]
     pub fn take(&mut self, low: u64) -> bool {
         let time = self.base + low;
@@ -121,7 +120,7 @@ impl Clock {
         runs_on
     }
 
-    /// Takes a low part that [`Clock::take`] did not.
+    /// Takes a low part that [`Clock::take`] refused.
     #[cold]
     pub fn settle(&mut self, low: u64) -> Settled {
         let settled = if self.is_known() && !self.runs_back(low) {
@@ -143,10 +142,10 @@ impl Clock {
         settled
     }
 
-    /// Adds `count` periods.
+    /// Records that the counter wrapped `count` times.
     #[cold]
     pub fn wrap(&mut self, count: u64) {
-        // Soon after a reset only a counter that ran on wraps.
+        // A counter that restarted does not wrap so soon after its reset.
         if let Some(before) = &mut self.before_reset
             && let Some(last) = before.low.take()
         {
@@ -156,8 +155,8 @@ impl Clock {
             self.base = (self.base + count * self.period).min(BASE_MAX);
             self.know(self.base.max(self.now));
         } else if let Some(anchor) = self.anchor {
-            // The counter is 0 now. The wrap before this one was at the anchor at the latest, so this
-            // one is in (anchor, anchor + period], or as many periods later as it counts more.
+            // The counter is 0 now. The wrap before this one was at the anchor at the latest, so this wrap is in
+            // (anchor, anchor + period], or later by one period for each further wrap it counts.
             let ticks = (count * self.period).saturating_sub(self.period / 2 - 1);
             self.anchor = Some((anchor + ticks).min(BASE_MAX));
             self.find(0, true);
@@ -169,7 +168,7 @@ impl Clock {
         }
     }
 
-    /// The counter begins at 0 now.
+    /// Records that the counter restarts at 0 now.
     #[cold]
     pub fn reset(&mut self) {
         if let Some(before) = &mut self.before_reset {
@@ -178,7 +177,7 @@ impl Clock {
             self.before_reset = Some(BeforeReset {
                 base: self.base,
                 low: self.is_known().then(|| self.now - self.base),
-                // Between a loss and the next time it is as likely a part of the damage.
+                // A reset between a loss and the next time is likely part of the damage.
                 ran_on: !self.is_known(),
             });
         }
@@ -187,11 +186,11 @@ impl Clock {
         }
         self.base = self.now.min(BASE_MAX);
         self.know(self.base);
-        // The next low part is looked at: `settle` has to take it.
+        // Forces the next low part through `settle`.
         self.floor = u64::MAX - 1;
     }
 
-    /// Time is not known until the next low part; `host` is what the host's clock says it is.
+    /// Records a loss: time is unknown until the next low part. `host` is the device time by the host's clock.
     #[cold]
     pub fn lose(&mut self, host: Option<u64>) {
         self.floor = u64::MAX;
@@ -200,7 +199,7 @@ impl Clock {
         }
     }
 
-    /// Words were found misaligned: what this clock took from them was undone, and time is not known.
+    /// Records that words were misaligned: time is unknown. What this clock took from them has been undone.
     #[cold]
     pub fn lose_misaligned(&mut self) {
         self.damaged = true;
@@ -213,8 +212,8 @@ impl Clock {
         self.seen = true;
     }
 
-    /// Compares the first low part after a reset with the last one before it: a counter that began
-    /// anew is nearer to 0, one that ran on nearer to where it was.
+    /// Compares the first low part after a reset with the last one before it: if the counter restarted, it is
+    /// nearer to 0; if it ran on, it is nearer to the previous one.
     fn compare_reset(&mut self, low: u64) {
         let period = self.period;
         if let Some(before) = &mut self.before_reset
@@ -224,7 +223,7 @@ impl Clock {
         }
     }
 
-    /// Sets the base by the next low part after a loss, or by that of a wrap.
+    /// Sets the base from the first low part after a loss, or from a wrap (low part 0).
     fn find(&mut self, low: u64, is_wrap: bool) {
         let Some(anchor) = self.anchor.take() else {
             let time = self.base + low;
@@ -237,21 +236,21 @@ impl Clock {
         if let Some(before) = self.before_reset.take() {
             let other = self.nearest(before.base.wrapping_add(low), anchor);
             let off = other.abs_diff(anchor);
-            // A reset with nothing after it but the loss is taken as a part of the damage.
+            // A reset with nothing between it and the loss is taken as part of the damage.
             let doubted = before.ran_on || before.low.is_some() || damaged;
             let may_be = doubted && (is_wrap || off <= self.period / 4);
             if may_be || off < time.abs_diff(anchor) {
                 time = other;
             }
         }
-        // Before the counter's own 0 there was no time.
+        // There is no time before the counter's own 0.
         if time < low {
             time += self.period;
         }
         self.base = time - low;
     }
 
-    /// The time nearest to `anchor` that is `any` up to whole periods.
+    /// Returns the time nearest to `anchor` that differs from `any` by whole periods.
     fn nearest(&self, any: u64, anchor: u64) -> u64 {
         let above = anchor.wrapping_sub(any) % self.period;
         if above > self.period / 2 || above > anchor {
@@ -318,7 +317,7 @@ mod tests {
             (100, 5 << 15, 40, (5 << 15) + 40),
             (100, (5 << 15) + 40, 32_767, (5 << 15) - 1),
             (100, (5 << 15) - 40, 10, (5 << 15) + 10),
-            // Before its own 0 there is no time.
+            // There is no time before the counter's own 0.
             (100, 10, 32_767, 32_767),
             (9, 1 << 40, 3, (1 << 40) + 3),
         ] {
@@ -358,7 +357,7 @@ mod tests {
 
     #[test]
     fn a_counter_that_ran_on_is_known_by_its_low_part() {
-        // The host's time is nearer to what the forged resets make of it.
+        // The host's time is nearer to the time that the forged resets yield.
         for (resets, next) in [(1, 1_100), (3, 2)] {
             let mut clock = Clock::new(15);
             low(&mut clock, 1_000);

@@ -1,36 +1,36 @@
-//! Groups of 8 rows, by their number.
+//! Groups of 8 rows, looked up by their number.
 
-/// 8 rows of a column: the first one * 2^16, and a bit for each of them that there is. The last group
-/// may have fewer, one beyond the last has none and is 0.
+/// The rows of a group: the first row in bits 31..16, and in bits 7..0 one bit for each row that exists. The last
+/// group may have fewer than 8 rows; a group beyond the last has none and is 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Group(u32);
 
 impl Group {
-    /// No group.
+    /// A group that does not exist.
     pub const NONE: Self = Self(0);
 
-    /// First row.
+    /// Returns the first row of the group.
     #[inline(always)]
     pub const fn row(self) -> u32 {
         self.0 >> 16
     }
 
-    /// Which of the rows there are.
+    /// Returns a bit mask of the rows that exist.
     #[inline(always)]
     pub const fn inside(self) -> u32 {
         self.0 & 0xFF
     }
 }
 
-/// Numbers that a word can hold: 6 bits, and up to 31 above or below.
+/// Number of group numbers that words can yield: 6 bits, plus or minus a distance of up to 31.
 const NUMBERS: u32 = 128;
 
-/// The groups of a sensor. Numbers below 0 are those from 97 on, where no sensor has any.
+/// The groups of a sensor. Numbers below 0 wrap to 97 and above, where no sensor has groups.
 #[derive(Debug)]
 pub struct Groups([Group; NUMBERS as usize]);
 
 impl Groups {
-    /// Groups of as many rows.
+    /// Creates the groups of a sensor with `rows` rows.
     pub fn new(rows: u32) -> Self {
         let mut groups = [Group::NONE; NUMBERS as usize];
         let first_rows = (0..rows.min(64 * 8)).step_by(8);
@@ -45,7 +45,7 @@ impl Groups {
         Self(groups)
     }
 
-    /// A group, or [`Group::NONE`].
+    /// Returns a group, or [`Group::NONE`] if it does not exist.
     #[inline(always)]
     pub fn get(&self, number: u32) -> Group {
         self.0[(number % NUMBERS) as usize]

@@ -1,21 +1,21 @@
-//! Events of one column as masks of 8 pixels, in their order.
+//! Packs events of one column into masks of 8 pixels, keeping their order.
 
 use eecvs_nostd::{Event, Polarity};
 
-/// Events of one time, column and polarity in a group of 8 rows.
+/// Events of the same time, column and polarity in a group of 8 rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Mask {
     /// Rows 8 * group to 8 * group + 7.
     pub group: u16,
-    /// Bit i is row 8 * group + i.
+    /// Bit i stands for row 8 * group + i.
     pub bits: u8,
-    /// 1 where the events are OFF.
+    /// 1 if the events are OFF, 0 if they are ON.
     pub off: u16,
 }
 
 impl Mask {
-    /// The mask of the first events, and how many they are: those that stand in the order in which a
-    /// mask is read, so that order and duplicates survive. `None` without any.
+    /// Returns the mask of the first events, and their number. It includes only events that are in the order in
+    /// which a mask is read, so that order and duplicates survive. `None` if there are no events.
     pub fn first(events: &[Event]) -> Option<(Self, usize)> {
         let first = events.first()?;
         let group = first.y / 8;
@@ -37,7 +37,8 @@ impl Mask {
         Some((Self { group, bits, off }, count))
     }
 
-    /// The mask that follows in the same column at the same time, as [`Mask::first`].
+    /// Returns the mask after the first `taken` events if it belongs to the same column and time; see
+    /// [`Mask::first`].
     pub fn next(events: &[Event], taken: usize) -> Option<(Self, usize)> {
         let (first, rest) = (events.first()?, events.get(taken..)?);
         let same = rest

@@ -1,14 +1,13 @@
-//! What the cameras of iniVation share: words, time that wraps, alignment, registers.
+//! Code shared by the iniVation cameras: words, wrapping time, alignment and registers.
 //!
-//! Their streams are words of 16 or 32 bits, little-endian, without frames or checks. So a parser
-//! can only judge a word by its place:
+//! Their streams consist of 16- or 32-bit little-endian words without frames or checksums. A parser can therefore
+//! judge a word only by its context:
 //!
-//! * A word that the device does not send (an unknown code, an address outside of the sensor, a wrap
-//!   of 0) is counted by its cause and left out, and what was known before stays.
-//! * [`strikes`]: where 8 of 32 words are such or let time run back, the words are taken as
-//!   misaligned by an odd number of lost bytes: one byte is left out, and time goes on from what it
-//!   was before the first of them.
-//! * [`clock`]: what a lost or forged word of time does, what is seen of it, and what is not.
+//! * A word that the device does not send (an unknown code, an address outside the sensor, a wrap of 0) is counted
+//!   by its cause and skipped, and the state before it is kept.
+//! * [`strikes`]: if 8 of 32 words are of this kind or make time run back, the words are taken as misaligned by an
+//!   odd number of lost bytes. One byte is skipped, and time continues from its value before the first of them.
+//! * [`clock`]: the effects of a lost or forged time word, and which of them can be detected.
 
 pub(super) mod camera;
 pub mod clock;

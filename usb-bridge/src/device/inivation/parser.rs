@@ -1,4 +1,4 @@
-//! A stream of words, cut anywhere: whole words to the model's reader, the rest kept.
+//! Splits a stream into words, wherever its bytes are cut: whole words go to the model's reader, the rest is kept.
 
 use eecvs_nostd::{Event, Sensor};
 use event_files::Skipped;
@@ -8,31 +8,31 @@ use super::strikes::Strikes;
 use super::tally::{Count, Tally};
 use crate::device::Parse;
 
-/// Bytes for which room is reserved at once.
+/// Bytes per block, for whose events room is reserved at once.
 const BLOCK_BYTES: usize = 4096;
 
-/// Bytes of the longest word.
+/// Length of the longest word, in bytes.
 const WORD_MAX: usize = 4;
 
 /// How a model reads its words.
 pub trait Reader: Send {
-    /// Bytes of a word: 2 or 4.
+    /// Bytes per word: 2 or 4.
     const WORD: usize;
 
-    /// Events of a word, at the most.
+    /// Most events per word.
     const EVENTS: usize;
 
-    /// Ticks of the device's counter, in microseconds.
+    /// Length of a tick of the device's counter, in microseconds.
     const TICK_US: u64 = 1;
 
-    /// Takes a word. Each is counted once: as an event's, by name, or as lost. Returns whether the
-    /// words go on: not where they were found misaligned, which only [`State`]'s own functions find.
+    /// Takes a word, which is counted once: as an event, by name, or as lost. Returns whether reading goes on; it
+    /// ends where the words were found misaligned, which only the methods of [`State`] detect.
     fn word(&mut self, word: Word, state: &mut State, events: &mut Vec<Event>) -> bool;
 
-    /// Forgets row and column.
+    /// Forgets the current row and column.
     fn forget(&mut self);
 
-    /// Time of the stream so far, in microseconds.
+    /// Returns the latest time in the stream, in microseconds.
     fn time_us(&self, clock: &Clock) -> Option<u64> {
         clock.time()
     }
@@ -43,33 +43,34 @@ pub trait Reader: Send {
 pub struct Word {
     /// Its bits.
     pub bits: u32,
-    /// Its number.
+    /// Its number in the stream, from 0.
     pub number: u64,
 }
 
-/// What every model keeps of its stream.
+/// State that the parsers of all models keep.
 #[derive(Debug)]
 pub struct State {
     /// The device's time.
     pub clock: Clock,
-    /// Words by name.
+    /// Counts of words by name.
     pub tally: Tally,
     strikes: Strikes,
-    /// Words so far.
+    /// Number of words so far.
     words: u64,
-    /// The clock to go on with after one byte is left out.
+    /// The clock to continue with after one byte was skipped.
     realign: Option<Clock>,
 }
 
 impl State {
-    /// Counts a word that the device does not send at this place; the clock is as before it.
+    /// Counts a word that the device does not send at this place; the clock must be as before the word. Returns
+    /// whether reading goes on.
     #[cold]
     pub fn strange(&mut self, count: Count, word: Word) -> bool {
         self.tally.add(count);
         self.strike(word)
     }
 
-    /// Takes a low part of time that the clock had a question about.
+    /// Takes a low part of time that the clock refused. Returns whether reading goes on.
     #[cold]
     pub fn settle(&mut self, low: u64, word: Word) -> bool {
         let goes_on = !self.clock.runs_back(low) || self.strike(word);
@@ -81,7 +82,7 @@ impl State {
         goes_on
     }
 
-    /// A word is strange; the clock is as before it. Returns whether the words go on.
+    /// Records a strike against a word; the clock must be as before the word. Returns whether reading goes on.
     #[cold]
     pub fn strike(&mut self, word: Word) -> bool {
         let found = self.strikes.add(word.number, &self.clock);
@@ -89,7 +90,7 @@ impl State {
         self.realign.is_none()
     }
 
-    /// Counts a word, with which the words go on.
+    /// Counts a word by name; reading goes on.
     #[inline(always)]
     pub fn count(&mut self, count: Count) -> bool {
         self.tally.add(count);
@@ -97,7 +98,7 @@ impl State {
     }
 }
 
-/// A parser of words that `R` reads.
+/// A parser of the words that `R` reads.
 #[derive(Debug)]
 pub struct WordParser<R> {
     reader: R,
@@ -109,7 +110,7 @@ pub struct WordParser<R> {
 }
 
 impl<R: Reader> WordParser<R> {
-    /// A parser at the beginning of a stream whose counter has `bits` bits.
+    /// Starts at the beginning of a stream whose counter has `bits` bits.
     #[must_use]
     pub fn new(reader: R, sensor: Sensor, bits: u32) -> Self {
         let clock = Clock::new(bits);
@@ -129,20 +130,20 @@ impl<R: Reader> WordParser<R> {
         }
     }
 
-    /// Whole words so far, and those that are counted by name or as lost. For a model whose events
-    /// have words of their own the difference is the events; for one with masks there is none.
+    /// Returns the number of whole words so far, and of those counted by name or as lost. If each event has its own
+    /// word, the difference is the number of events; with masks there is no difference.
     #[must_use]
     pub fn accounts(&self) -> (u64, u64) {
         (self.state.words, self.state.tally.all_words())
     }
 
-    /// Reads whole words; returns the bytes read, fewer where the words were found misaligned.
+    /// Reads whole words. Returns the number of bytes read: fewer than given if the words were found misaligned.
     fn read(&mut self, bytes: &[u8], events: &mut Vec<Event>) -> usize {
         events.reserve(bytes.len() / R::WORD * R::EVENTS);
         let first = self.state.words;
         let mut number = first;
         for word in bytes.chunks_exact(R::WORD) {
-            // Whole, not byte by byte: every load counts.
+            // A word is loaded whole, not byte by byte, for speed.
             let bits = match R::WORD {
                 2 => word
                     .first_chunk()
@@ -161,7 +162,7 @@ impl<R: Reader> WordParser<R> {
         (number - first) as usize * R::WORD
     }
 
-    /// Adds to the word that is kept; returns the bytes it took.
+    /// Completes the word that is kept; returns the number of bytes used.
     fn fill(&mut self, bytes: &[u8]) -> usize {
         let taken = bytes.len().min(R::WORD - self.kept_bytes);
         self.kept[self.kept_bytes..][..taken].copy_from_slice(&bytes[..taken]);

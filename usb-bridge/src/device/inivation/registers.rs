@@ -1,9 +1,9 @@
-//! Registers of the cameras' logic, both ends: how a host uses them, and how a camera answers.
+//! Registers of the cameras' logic, for both ends: the host that uses them, and the simulated camera.
 //!
-//! | request, vendor's | value | index | data |
+//! | vendor request | value | index | data |
 //! |---|---|---|---|
 //! | 0xBF, in or out | module | register | 4 bytes, big-endian |
-//! | 0xC2, out | how many | 0 | 6 bytes for each: module, register, 4 bytes big-endian |
+//! | 0xC2, out | number of entries | 0 | 6 bytes per entry: module, register, 4 bytes big-endian |
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use anyhow::{Context, Result, ensure};
 use crate::link::control::{Control, Request};
 use crate::peripheral::Reply;
 
-/// A module's register.
+/// Module and number of a register.
 pub type Register = (u16, u16);
 
 /// Endpoint of the stream.
@@ -21,73 +21,73 @@ pub const ENDPOINT: u8 = 0x82;
 /// Endpoint of the firmware's messages, which are not read.
 pub const DEBUG_ENDPOINT: u8 = 0x81;
 
-/// Vendor of every camera.
+/// USB vendor ID of every camera.
 pub const VENDOR: u16 = 0x152A;
 
-/// The stream's multiplexer runs.
+/// Enables the multiplexer of the stream.
 pub const MUX_RUN: Register = (0, 0);
-/// Its time runs.
+/// Enables the multiplexer's clock.
 pub const MUX_TIME_RUN: Register = (0, 1);
-/// The sensor has power and biases.
+/// Enables power and biases of the sensor.
 pub const MUX_CHIP_RUN: Register = (0, 3);
-/// External inputs are dropped where the host is slow.
+/// External inputs are dropped when the host is slow.
 pub const MUX_DROP_INPUTS: Register = (0, 4);
-/// Events are dropped where the host is slow.
+/// Events are dropped when the host is slow.
 pub const MUX_DROP_EVENTS: Register = (0, 5);
-/// Columns of the sensor.
+/// Number of columns of the sensor.
 pub const DVS_COLUMNS: Register = (1, 0);
-/// Rows of the sensor.
+/// Number of rows of the sensor.
 pub const DVS_ROWS: Register = (1, 1);
-/// Bit 2: columns are rows.
+/// Orientation; bit 2: columns and rows are exchanged.
 pub const DVS_ORIENTATION: Register = (1, 2);
-/// Events are read out.
+/// Enables the readout of events.
 pub const DVS_RUN: Register = (1, 3);
-/// Frames are read out.
+/// Enables the readout of frames.
 pub const APS_RUN: Register = (2, 4);
-/// The accelerometer is read out.
+/// Enables the readout of the accelerometer.
 pub const IMU_ACCELEROMETER_RUN: Register = (3, 2);
-/// The gyroscope is read out.
+/// Enables the readout of the gyroscope.
 pub const IMU_GYROSCOPE_RUN: Register = (3, 3);
-/// The thermometer is read out.
+/// Enables the readout of the thermometer.
 pub const IMU_TEMPERATURE_RUN: Register = (3, 4);
-/// External inputs are read out.
+/// Enables the readout of external inputs.
 pub const INPUT_RUN: Register = (4, 0);
 /// Version of the logic.
 pub const LOGIC_VERSION: Register = (6, 0);
-/// Number of the sensor's kind.
+/// Number of the chip.
 pub const CHIP: Register = (6, 1);
-/// Clock of the logic in MHz.
+/// Clock of the logic, in MHz.
 pub const LOGIC_CLOCK: Register = (6, 3);
-/// Clock of the converter in MHz.
+/// Clock of the analogue-to-digital converter, in MHz.
 pub const ADC_CLOCK: Register = (6, 4);
-/// Clock of the USB side in MHz.
+/// Clock of the USB side, in MHz.
 pub const USB_CLOCK: Register = (6, 5);
-/// The clocks' true rate in thousandths.
+/// True rate of the clocks, in thousandths of the nominal rate.
 pub const CLOCK_DEVIATION: Register = (6, 6);
 /// Patch level of the logic.
 pub const LOGIC_PATCH: Register = (6, 7);
-/// Data goes to the endpoint.
+/// Enables the output to the endpoint.
 pub const USB_RUN: Register = (9, 0);
 
 /// The only version of the logic whose stream is known.
 pub const LOGIC_KNOWN: u32 = 18;
 
-/// Modules that a camera has.
+/// Number of modules that a camera has.
 const MODULES: u16 = 10;
 
-/// Modules whose registers tell of the camera and cannot be written.
+/// The module that describes the camera; its registers are read-only.
 const SYSTEM: u16 = 6;
 
 const REGISTER: u8 = 0xBF;
 const REGISTERS: u8 = 0xC2;
 
-/// Bytes of a register in a request of many.
+/// Bytes per register in a request for several registers.
 const ENTRY: usize = 6;
 
-/// Asks for a register.
+/// Reads a register.
 ///
 /// # Errors
-/// The camera does not answer.
+/// The camera does not answer, or not with 4 bytes.
 pub fn read(control: &mut dyn Control, (module, register): Register) -> Result<u32> {
     let mut data = [0; 4];
     let request = Request::vendor_in(REGISTER, module, register);
@@ -102,10 +102,10 @@ pub fn read(control: &mut dyn Control, (module, register): Register) -> Result<u
     Ok(u32::from_be_bytes(data))
 }
 
-/// Sets a register.
+/// Writes a register.
 ///
 /// # Errors
-/// The camera refuses it.
+/// The camera refuses the request.
 pub fn write(control: &mut dyn Control, (module, register): Register, value: u32) -> Result<()> {
     let request = Request::vendor_out(REGISTER, module, register);
     control
@@ -113,20 +113,20 @@ pub fn write(control: &mut dyn Control, (module, register): Register, value: u32
         .with_context(|| format!("register {module}/{register:#x} cannot be set"))
 }
 
-/// Sets registers in their order.
+/// Writes registers in the given order.
 ///
 /// # Errors
-/// The camera refuses one.
+/// The camera refuses one of them.
 pub fn write_all(control: &mut dyn Control, values: &[(Register, u32)]) -> Result<()> {
     values
         .iter()
         .try_for_each(|(register, value)| write(control, *register, *value))
 }
 
-/// Sets registers to 0 in their order.
+/// Writes 0 to registers in the given order.
 ///
 /// # Errors
-/// The camera refuses one.
+/// The camera refuses one of them.
 pub fn clear_all(control: &mut dyn Control, registers: &[Register]) -> Result<()> {
     registers
         .iter()
@@ -137,12 +137,12 @@ pub fn clear_all(control: &mut dyn Control, registers: &[Register]) -> Result<()
 #[derive(Debug, Clone)]
 pub struct RegisterFile {
     values: BTreeMap<Register, u32>,
-    /// Values that nobody can set.
+    /// Values of read-only registers.
     fixed: BTreeMap<Register, u32>,
 }
 
 impl RegisterFile {
-    /// All 0 but for what `fixed` has.
+    /// Creates registers that are all 0, except the read-only ones in `fixed`.
     pub fn new(fixed: &[(Register, u32)]) -> Self {
         Self {
             values: BTreeMap::new(),
@@ -150,7 +150,7 @@ impl RegisterFile {
         }
     }
 
-    /// Value of a register.
+    /// Returns the value of a register.
     pub fn get(&self, register: Register) -> u32 {
         let value = self.fixed.get(&register);
         value
@@ -159,17 +159,17 @@ impl RegisterFile {
             .unwrap_or(0)
     }
 
-    /// Whether all of `registers` are set.
+    /// Returns whether all of `registers` are non-zero.
     pub fn all_set(&self, registers: &[Register]) -> bool {
         registers.iter().all(|register| self.get(*register) != 0)
     }
 
-    /// As after a reset.
+    /// Resets the registers that can be written to 0.
     pub fn reset(&mut self) {
         self.values.clear();
     }
 
-    /// Answers a request.
+    /// Answers a control request with at most `length` bytes; stalls unknown requests and modules.
     pub fn control(&mut self, request: Request, data: &[u8], length: usize) -> Reply {
         let register = (request.value, request.index);
         match (request.kind, request.request) {

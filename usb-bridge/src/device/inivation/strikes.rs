@@ -1,29 +1,29 @@
-//! Misaligned words, seen by how many of them no device sends.
+//! Detects misaligned words by the number of words that no device sends.
 //!
-//! Words that began in the middle of a word are strange often: of a misaligned stream of any model
-//! here at least every third one has an unknown code, an address outside, or a time that runs back.
-//! Of an aligned one none is, but for the words that were damaged.
+//! Words read from the middle of other words are often invalid: in a misaligned stream of any model here at least
+//! every third word has an unknown code, an address outside the sensor, or a time that runs back. In an aligned
+//! stream no word does, except damaged ones.
 
 use super::clock::Clock;
 
-/// Words in which strikes add up.
+/// Length of the window in which strikes add up, in words.
 const WINDOW_WORDS: u64 = 32;
 
-/// Strikes of a window that tell misalignment.
+/// Number of strikes in a window that shows misalignment.
 const LIMIT: u32 = 8;
 
-/// Strange words of the latest window.
+/// Invalid words of the latest window.
 #[derive(Debug, Clone, Copy)]
 pub struct Strikes {
-    /// Number of the window's first strange word.
+    /// Number of the window's first invalid word.
     first: u64,
     count: u32,
-    /// The clock before that word: what strange words make of time is undone.
+    /// The clock before that word; restoring it undoes what invalid words did to time.
     clock: Clock,
 }
 
 impl Strikes {
-    /// None so far.
+    /// Starts without strikes, at the time of `clock`.
     #[must_use]
     pub const fn new(clock: Clock) -> Self {
         Self {
@@ -33,8 +33,8 @@ impl Strikes {
         }
     }
 
-    /// Counts word number `word`, before which the clock was as `clock` is; with the last one that
-    /// was needed, returns the clock from before the first.
+    /// Counts word number `word` as a strike; `clock` is the clock before that word. When the limit is reached,
+    /// returns the clock from before the window's first strike.
     #[cold]
     pub fn add(&mut self, word: u64, clock: &Clock) -> Option<Clock> {
         if self.count == 0 || word.saturating_sub(self.first) >= WINDOW_WORDS {

@@ -1,4 +1,4 @@
-//! What the cameras' registers tell of themselves.
+//! Identifies a camera by its registers.
 
 use std::time::Duration;
 
@@ -14,19 +14,19 @@ use crate::link::control::Control;
 /// Oldest versions whose stream is known.
 #[derive(Debug, Clone, Copy)]
 pub struct Versions {
-    /// Firmware: low byte of the device's release.
+    /// Firmware version: the low byte of the device's release.
     pub firmware_min: u16,
     /// Patch level of the logic.
     pub patch_min: u32,
 }
 
-/// Bit of the orientation that exchanges columns and rows.
+/// Orientation bit that exchanges columns and rows.
 const EXCHANGED: u32 = 1 << 2;
 
-/// Compares the camera's versions with what is known; returns them for people.
+/// Checks the camera's versions against the known ones; returns them as text.
 ///
 /// # Errors
-/// They are too old, or the logic is another one.
+/// The versions are too old, or the logic has another version.
 fn check_versions(known: &Versions, control: &mut dyn Control) -> Result<String> {
     let firmware = control.release() & 0xFF;
     let logic = read(control, LOGIC_VERSION)?;
@@ -42,27 +42,27 @@ fn check_versions(known: &Versions, control: &mut dyn Control) -> Result<String>
     Ok(format!("firmware {firmware}, logic {logic}.{patch}"))
 }
 
-/// What a camera whose logic has registers says of itself.
+/// Identity that a camera's registers report.
 #[derive(Debug)]
 pub struct Found {
-    /// Versions, for people.
+    /// Versions, as text.
     pub firmware: String,
     /// Size of the sensor.
     pub sensor: Sensor,
-    /// Whether the logic calls its columns rows.
+    /// Whether the logic exchanges columns and rows.
     pub inverted: bool,
     /// Number of the chip.
     pub chip: u32,
 }
 
-/// Time in which the logic's buffers run empty.
+/// Time in which the logic's buffers drain.
 const EMPTY: Duration = Duration::from_millis(10);
 
-/// Asks a camera what it is, and leaves it silent: it may run since another program crashed. `runs` is what
-/// sends, in the order in which it is stopped.
+/// Identifies a camera and leaves it silent: it may still be running for a program that crashed. `runs` lists the
+/// registers that make it send, in the order in which they are cleared.
 ///
 /// # Errors
-/// The camera does not answer, or is one whose stream is not known.
+/// The camera does not answer, or its stream is unknown.
 pub fn found(
     name: &str,
     known: &Versions,
@@ -85,10 +85,11 @@ pub fn found(
     })
 }
 
-/// Size of the sensor as its events have it, and whether the logic calls its columns rows.
+/// Returns the size of the sensor in the coordinates of its events, and whether the logic exchanges columns and
+/// rows.
 ///
 /// # Errors
-/// The camera has no such sensor.
+/// The camera reports a size that no sensor has.
 fn sensor(control: &mut dyn Control) -> Result<(Sensor, bool)> {
     let columns = read(control, DVS_COLUMNS)?;
     let rows = read(control, DVS_ROWS)?;

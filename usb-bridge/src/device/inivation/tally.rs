@@ -1,10 +1,10 @@
-//! Counts of words that are no events, and of what was lost.
+//! Counts of words that are not events, and of losses.
 
 use event_files::Skipped;
 
 macro_rules! counts {
     ($($(#[$doc:meta])* $kind:ident = $name:literal, $of:ident;)*) => {
-        /// What is counted.
+        /// Kinds of words and losses that are counted.
         #[derive(Debug, Clone, Copy, PartialEq, Eq)]
         pub enum Count {
             $($(#[$doc])* $kind,)*
@@ -14,35 +14,35 @@ macro_rules! counts {
     };
 }
 
-/// Where a count is reported.
+/// How a count is reported.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Of {
-    /// A word that is no event.
+    /// As a word that is not an event.
     Word,
-    /// A word that was left out.
+    /// As a lost word.
     LostWord,
-    /// Something lost or found wrong that is not a word by itself.
+    /// As a loss or error that is not a word by itself.
     Note,
 }
 
 counts! {
-    /// A word of time.
+    /// A time word.
     Times = "times", Word;
     /// The counter wrapped.
     Wraps = "wraps", Word;
     /// The counter was reset.
     Resets = "resets", Word;
-    /// A row's address.
+    /// The address of a row.
     Rows = "rows", Word;
-    /// A column's address.
+    /// The address of a column.
     Columns = "columns", Word;
-    /// Addresses of two groups of 8 rows.
+    /// The addresses of two groups of 8 rows.
     Groups = "groups", Word;
-    /// Pixels of a group that changed: events.
+    /// The pixels of a group that changed: events.
     Masks = "masks of events", Word;
-    /// Edges and pulses at the input.
+    /// Edges and pulses at the external input.
     Inputs = "external inputs", Word;
-    /// Edges of the generator.
+    /// Edges of the signal generator.
     Generator = "generator edges", Word;
     /// Samples of the inertial sensor.
     Imu = "inertial samples", Word;
@@ -52,9 +52,9 @@ counts! {
     Samples = "frame samples", Word;
     /// Exposures and regions of interest.
     Exposures = "exposures and regions", Word;
-    /// Words of 0 between others.
+    /// Zero words between others.
     Padding = "padding", Word;
-    /// Codes that the device does not send.
+    /// A code that the device does not send.
     Unknown = "words the device does not send", LostWord;
     /// A row beyond the last.
     RowsOutside = "rows outside", LostWord;
@@ -62,25 +62,25 @@ counts! {
     ColumnsOutside = "columns outside", LostWord;
     /// A group beyond the last.
     GroupsOutside = "groups outside", LostWord;
-    /// A row, a column or an event before the first word of time.
+    /// A row, a column or an event before the first time word.
     WithoutTime = "words without a time", LostWord;
-    /// An event or a mask whose row or column is not known.
+    /// An event or a mask whose row or column is unknown.
     WithoutPlace = "words without a row or column", LostWord;
-    /// A column that cannot follow the one before it, or a frame that cannot follow.
+    /// A column or a frame that cannot follow the one before it.
     OutOfOrder = "columns out of order", LostWord;
     /// Events of a mask beyond the last row.
     EventsOutside = "events outside", Note;
-    /// Time ran back by less than half a period.
+    /// Time ran back by at most half a period.
     TimesBack = "times that ran back", Note;
-    /// Time ran back by more.
+    /// Time ran back by more than half a period.
     WrapsMissing = "wraps found missing", Note;
-    /// A loss within an incomplete word.
+    /// Bytes of a word that a loss cut off.
     BytesIncomplete = "bytes of incomplete words", Note;
-    /// Left out to come to the beginning of a word.
+    /// Bytes skipped to reach the beginning of a word.
     BytesMisaligned = "bytes left out to realign", Note;
 }
 
-/// Counts by kind.
+/// Counters by kind.
 #[derive(Debug, Clone)]
 pub struct Tally([u64; NAMES.len()]);
 
@@ -89,13 +89,13 @@ impl Tally {
         Self([0; NAMES.len()])
     }
 
-    /// Counts one of a kind.
+    /// Adds 1 to a counter.
     #[inline(always)]
     pub fn add(&mut self, count: Count) {
         self.add_many(count, 1);
     }
 
-    /// Counts `n` of a kind.
+    /// Adds `n` to a counter.
     #[inline(always)]
     pub fn add_many(&mut self, count: Count, n: u64) {
         self.0[count as usize] += n;
@@ -109,7 +109,7 @@ impl Tally {
         self.of(|of| of != Of::Word)
     }
 
-    /// Words counted, whatever they were.
+    /// Returns the number of words counted, of whatever kind.
     pub(super) fn all_words(&self) -> u64 {
         let counts = self.0.iter().zip(NAMES);
         counts
@@ -117,7 +117,7 @@ impl Tally {
             .sum()
     }
 
-    /// Count of one kind.
+    /// Returns the count of one kind.
     #[must_use]
     pub const fn get(&self, count: Count) -> u64 {
         self.0[count as usize]

@@ -1,9 +1,9 @@
-//! Words of 16 bits that DAVIS and DVXplorer have in common.
+//! 16-bit words that DAVIS and DVXplorer share.
 //!
 //! | bits 15..12 | bits 11..0 | meaning |
 //! |---|---|---|
 //! | 1xxx | 15 bits of time in us | time of what follows |
-//! | 0 | 1 | the counter is reset |
+//! | 0 | 1 | the counter was reset |
 //! | 0 | 2 falling, 3 rising, 4 pulse | external input |
 //! | 0 | 5 start, 7 end | inertial sample |
 //! | 0 | 8, 9 start, 10 end; 11, 12 column, 13 its end; 14, 15 exposure | frame |
@@ -16,28 +16,28 @@
 use super::parser::{State, Word};
 use super::tally::Count;
 
-/// Bits of time in a word of time.
+/// Bits of time in a time word.
 pub const TIME_BITS: u32 = 15;
 
-/// Most wraps of one word.
+/// Most wraps in one word.
 pub const WRAPS_MAX: u64 = 0xFFF;
 
-/// A word of time, by its low 15 bits.
+/// Marks a time word; its low 15 bits are the time.
 pub const TIME: u16 = 0x8000;
 
-/// Code of a row's address (DAVIS) or of a column's (DVXplorer).
+/// Code of a row address (DAVIS) or of a column address (DVXplorer).
 pub const ROW: u16 = 0x1000;
 
-/// Code of an OFF event's column.
+/// Code of a column with an OFF event (DAVIS).
 pub const OFF: u16 = 0x2000;
 
-/// Code of an ON event's column.
+/// Code of a column with an ON event (DAVIS).
 pub const ON: u16 = 0x3000;
 
 /// Code of a wrap.
 pub const WRAP: u16 = 0x7000;
 
-/// Takes a word of time; returns whether the words go on.
+/// Takes a time word. Returns whether reading goes on.
 #[inline(always)]
 pub fn time(word: Word, state: &mut State) -> bool {
     let low = u64::from(word.bits & 0x7FFF);
@@ -45,7 +45,7 @@ pub fn time(word: Word, state: &mut State) -> bool {
     state.clock.take(low) || state.settle(low, word)
 }
 
-/// Takes a word that is neither a time nor one of the model's own codes; as [`time`].
+/// Takes a word that is neither a time nor one of the model's own codes. Returns whether reading goes on.
 pub fn other(word: Word, state: &mut State) -> bool {
     let data = word.bits & 0xFFF;
     let count = match word.bits >> 12 {

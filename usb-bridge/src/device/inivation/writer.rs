@@ -1,15 +1,15 @@
-//! What every writer does with an event before its words: its time must run on, its pixel be inside.
+//! Checks of events before they are written: time must not run back, and pixels must be inside the sensor.
 
 use anyhow::{Result, ensure};
 use eecvs_nostd::{Event, Sensor};
 
 use super::words16;
 
-/// Most words of time for one gap; a longer gap is refused. A device counts from 0 at its start: a
-/// recording whose times begin at an epoch has to be shifted.
+/// Most time words for one gap; a longer gap is refused. A device counts from 0 at its start, so a recording whose
+/// times begin at an epoch has to be shifted.
 pub const GAP_WORDS_MAX: u64 = 1 << 20;
 
-/// Looks at events in their order.
+/// Checks the order and the place of events.
 #[derive(Debug)]
 pub struct Order {
     model: &'static str,
@@ -28,10 +28,10 @@ impl Order {
         }
     }
 
-    /// Takes the next event.
+    /// Checks the next event.
     ///
     /// # Errors
-    /// It lies outside, or before the one before it.
+    /// The event is outside the sensor, or earlier than the one before it.
     pub fn check(&mut self, event: &Event) -> Result<()> {
         let Event { t_us, x, y, .. } = *event;
         ensure!(
@@ -55,10 +55,10 @@ impl Order {
         Ok(())
     }
 
-    /// Refuses the latest event where it asks for more than [`GAP_WORDS_MAX`] words of time.
+    /// Checks that the latest event needs at most [`GAP_WORDS_MAX`] time words.
     ///
     /// # Errors
-    /// It does.
+    /// It needs more.
     pub fn check_gap(&self, words: u64) -> Result<()> {
         ensure!(
             words <= GAP_WORDS_MAX,
@@ -72,7 +72,7 @@ impl Order {
     }
 }
 
-/// Time in words of 16 bits, as it was written so far.
+/// Writes time in 16-bit words, and keeps the time written so far.
 #[derive(Debug)]
 pub struct Time16 {
     time: Option<u64>,
@@ -87,7 +87,7 @@ impl Time16 {
         }
     }
 
-    /// Writes wraps and time where `t_us` is another than before; returns whether it was.
+    /// Writes wraps and a time word if `t_us` differs from the previous time; returns whether it did.
     ///
     /// # Errors
     /// The gap is too long.

@@ -1,5 +1,5 @@
-//! A simulated encoder with a sensor on a port of its own. Setups for what it does anyway it takes, others
-//! it refuses; between a host's restart and setup it is silent, so that no event is lost.
+//! A simulated encoder whose sensor has its own port. It accepts a setup that asks for what it does anyway, and
+//! refuses others. Between a host's restart and setup it is silent, so that no event is lost.
 
 use std::collections::VecDeque;
 
@@ -15,7 +15,7 @@ use crate::link::control::Request;
 use crate::peripheral::descriptors::{Device, Endpoint, Interface};
 use crate::peripheral::{Bulk, Descriptors, Peripheral, Reply, Speed};
 
-/// Bytes of answers that wait at the most; further ones are left out.
+/// Most bytes of answers that wait for the host; further answers are dropped.
 const ANSWERS_MAX: usize = 1 << 14;
 
 /// A simulated encoder.
@@ -26,7 +26,7 @@ pub struct McuCamera {
     receiver: Receiver,
     /// Answers that wait for the host.
     answers: VecDeque<u8>,
-    /// A host has restarted it, and not set it up since.
+    /// Whether a host has restarted it and not set it up since.
     is_silent: bool,
     has_ended: bool,
     is_halted: bool,
@@ -36,7 +36,7 @@ pub struct McuCamera {
 }
 
 impl McuCamera {
-    /// An encoder that sends `stream`, of a sensor of this size.
+    /// Creates an encoder that sends `stream`, with a sensor of this size.
     #[must_use]
     pub fn new(sensor: Sensor, stream: Box<dyn Stream>) -> Self {
         let endpoints = [Endpoint::bulk(TO_HOST), Endpoint::bulk(FROM_HOST)];
@@ -75,7 +75,7 @@ impl McuCamera {
             Err(refusal) => Some(refusal),
             Ok(asked) if asked.window.sensor != own.window.sensor => Some(Refusal::Sensor),
             Ok(asked) if asked.window != own.window => Some(Refusal::Windows),
-            // What is asked of coefficients does not matter here.
+            // Settings of the coefficients do not matter for this stream.
             Ok(asked) if asked.mode != own.mode || asked.bytes_per_second.is_some() => {
                 Some(Refusal::Mode)
             }

@@ -1,46 +1,47 @@
-//! Frames and packets in received bytes, which may be damaged.
+//! Extracts frames and packets from received bytes, which may be damaged.
 
 use eecvs_nostd::event_link::{self, Kind, Receiver};
 use eecvs_nostd::frame::CRC_BYTES;
 use eecvs_nostd::{Frame, FrameError, Header, Scan, frame, scan};
 
-/// Largest frame of a microcontroller that is believed: one that claims to be longer is damage.
+/// Largest frame accepted from a microcontroller; a header that claims more is taken as damage.
 pub const FRAME_BYTES_MAX: usize = 1 << 16;
-/// Bytes of damaged frames that are searched for others: so many, and [`RESCANS`] times those received. Only
-/// frames made to lie inside of each other reach it, whose checksums would cost the square of their length.
+/// Limit on bytes of damaged frames that are searched for other messages: this many, plus [`RESCANS`] times the
+/// bytes received. Only frames constructed to lie inside each other reach it; checking them all would take
+/// quadratic time.
 const RESCAN_BYTES: u64 = 4 * FRAME_BYTES_MAX as u64;
 const RESCANS: u64 = 4;
 
-/// What stands in received bytes.
+/// A message in received bytes.
 #[derive(Debug, Clone, Copy)]
 pub enum Message<'m> {
     /// A frame.
     Frame {
-        /// What it says.
+        /// The parsed frame.
         frame: Frame<'m>,
         /// Its CRC-32.
         crc: [u8; CRC_BYTES],
         /// All of its bytes.
         bytes: &'m [u8],
     },
-    /// A packet.
+    /// A packet of the event link.
     Packet(Kind),
 }
 
 enum Look {
-    /// A header, and the lengths of the payload and of the frame.
+    /// A header, and the lengths of the payload and of the whole frame.
     Frame(Header, usize, usize),
     Packet(Kind, usize),
-    /// Bytes to leave out, and those that were checked for it.
+    /// Number of bytes to skip, and number of bytes that were checked to find that.
     Damage(usize, usize),
     More,
 }
 
-/// Received bytes: at most a frame's are kept.
+/// A buffer of received bytes; at most one frame's bytes are kept.
 #[derive(Debug, Default)]
 pub struct Messages {
     buffer: Vec<u8>,
-    /// Bytes of `buffer` used up.
+    /// Number of bytes of `buffer` that are used up.
     start: usize,
     used: u64,
     rescanned: u64,
@@ -50,9 +51,9 @@ pub struct Messages {
 }
 
 impl Messages {
-    /// Takes received bytes, after [`Messages::next`] has returned `None`.
+    /// Appends received bytes; call it after [`Messages::next`] has returned `None`.
     pub fn push(&mut self, bytes: &[u8]) {
-        // Moving what is left only when it is no more than what was used up keeps the copies linear.
+        // The rest is moved only when it is no longer than the used part, so that the copies cost linear time.
         if self.start >= self.buffer.len() - self.start {
             self.buffer.drain(..self.start);
             self.start = 0;
@@ -60,13 +61,13 @@ impl Messages {
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// Bytes that belonged to no message, and runs of them.
+    /// Returns the number of bytes that belonged to no message, and the number of runs of such bytes.
     #[must_use]
     pub const fn damaged(&self) -> (u64, u64) {
         (self.damaged_bytes, self.damaged_runs)
     }
 
-    /// The next whole message; `None` where more bytes are needed.
+    /// Returns the next whole message; `None` if more bytes are needed.
     #[expect(clippy::should_implement_trait, reason = "it lends")]
     pub fn next(&mut self) -> Option<Message<'_>> {
         loop {
@@ -100,7 +101,7 @@ impl Messages {
         }
     }
 
-    /// Gives up the message that has begun; others may lie inside of what came of it.
+    /// Gives up the message that has begun; other messages may lie within its bytes.
     pub fn give_up(&mut self) {
         let rest = &self.buffer[self.start..];
         if !rest.is_empty() {
@@ -108,7 +109,7 @@ impl Messages {
         }
     }
 
-    /// Whether a message has begun.
+    /// Returns whether a message has begun.
     #[must_use]
     pub fn has_begun(&self) -> bool {
         self.start < self.buffer.len()
@@ -144,7 +145,7 @@ fn look(bytes: &[u8]) -> Look {
 }
 
 fn look_at_packet(bytes: &[u8]) -> Look {
-    // Packets from an encoder are few: each look may begin anew.
+    // Packets from an encoder are rare, so each look may start from the beginning.
     let mut receiver = Receiver::new();
     for (at, byte) in bytes.iter().enumerate() {
         let kind = receiver.push(*byte).map(|packet| packet.kind);
@@ -158,7 +159,7 @@ fn look_at_packet(bytes: &[u8]) -> Look {
     Look::More
 }
 
-/// Distance to the next place, not the first, where a message may begin.
+/// Returns the distance to the next place after the first byte where a message may begin.
 fn next_sync(bytes: &[u8]) -> usize {
     let begins = |rest: &[u8]| match rest {
         [first, second, ..] => [frame::SYNC, event_link::SYNC].contains(&[*first, *second]),

@@ -1,15 +1,15 @@
-//! The encoder's own microcontroller: frames on a vendor's bulk endpoint, or the same bytes on a serial port.
+//! The encoder's own microcontroller: frames on a vendor-class bulk endpoint, or the same bytes on a serial port.
 //!
-//! | file | what |
+//! | file | content |
 //! |---|---|
 //! | `messages.rs` | frames and packets in received bytes |
 //! | `parse.rs` | frames to events |
 //! | `write.rs` | events to frames |
 //! | `camera.rs` | the simulated encoder |
 //!
-//! docs/wire-format.md has the bytes. What comes may be stored as it is: without the packets between them
-//! the frames are an `.eecvs` file, and its reader passes over the packets. The encoder sends whenever somebody reads:
-//! there is nothing to start. [`crate::encoder`] sets it up where that is asked for.
+//! docs/wire-format.md describes the bytes. They may be stored as they arrive: without the packets between them the
+//! frames form an `.eecvs` file, and its reader skips packets. The encoder sends whenever a host reads, so there is
+//! nothing to start. [`crate::encoder`] sets it up if that is requested.
 
 pub mod camera;
 pub mod messages;
@@ -28,7 +28,7 @@ use camera::McuCamera;
 use parse::McuParser;
 use write::McuStream;
 
-/// USB vendor and product: of pid.codes, for tests.
+/// USB vendor and product ID: those of pid.codes for tests.
 pub const IDENTITY: Identity = Identity {
     vendor: 0x1209,
     product: 0x0001,
@@ -38,14 +38,14 @@ pub const IDENTITY: Identity = Identity {
 pub const TO_HOST: u8 = 0x81;
 /// Bulk endpoint from the host.
 pub const FROM_HOST: u8 = 0x01;
-/// Vendor's request for what it has counted: 40 bytes, the first of which is [`COUNTS_LAYOUT`].
+/// Vendor request that reads the encoder's counters: 40 bytes, of which the first is [`COUNTS_LAYOUT`].
 pub const COUNTS: u8 = 0x01;
-/// Bytes of the answer.
+/// Length of the answer to [`COUNTS`], in bytes.
 pub const COUNTS_BYTES: usize = 40;
-/// Number of their layout.
+/// Number of the layout of that answer.
 pub const COUNTS_LAYOUT: u8 = 1;
 
-/// Vendor's request that begins a session.
+/// Vendor request that begins a session.
 pub const RESTART: u8 = 0x02;
 
 /// Name of the model.
@@ -54,13 +54,13 @@ pub const NAME: &str = "eecvs";
 /// Name of its stream.
 const STREAM: &str = "frames";
 
-/// Any sensor: frames tell which one it is.
+/// Placeholder for a sensor that is not known yet; the frames report the real one.
 pub const ANY_SENSOR: Sensor = Sensor {
     width: Sensor::SIDE_MAX,
     height: Sensor::SIDE_MAX,
 };
 
-/// The encoder's microcontroller.
+/// The model of the encoder's microcontroller.
 #[derive(Debug)]
 pub struct Mcu;
 
@@ -90,7 +90,7 @@ impl Model for Mcu {
         }
     }
 
-    /// [`Info::sensor`] is [`ANY_SENSOR`]: the first frame tells the real one, [`Parse::sensor`].
+    /// [`Info::sensor`] is [`ANY_SENSOR`]; the real size comes with the first frame, through [`Parse::sensor`].
     fn identify(&self, control: &mut dyn Control) -> Result<Info> {
         let mut counts = [0; COUNTS_BYTES];
         let request = Request::vendor_in(COUNTS, 0, 0);

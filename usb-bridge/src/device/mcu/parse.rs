@@ -1,9 +1,9 @@
-//! Frames of the encoder to events.
+//! Decodes the frames of the encoder into events.
 //!
-//! Events come window by window, ordered by time, with the last frame of each; where frames hold
-//! coefficients, at the times that [`EventDecoder`] finds. A frame that is damaged, lost or refused
-//! takes only its own events with it, but with the dense coder also those of the frames up to the
-//! next key frame. A frame holds more events than its bytes would suggest, but never more than [`WINDOW_EVENTS`].
+//! Events come window by window, ordered by time, with the last frame of each window. If frames hold coefficients,
+//! the events have the times that [`EventDecoder`] finds. A frame that is damaged, lost or refused costs only its
+//! own events, but with the dense coder also those of the frames up to the next key frame. A frame may hold more
+//! events than its bytes suggest, but never more than [`WINDOW_EVENTS`].
 
 use eecvs::decode::Windows;
 use eecvs::encode::WINDOW_EVENTS;
@@ -21,16 +21,16 @@ use crate::device::Parse;
 
 /// Parser of an encoder's stream.
 pub struct McuParser {
-    /// The largest that frames may have.
+    /// The largest sensor that frames may have.
     largest: Sensor,
-    /// That of the first frame.
+    /// Sensor of the first frame.
     sensor: Option<Sensor>,
     messages: Messages,
     order: FrameOrder,
     report: LinkReport,
     windows: Windows,
     ready: Vec<DecodedWindow>,
-    /// Events found at a break, for the next call.
+    /// Events found at a break, which the next call returns.
     late: Vec<Event>,
     decoder: Option<EventDecoder>,
     by_time: ByTime,
@@ -42,7 +42,7 @@ pub struct McuParser {
 }
 
 impl McuParser {
-    /// At the start of a stream of frames of a sensor of at most this size.
+    /// Starts at the beginning of a stream of frames, of a sensor of at most this size.
     #[must_use]
     pub fn new(largest: Sensor) -> Self {
         Self {
@@ -138,7 +138,7 @@ impl Parse for McuParser {
     }
 
     fn resume(&mut self, _: Option<u64>) {
-        // Inside of what has begun there may be whole frames.
+        // There may be whole frames within the bytes of the incomplete one.
         let mut late = std::mem::take(&mut self.late);
         while self.messages.has_begun() {
             self.messages.give_up();

@@ -1,7 +1,7 @@
-//! Events to the frames that an encoder sends: lossless, by the fast coder, in windows of 32,768 us.
+//! Encodes events into the frames that an encoder sends: lossless, with the fast coder, in windows of 32,768 us.
 //!
-//! The core's encoder runs in a thread of its own, which owns its memory. Events are put in order of time
-//! within 20 ms first, as an encoder leaves out those that are too late for their window.
+//! The core's encoder runs in its own thread, which owns its memory. Events are first put in order of time within
+//! 20 ms, because an encoder drops those that are too late for their window.
 
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
@@ -16,16 +16,16 @@ use eecvs_nostd::{
 use crate::device::WriteStream;
 
 const ZERO: Thresholds = Thresholds::new(0, 0).unwrap();
-/// T.
+/// Window length T, in microseconds.
 const WINDOW_US: u32 = 32_768;
-/// Events of a window: as many as a microcontroller's memory holds.
+/// Events per window: as many as fit a microcontroller's memory.
 pub(super) const WINDOW_EVENTS: usize = 4096;
-/// Room for a frame.
+/// Size of the buffer for a frame.
 pub(super) const FRAME_BYTES: usize = 1 << 14;
-/// Events may be out of order by so much.
+/// Span within which events may be out of order, in microseconds.
 const ORDER_US: u64 = 20_000;
 
-/// What the encoder's thread is asked to do.
+/// A request to the encoder's thread.
 enum Work {
     Events(Vec<Event>),
     Flush,
@@ -33,19 +33,19 @@ enum Work {
 
 type Answer = Result<Vec<u8>>;
 
-/// The writer of frames.
+/// Writer of frames.
 pub struct McuStream {
     sensor: Sensor,
     work: Option<SyncSender<Work>>,
     answers: Receiver<Answer>,
     thread: Option<JoinHandle<()>>,
-    /// Events that earlier ones may still come before.
+    /// Events that may still be preceded by ones that arrive later.
     held: Vec<Event>,
     events: u64,
 }
 
 impl McuStream {
-    /// At the start of a stream of an encoder with this sensor.
+    /// Starts a stream of an encoder with this sensor.
     #[must_use]
     pub fn new(sensor: Sensor) -> Self {
         let (work, to_do) = sync_channel(1);
@@ -84,7 +84,7 @@ impl WriteStream for McuStream {
         }
         self.events += events.len() as u64;
         self.held.extend_from_slice(events);
-        // Stable: those of equal times stay as they are.
+        // The sort is stable, so events of equal times keep their order.
         self.held.sort_by_key(|event| event.t_us);
         let newest_us = self.held.last().map_or(0, |event| event.t_us);
         let settled_us = newest_us.saturating_sub(ORDER_US);
@@ -103,7 +103,7 @@ impl WriteStream for McuStream {
 
 impl Drop for McuStream {
     fn drop(&mut self) {
-        // Without work the thread ends.
+        // The thread ends when its work channel is closed.
         self.work = None;
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
@@ -111,7 +111,7 @@ impl Drop for McuStream {
     }
 }
 
-/// How the frames are encoded.
+/// Returns the configuration with which the frames are encoded.
 pub(super) const fn config(sensor: Sensor) -> Config {
     Config {
         window: WindowConfig::new(sensor, WINDOW_US),
@@ -152,7 +152,7 @@ fn encode(encoder: &mut Encoder<'_>, work: Work, frame: &mut [u8]) -> Answer {
     match work {
         Work::Events(events) => {
             for event in events {
-                // A window that is full or over is sent, and takes the event anew.
+                // A window that is full or over is sent first; the event is then pushed again.
                 while encoder.push(event) == Push::Closed {
                     frames(encoder, frame, &mut bytes)?;
                 }

@@ -1,5 +1,5 @@
-//! A simulated camera: it answers what a host asks through Treuzell, keeps what its registers are set to, and
-//! streams while they let it.
+//! A simulated camera: it answers a host through Treuzell, keeps the values written to its registers, and streams
+//! while they enable it.
 
 use std::collections::HashMap;
 
@@ -17,36 +17,36 @@ use crate::link::control::Request;
 use crate::peripheral::descriptors::{Device, Endpoint, Interface};
 use crate::peripheral::{Bulk, Descriptors, Peripheral, Reply, Speed};
 
-/// Release of the firmware that it has: 3.9.0.
+/// Firmware release that it reports: 3.9.0.
 const FIRMWARE: u32 = 0x0003_0900;
-/// Date of its build.
+/// Build date that it reports, in seconds since 1970.
 const BUILT: u64 = 1_700_000_000;
 const SERIAL_NUMBER: u64 = 0x0005_0567;
-/// Registers that are kept: the known ones are fewer.
+/// Most registers that are kept, more than any sequence writes.
 const KEPT_MAX: usize = 4096;
-/// Answers that wait to be fetched.
+/// Most bytes of answers that wait to be fetched.
 const ANSWERS_BYTES_MAX: usize = 16 * FRAME_BYTES_MAX;
-/// Numbers of errors, the system's.
+/// Error numbers of the system.
 const INVALID: u32 = 22;
 const NO_DEVICE: u32 = 19;
 const NO_MEMORY: u32 = 12;
 
-/// A simulated camera.
+/// A simulated camera of Prophesee.
 pub struct TreuzellCamera {
     descriptors: Descriptors,
     chip: Chip,
     registers: HashMap<u32, u32>,
-    /// Whether the streamer does, where the board has one.
+    /// Whether the streamer runs, if the board has one.
     is_streaming: bool,
     answers: std::collections::VecDeque<Vec<u8>>,
     stream: Box<dyn Stream>,
-    /// The recording has ended, or cannot be read.
+    /// Whether the recording has ended.
     has_ended: bool,
     is_halted: bool,
 }
 
 impl TreuzellCamera {
-    /// A camera with this sensor that sends `stream`, which is in this format.
+    /// Creates a camera with this sensor that sends `stream`, which has the given format.
     #[must_use]
     pub fn new(identity: Identity, chip: Chip, format: Format, stream: Box<dyn Stream>) -> Self {
         let is_evk2 = chip == Chip::Evk2Imx636;
@@ -96,7 +96,7 @@ impl TreuzellCamera {
         value.copied().unwrap_or(0)
     }
 
-    /// Whether events come: the readout, the clock and the pixels go, and what sends them on.
+    /// Returns whether events are sent: readout, time base, pixels and streamer are all enabled.
     #[must_use]
     pub fn is_started(&self) -> bool {
         let at = |address| self.register(self.chip.base() + address);
@@ -106,7 +106,7 @@ impl TreuzellCamera {
             && (self.is_streaming || !self.chip.has_streamer())
     }
 
-    /// Devices: the sensor's is the last.
+    /// Returns the number of devices; the sensor's is the last.
     const fn devices(&self) -> u32 {
         1 + self.chip.has_streamer() as u32
     }
@@ -160,7 +160,7 @@ impl TreuzellCamera {
                 }
                 for (index, value) in (0..).zip(values) {
                     let address = address.wrapping_add(4 * index);
-                    // The chip's number stays what it is.
+                    // The chip's number is read-only.
                     if address == self.chip.base() + CHIP {
                         continue;
                     }
@@ -246,7 +246,7 @@ impl Peripheral for TreuzellCamera {
 
     fn reset(&mut self) {
         self.answers.clear();
-        // A new host finds a camera that is silent.
+        // A new host finds a silent camera.
         self.registers.insert(self.chip.base() + READOUT, 2);
         self.is_streaming = false;
     }

@@ -1,30 +1,30 @@
-//! The upper bits of time, which wrap: carried by the receiver, walked along by the sender.
+//! The upper bits of time, which wrap: extended by the receiver, and sent in steps that it can follow.
 
-/// Upper bits of time so far, wraps carried.
+/// The upper bits of time with wraps included.
 ///
-/// A value means the time that is nearest to the one before: a word of time comes often, and a
-/// transfer that comes twice or late goes back by less than half a period. A value that is more
-/// than [`HighTime::NEAR`] away is doubted: its events get it as their time, but the value after it
-/// is held against both, so that one damaged word never moves the wraps for good.
+/// A value is taken as the time nearest to the previous one: time words are frequent, and a transfer that arrives
+/// twice or late makes time fall by less than half a period. A value further away than [`HighTime::NEAR`] is
+/// doubted: its events get it as their time, but the next value is compared with both, so that one damaged word
+/// never shifts the wraps for good.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct HighTime<const BITS: u32> {
-    /// The last value that agreed with another; or where a clock says that the time is.
+    /// The last value that agreed with another one, or the time given by a clock.
     trusted: Option<u64>,
-    /// One after it that did not, yet.
+    /// A later value that did not agree, if any.
     doubted: Option<u64>,
-    /// A value has come since the stream began or was resumed.
+    /// Whether a value has arrived since the stream began or was resumed.
     is_known: bool,
 }
 
 impl<const BITS: u32> HighTime<BITS> {
-    /// Values after which they begin again.
+    /// Number of values after which they wrap.
     pub const PERIOD: u64 = 1 << BITS;
-    /// Largest step that is believed at once.
+    /// Largest step that is accepted at once.
     pub const NEAR: u64 = Self::PERIOD / 8;
-    /// Largest value that a clock may give: leaves room for every wrap.
+    /// Largest value that a clock may give; it leaves room for every wrap.
     const MAX: u64 = 1 << (60 - BITS);
 
-    /// Before the first value, which lies in the first period.
+    /// Starts before the first value, which lies in the first period.
     pub const fn new() -> Self {
         Self {
             trusted: None,
@@ -33,7 +33,7 @@ impl<const BITS: u32> HighTime<BITS> {
         }
     }
 
-    /// The latest value; `None` before the first, and after a break until the next.
+    /// Returns the latest value; `None` before the first, and between a break and the next value.
     pub const fn last(&self) -> Option<u64> {
         match (self.is_known, self.doubted) {
             (false, _) => None,
@@ -42,19 +42,19 @@ impl<const BITS: u32> HighTime<BITS> {
         }
     }
 
-    /// Whether the latest value agreed with the one before.
+    /// Returns whether the latest value agreed with the one before it.
     pub const fn is_trusted(&self) -> bool {
         self.is_known && self.doubted.is_none()
     }
 
-    /// Takes a break: the next value is the nearest to `now`, or to the last one.
+    /// Records a break: the next value is taken as the one nearest to `now`, or else to the last value.
     pub fn resume(&mut self, now: Option<u64>) {
         self.trusted = now.map(|now| now.min(Self::MAX)).or(self.trusted);
         self.doubted = None;
         self.is_known = false;
     }
 
-    /// Takes the next value, below [`HighTime::PERIOD`], and returns it with its wraps.
+    /// Takes the next value, which is below [`HighTime::PERIOD`], and returns it with wraps included.
     pub fn extend(&mut self, low: u64) -> u64 {
         self.is_known = true;
         let near = |to: Option<u64>| {
@@ -66,7 +66,7 @@ impl<const BITS: u32> HighTime<BITS> {
             self.doubted = None;
             return value;
         }
-        // Two in a row that go on from neither: the later is held against the earlier.
+        // Two values in a row that agree with nothing: the later one is taken relative to the earlier one.
         let value = match (self.trusted, self.doubted) {
             (None, _) => low,
             (Some(_), Some(before)) => {
@@ -80,7 +80,7 @@ impl<const BITS: u32> HighTime<BITS> {
     }
 }
 
-/// The value with these lower bits that is nearest to `to`, and not below 0.
+/// Returns the value with the lower bits `low` that is nearest to `to` and not negative.
 fn nearest<const BITS: u32>(to: u64, low: u64) -> u64 {
     let period = HighTime::<BITS>::PERIOD;
     let ahead = low.wrapping_sub(to) & (period - 1);
@@ -91,39 +91,39 @@ fn nearest<const BITS: u32>(to: u64, low: u64) -> u64 {
     }
 }
 
-/// A sender's way from value to value, as a receiver's [`HighTime`] follows it.
+/// A sender's steps from value to value, such that a receiver's [`HighTime`] follows them.
 #[derive(Debug, Clone)]
 pub struct Way<const BITS: u32> {
-    /// What a receiver has made of it.
+    /// The state of a receiver that got the values sent so far.
     shown: HighTime<BITS>,
 }
 
-/// A value that no way leads to.
+/// The value cannot be reached.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct TooFar;
 
 impl<const BITS: u32> Way<BITS> {
-    /// Largest steps in one go: 2^16 periods.
+    /// Most steps in one go: 2^16 periods.
     const STEPS_MAX: u64 = (1 << 16) * 8;
 
-    /// Before the first value.
+    /// Starts before the first value.
     pub const fn new() -> Self {
         Self {
             shown: HighTime::new(),
         }
     }
 
-    /// Where it stands.
+    /// Returns the latest value that a receiver has seen.
     pub const fn last(&self) -> Option<u64> {
         self.shown.last()
     }
 
-    /// Goes to `target`; `word` gets the values to send. On the way forwards through a silence of
-    /// at most `fine` values one is sent every `step`, through a longer one, and to the first value,
-    /// as few as a receiver needs.
+    /// Moves to `target`; `word` is called with each value to send. Forwards through a gap of at most `fine`
+    /// values, a value is sent every `step`; through a longer gap, and up to the first value, only as many as a
+    /// receiver needs.
     ///
     /// # Errors
-    /// [`TooFar`]: back by more than half a period, or forwards by more than 2^16 periods.
+    /// [`TooFar`]: `target` is back by more than half a period, or ahead by more than 2^16 periods.
     pub fn go(
         &mut self,
         target: u64,
@@ -209,7 +209,7 @@ mod tests {
             prop_assert!(time.is_trusted());
         }
 
-        /// A break is carried on with by a clock that is off by less than half a period.
+        /// After a break the wraps follow a clock that is off by less than half a period.
         #[test]
         fn a_clock_tells_the_wrap(
             before in 0..1_u64 << 40, now in 4096..1_u64 << 40, off in -2000..2000_i64,
@@ -265,7 +265,7 @@ mod tests {
         assert_eq!(way.go(1 << 40, (1, 1), |_| ()), Err(TooFar));
         assert_eq!(way.go(1 << 20, (1, 1), |_| ()), Ok(()));
         assert_eq!(way.go((1 << 20) - 3000, (1, 1), |_| ()), Err(TooFar));
-        // What was refused has sent nothing that a receiver would follow.
+        // A refused move changes nothing that a receiver would follow.
         assert_eq!(way.last(), Some(1 << 20));
         assert_eq!(way.go((1 << 20) + (1 << 20), (1, 1 << 20), |_| ()), Ok(()));
     }

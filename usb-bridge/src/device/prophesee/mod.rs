@@ -1,18 +1,18 @@
-//! Prophesee's cameras: EVK2, EVK3, EVK4 and those built on them.
+//! Prophesee's cameras: EVK2, EVK3, EVK4 and cameras built on them.
 //!
-//! | file | what |
+//! | file | content |
 //! |---|---|
-//! | `treuzell.rs` | the protocol that boards are asked and told with |
-//! | `registers.rs`, `registers_evk2.rs` | what registers are set to |
-//! | `sensor.rs` | the sensors that are known, and how a board's is found |
+//! | `treuzell.rs` | the control protocol of the boards |
+//! | `registers.rs`, `registers_evk2.rs` | register sequences |
+//! | `sensor.rs` | the known sensors, and how a board's sensor is found |
 //! | `high_time.rs` | the upper bits of time and their wraps |
 //! | `parse_evt3.rs`, `write_evt3.rs` | EVT 3.0 |
-//! | `parse_evt21.rs`, `write_evt21.rs` | EVT 2.1, in both orders of a word's halves |
+//! | `parse_evt21.rs`, `write_evt21.rs` | EVT 2.1, with the halves of a word in either order |
 //! | `camera.rs` | the simulated camera |
 //!
-//! EVK3, EVK4 and the cameras of CenturyArks and IDS with the same board have the same numbers on the bus:
-//! [`EVK`] is all of them, and [`Model::identify`] tells which one it is. The other models are there to
-//! be simulated, and for the EVK2, which is a board of its own.
+//! EVK3, EVK4 and the cameras of CenturyArks and IDS with the same board are all handled by [`EVK`], because their
+//! USB IDs do not distinguish their sensors; [`Model::identify`] does. The other models exist to be simulated,
+//! except for the EVK2, which is a board of its own.
 
 pub mod camera;
 mod high_time;
@@ -44,15 +44,15 @@ use write_evt21::Evt21Stream;
 
 /// Endpoint of the stream.
 pub const STREAM_IN: u8 = 0x81;
-/// Vendor's request whose first byte tells the kind of board.
+/// Vendor request whose answer begins with the kind of board.
 pub const KIND_REQUEST: u8 = 0x72;
 
-/// A stream's format, as [`Info::stream`] names it.
+/// Format of a stream, named in [`Info::stream`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
     /// EVT 3.0.
     Evt3,
-    /// EVT 2.1.
+    /// EVT 2.1, with the given order of a word's halves.
     Evt21(Order),
 }
 
@@ -63,7 +63,7 @@ impl Format {
         Self::Evt21(Order::Little),
     ];
 
-    /// Its name.
+    /// Returns the name of the format, as in [`Info::stream`].
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -79,12 +79,12 @@ impl Format {
     }
 }
 
-/// A model.
+/// A model of Prophesee's cameras.
 #[derive(Debug)]
 pub struct Prophesee {
     name: &'static str,
     identities: &'static [Identity],
-    /// What a simulated one is.
+    /// USB IDs of a simulated camera.
     simulated: Identity,
     chip: Chip,
     format: Format,
@@ -98,7 +98,7 @@ const fn identity(vendor: u16, product: u16) -> Identity {
     }
 }
 
-/// EVK3 and EVK4, SilkyEvCam HD and HD Lite, UE-39B0XCP; simulated, an EVK4.
+/// EVK3 and EVK4, SilkyEvCam HD and HD Lite, UE-39B0XCP; simulated as an EVK4.
 pub static EVK: Prophesee = Prophesee {
     name: "evk4",
     identities: &[
@@ -113,7 +113,7 @@ pub static EVK: Prophesee = Prophesee {
     format: Format::Evt3,
 };
 
-/// An EVK4 that sends EVT 2.1, to be simulated.
+/// An EVK4 that sends EVT 2.1; for simulation only.
 pub static EVK4_EVT21: Prophesee = Prophesee {
     name: "evk4-evt21",
     identities: &[],
@@ -122,7 +122,7 @@ pub static EVK4_EVT21: Prophesee = Prophesee {
     format: Format::Evt21(Order::UpperFirst),
 };
 
-/// An EVK3-HD with a Gen 4.1, to be simulated.
+/// An EVK3-HD with a Gen 4.1 sensor; for simulation only.
 pub static EVK3_HD: Prophesee = Prophesee {
     name: "evk3-hd",
     identities: &[],
@@ -131,7 +131,7 @@ pub static EVK3_HD: Prophesee = Prophesee {
     format: Format::Evt3,
 };
 
-/// An EVK3 with a GenX320, to be simulated.
+/// An EVK3 with a GenX320; for simulation only.
 pub static EVK3_GENX320: Prophesee = Prophesee {
     name: "evk3-genx320",
     identities: &[],
@@ -140,7 +140,7 @@ pub static EVK3_GENX320: Prophesee = Prophesee {
     format: Format::Evt21(Order::Little),
 };
 
-/// EVK2 with an IMX636.
+/// An EVK2 with an IMX636.
 pub static EVK2: Prophesee = Prophesee {
     name: "evk2",
     identities: &[identity(0x03FD, 0x5832)],
@@ -182,7 +182,7 @@ impl Model for Prophesee {
     }
 
     fn identify(&self, control: &mut dyn Control) -> Result<Info> {
-        // Boards of other makers and the EVK2 may refuse this, which tells enough.
+        // Boards of other makers and the EVK2 may refuse this; a refusal is information enough.
         let mut kind = [0; 2];
         let request = Request::vendor_in(KIND_REQUEST, 0, 0);
         let answered = control.control_in(request, &mut kind).unwrap_or(0);
@@ -253,14 +253,14 @@ impl Model for Prophesee {
 }
 
 impl Prophesee {
-    /// The model's own sensor, where a recording of one of this size fits it: at its upper left.
+    /// Returns the model's own sensor if a recording of size `sensor` fits into its upper left corner.
     fn fits(&self, sensor: Sensor) -> Option<Sensor> {
         let own = self.chip.sensor();
         (sensor.width <= own.width && sensor.height <= own.height).then_some(own)
     }
 }
 
-/// Refuses to write event number `index` where it lies outside of the sensor.
+/// Checks that event number `index` lies inside the sensor.
 fn check_inside(index: u64, event: &Event, sensor: Sensor) -> Result<()> {
     ensure!(
         sensor.contains(event.x, event.y),
@@ -273,7 +273,7 @@ fn check_inside(index: u64, event: &Event, sensor: Sensor) -> Result<()> {
     Ok(())
 }
 
-/// Message for a time that no words of time lead to.
+/// Returns the message for a time that cannot be reached with time words.
 fn time_refused(index: u64, t_us: u64) -> String {
     format!(
         "event {index}: the camera's clock cannot go to {t_us} us (it counts from 0; steps back and \

@@ -1,7 +1,7 @@
-//! EVT 2.1 as it comes from a camera, in the words of [`event_files::evt::evt21_word`].
+//! Parses EVT 2.1 as a camera sends it, in the words of [`event_files::evt::evt21_word`].
 //!
-//! The wraps of time, every 4.8 hours, are those of `high_time.rs`. After a break events come again with the
-//! next `EVT_TIME_HIGH`.
+//! Time wraps every 4.8 hours; `high_time.rs` extends it. After a break, events are decoded again from the next
+//! `EVT_TIME_HIGH` on.
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 use event_files::Skipped;
@@ -17,11 +17,11 @@ use crate::device::Parse;
 pub struct Evt21Parser {
     sensor: Sensor,
     order: Order,
-    /// Bytes of a word that has not come whole, the first `begun` of them.
+    /// Bytes of an incomplete word, of which the first `begun` have arrived.
     part: [u8; 8],
     begun: usize,
     high: HighTime<HIGH_BITS>,
-    /// Upper time in microseconds, while there is one.
+    /// Upper time in microseconds, if known.
     high_us: Option<u64>,
     latest_us: Option<u64>,
     events: u64,
@@ -32,7 +32,7 @@ pub struct Evt21Parser {
 }
 
 impl Evt21Parser {
-    /// At the start of a stream of a camera with this sensor.
+    /// Starts at the beginning of the stream of a camera with this sensor.
     #[must_use]
     pub fn new(sensor: Sensor, order: Order) -> Self {
         Self {
@@ -51,8 +51,8 @@ impl Evt21Parser {
         }
     }
 
-    /// Words so far, whatever they were: those of [`Parse::words`], those with events, and the unknown
-    /// ones.
+    /// Returns the number of words so far, of whatever kind: those in [`Parse::words`], those with events and
+    /// unknown ones.
     #[must_use]
     pub fn words_seen(&self) -> u64 {
         let named = self.words().iter().map(|(_, count)| count).sum::<u64>();
@@ -74,7 +74,7 @@ impl Evt21Parser {
             let columns = word as u32;
             let x = (word >> X_SHIFT & SIDE) as u16;
             let y = (word >> Y_SHIFT & SIDE) as u16;
-            // Of no events 0, which any column holds.
+            // For an empty vector this is 0, which any sensor holds.
             let last = u32::from(x) + (columns | 1).ilog2();
             let (Some(high_us), true, true) = (
                 self.high_us,
@@ -107,7 +107,7 @@ impl Evt21Parser {
         self.events += (events.len() - before) as u64;
     }
 
-    /// A word with events of which some, or all, have no time or no pixel; or with none.
+    /// Decodes a word in which some or all events have no time or no pixel, or which has no events.
     #[cold]
     fn lossy(&mut self, word: u64, events: &mut Vec<Event>) {
         let columns = word as u32;

@@ -1,13 +1,13 @@
-//! EVT 3.0 as it comes from a camera: words of 16 bits, little-endian, the type in the upper four.
+//! Parses EVT 3.0 as a camera sends it: 16-bit little-endian words with their type in the upper four bits.
 //!
-//! `event_files::evt3` has the layout. A file's reader stops at a word outside of the
-//! sensor; a camera's counts it and goes on. Time is that of the file's reader but for its wraps,
-//! which `high_time.rs` carries, so that no damaged word moves them. After a break events come
-//! again once `TIME_HIGH`, `TIME_LOW` and `ADDR_Y` have.
+//! `event_files::evt::evt3` describes the layout. The reader of files stops at a word outside the sensor; this
+//! parser counts it and goes on. Time is decoded as by the reader of files, except for its wraps, which
+//! `high_time.rs` extends so that no damaged word shifts them. After a break, events are decoded again once
+//! `TIME_HIGH`, `TIME_LOW` and `ADDR_Y` have arrived.
 //!
-//! Most words come in groups: perhaps a repeated `TIME_HIGH`, perhaps a `TIME_LOW`, perhaps an `ADDR_Y`,
-//! and an `ADDR_X`. Which of the three are there cannot be predicted, so a group of any shape is taken in one
-//! step without a branch on it (`Evt3Parser::run`).
+//! Most words come in groups: an optional repeated `TIME_HIGH`, an optional `TIME_LOW`, an optional `ADDR_Y`, and
+//! an `ADDR_X`. Which of the optional words are present cannot be predicted, so a group of any shape is decoded in
+//! one step without a branch on it (`Evt3Parser::run`).
 
 use std::hint::select_unpredictable as pick;
 
@@ -22,14 +22,14 @@ use crate::device::Parse;
 
 /// Columns of the longest vector.
 const VECTOR: u16 = 12;
-/// Room for the events of a run.
+/// Size of the buffer for the events of a run.
 const ROOM: usize = 512;
-/// Events of a run that leave room for a vector.
+/// Most events in the buffer that leave room for a vector.
 const ROOM_USED_MAX: usize = ROOM - 16;
 
-/// A row, a lower time or a first column that has not come: above all that can.
+/// Marks a row, a lower time or a first column that is unknown; larger than all real values.
 const NONE: u16 = 0xf000;
-/// The first column of a vector that begins beyond the last one of any sensor.
+/// Marks the first column of a vector that begins beyond the last column of any sensor.
 const OVER: u16 = NONE + 1;
 const COLUMN: u16 = 0x7ff;
 const ON: u16 = 0x800;
@@ -37,10 +37,10 @@ const TIME: u16 = 0xfff;
 /// A column that no sensor has.
 const BEYOND: u32 = 1 << 16;
 
-/// Words that are counted and no more, and their types.
+/// Names of the words that are only counted.
 const COUNTED: [&str; 4] = ["continued words", "other words", "triggers", "padding"];
 
-/// Which of [`COUNTED`] a type is.
+/// Returns the index in [`COUNTED`] of a word type.
 const fn counted(kind: u16) -> Option<usize> {
     match kind {
         0x7 | 0xf => Some(0),
@@ -56,29 +56,30 @@ const UNKNOWN: &str = "unknown words";
 /// Parser of EVT 3.0.
 pub struct Evt3Parser {
     sensor: Sensor,
-    /// First byte of a word whose second has not come.
+    /// First byte of a word whose second byte has not arrived.
     half: Option<u8>,
     high: HighTime<TIME_BITS>,
-    /// Upper time in microseconds.
+    /// Upper time, in microseconds.
     high_us: u64,
-    /// The `TIME_HIGH` that changes nothing; 0, which is none, while the next one might.
+    /// The `TIME_HIGH` word that changes nothing; 0, which is no such word, while the next one may change
+    /// something.
     same_high: u16,
     /// Lower time, or [`NONE`].
     low: u16,
-    /// [`Evt3Parser::low`] after the first `TIME_HIGH`: 0 at the stream's start, [`NONE`] after a break, as that
-    /// word may be one that was repeated in the middle of its time.
+    /// Value of [`Evt3Parser::low`] after the first `TIME_HIGH`: 0 at the start of the stream, [`NONE`] after a
+    /// break, because that word may be a repetition in the middle of its period.
     first_low: u16,
     /// Row, or [`NONE`].
     row: u16,
-    /// First column and polarity of the next vector, [`NONE`] or [`OVER`].
+    /// First column and polarity of the next vector, or [`NONE`] or [`OVER`].
     base: u16,
-    /// The sensor's rows while there is a time, else 0.
+    /// Number of rows of the sensor, or 0 while no time is known.
     rows: u16,
-    /// Where a run puts its events.
+    /// Buffer for the events of a run.
     room: Box<[Event; ROOM]>,
     latest_us: Option<u64>,
     events: u64,
-    /// As [`COUNTED`].
+    /// Counts of the words in [`COUNTED`].
     counted: [u64; 4],
     highs: u64,
     lows: u64,
@@ -91,7 +92,7 @@ pub struct Evt3Parser {
 }
 
 impl Evt3Parser {
-    /// At the start of a stream of a camera with this sensor.
+    /// Starts at the beginning of the stream of a camera with this sensor.
     #[must_use]
     pub fn new(sensor: Sensor) -> Self {
         let nothing = Event {
@@ -126,8 +127,8 @@ impl Evt3Parser {
         }
     }
 
-    /// Words so far, whatever they were: those of [`Parse::words`], the single events, the vectors, and
-    /// the unknown ones.
+    /// Returns the number of words so far, of whatever kind: those in [`Parse::words`], single events, vectors and
+    /// unknown words.
     #[must_use]
     pub fn words_seen(&self) -> u64 {
         let named = self.words().iter().map(|(_, count)| count).sum::<u64>();
@@ -135,8 +136,8 @@ impl Evt3Parser {
         named + self.singles + self.vectors + unknown.map_or(0, |(_, count)| count)
     }
 
-    /// Takes words while they are as they should be, there are four of them to look at, and there is room
-    /// for their events; returns how many.
+    /// Decodes words as long as they are regular, four of them are available and there is room for their events.
+    /// Returns the number of words decoded.
     fn run(&mut self, words: &[[u8; 2]], events: &mut Vec<Event>) -> usize {
         let (high_us, same_high) = (self.high_us, self.same_high);
         let (width, rows) = (self.sensor.width, self.rows);
@@ -148,7 +149,7 @@ impl Evt3Parser {
             && let Some(four) = words.get(at..).and_then(<[_]>::first_chunk::<4>)
         {
             let first = u64::from_le_bytes(four.as_flattened().try_into().unwrap_or_default());
-            // Which of the words that may come before an event are there; each is shifted out.
+            // Finds which of the optional words are present; each one is shifted out.
             let has_high = first as u16 == same_high;
             let second = pick(has_high, first >> 16, first);
             let has_low = second >> 12 & 0xf == u64::from(TIME_LOW);
@@ -174,7 +175,7 @@ impl Evt3Parser {
                 at += 1 + usize::from(has_high) + usize::from(has_low) + usize::from(has_row);
                 continue;
             }
-            // No such group: one word by itself.
+            // Not such a group: take one word by itself.
             let word = first as u16;
             match word >> 12 {
                 TIME_HIGH if has_high => highs += 1,
@@ -216,7 +217,7 @@ impl Evt3Parser {
             }
             at += 1;
         }
-        // Below 2^16.
+        // `low` is below 2^16.
         (self.low, self.row) = (low as u16, row);
         self.highs += highs;
         self.lows += lows;
@@ -227,9 +228,9 @@ impl Evt3Parser {
         at
     }
 
-    /// Takes any word.
+    /// Decodes a word of any kind.
     fn take(&mut self, word: u16, events: &mut Vec<Event>) {
-        // A run may have seen the lower time that was missing.
+        // A run may have found the lower time that was missing.
         self.look_for_time();
         match word >> 12 {
             ADDR_X => {
@@ -295,7 +296,7 @@ impl Evt3Parser {
         self.emit(column, bits, base & ON != 0, events);
     }
 
-    /// Emits what has a time, a row and a pixel of `column + i` for the bits i, and counts the rest.
+    /// Emits events at `column + i` for each bit i that have a time, a row and a pixel; counts the others as lost.
     fn emit(&mut self, column: u32, bits: u16, is_on: bool, events: &mut Vec<Event>) {
         let count = u64::from(bits.count_ones());
         if self.rows == 0 {
@@ -337,7 +338,7 @@ impl Evt3Parser {
     }
 }
 
-/// The first column of the next vector after one of `step` columns.
+/// Returns the first column of the next vector after a vector of `step` columns.
 const fn after_vector(base: u16, step: u16) -> u16 {
     let next = (base & COLUMN) + step;
     if base >= NONE || next > COLUMN {

@@ -1,7 +1,7 @@
-//! What the registers of sensors and boards are set to: made ready, started, stopped, shut down.
+//! Register sequences of sensors and boards: make ready, start, stop, shut down.
 //!
 //! Addresses and values are those that the public drivers write (OpenEB; for the IMX636 they agree with
-//! neuromorphic-drivers). Of none of them more is known here than that. None was tried on a device.
+//! neuromorphic-drivers). Nothing more is known about them here, and none of them was tried on a device.
 
 use std::time::Duration;
 
@@ -9,40 +9,40 @@ use anyhow::Result;
 
 use super::treuzell::Board;
 
-/// A step.
+/// A step of a sequence.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Step {
     /// Write a value to an address.
     Write(u32, u32),
-    /// Write these bits of a value: address, value, bits.
+    /// Write only these bits of a value: address, value, bits.
     Bits(u32, u32, u32),
-    /// Write the same value to so many registers: first address, count, value.
+    /// Write the same value to consecutive registers: first address, count, value.
     Fill(u32, u32, u32),
-    /// Write to register i of so many a first value plus i times a step: first address, count, value, step.
+    /// Write a first value plus i times a step to register i: first address, count, value, step.
     Ramp(u32, u32, u32, u32),
-    /// Wait for so many microseconds.
+    /// Wait for this many microseconds.
     Wait(u64),
 }
 
 use Step::{Bits, Fill, Ramp, Wait, Write};
 
-/// What a kind of sensor is set to.
+/// The sequences of a kind of sensor.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Sequences {
-    /// Shuts the sensor down, whatever it was doing.
+    /// Shuts the sensor down from any state.
     pub shut_down: &'static [Step],
-    /// Makes it ready.
+    /// Makes the sensor ready.
     pub make_ready: &'static [Step],
-    /// Lets events come.
+    /// Starts the events.
     pub start: &'static [Step],
-    /// Ends them.
+    /// Stops the events.
     pub stop: &'static [Step],
 }
 
-/// Takes steps.
+/// Executes the steps of a sequence on a device.
 ///
 /// # Errors
-/// The board is gone or refuses one.
+/// The board is gone, or refuses a step.
 pub fn take(board: &mut Board<'_>, device: u32, steps: &[Step]) -> Result<()> {
     for step in steps {
         match *step {
@@ -70,27 +70,27 @@ pub fn take(board: &mut Board<'_>, device: u32, steps: &[Step]) -> Result<()> {
 
 /// Number of the chip.
 pub const CHIP: u32 = 0x14;
-/// Bits that tell an IMX636 (0) from an IMX646.
+/// Bits that distinguish an IMX636 (0) from an IMX646.
 pub const VARIANT: u32 = 0xF128;
-/// Time base: bit 0 lets it run.
+/// Time base; bit 0 enables it.
 pub const TIME_BASE: u32 = 0x9008;
-/// Readout: bit 1 holds it.
+/// Readout; bit 1 holds it.
 pub const READOUT: u32 = 0x9028;
-/// IMX636, Gen 4.1: bit 10 lets the pixels go.
+/// IMX636 and Gen 4.1: register whose bit 10 enables the pixels.
 pub const PIXELS: u32 = 0x0004;
-/// GenX320: the same.
+/// GenX320: register whose bit 10 enables the pixels.
 pub const GENX320_PIXELS: u32 = 0x0000;
-/// The bit of both.
+/// Bit of [`PIXELS`] and [`GENX320_PIXELS`] that enables the pixels.
 pub const PIXELS_GO: u32 = 1 << 10;
-/// Format of the stream, of IMX636 and Gen 4.1: bit 1 for EVT 2.1.
+/// Stream format of IMX636 and Gen 4.1; bit 1 selects EVT 2.1.
 pub const FORMAT: u32 = 0x7000;
-/// The bit.
+/// Bit of [`FORMAT`] that selects EVT 2.1.
 pub const FORMAT_EVT21: u32 = 1 << 1;
 const OUTPUT: u32 = 0x8000;
 
-/// EVT 3.0.
+/// Selects EVT 3.0.
 pub const EVT3: &[Step] = &[Bits(FORMAT, 0, FORMAT_EVT21), Bits(OUTPUT, 2 << 6, 3 << 6)];
-/// EVT 2.1.
+/// Selects EVT 2.1.
 pub const EVT21: &[Step] = &[
     Bits(FORMAT, FORMAT_EVT21, FORMAT_EVT21),
     Bits(OUTPUT, 0, 3 << 6),
@@ -314,7 +314,7 @@ pub static GEN41: Sequences = Sequences {
         Write(OUTPUT, 0x0001_E005),
         Write(0x7008, 1),
         Write(FORMAT, 0x0007_0001),
-        // The event rate's control, which stays off: its tables.
+        // Tables of the event rate controller, which stays off.
         Write(0x6008, 0xC8),
         Write(0x600C, 0xFA0),
         Write(0x6004, 1),
@@ -411,8 +411,8 @@ pub static GEN41: Sequences = Sequences {
     ],
 };
 
-/// GenX320 on an EVK3. What makes it ready is not public under terms that this project can use: it is
-/// left as its firmware or another program has set it up.
+/// GenX320 on an EVK3. The sequence that makes it ready is not public under terms that this project can use, so the
+/// sensor stays as its firmware or another program has set it up.
 pub static GENX320: Sequences = Sequences {
     shut_down: &[],
     make_ready: &[],

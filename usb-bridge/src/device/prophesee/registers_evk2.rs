@@ -1,10 +1,10 @@
-//! What the registers of an EVK2 with an IMX636 are set to: its FPGA's, and behind it, from [`SENSOR`] on, the
-//! sensor's. As of [`super::registers`], from OpenEB's sources and never tried on a device.
+//! Register sequences of an EVK2 with an IMX636: registers of its FPGA and, from [`SENSOR`] on, of the sensor
+//! behind it. As in [`super::registers`], they are taken from OpenEB's sources and were never tried on a device.
 
 use super::registers::Step::{Bits, Wait, Write};
 use super::registers::{FORMAT, PIXELS, READOUT, Sequences, TIME_BASE};
 
-/// Where the sensor's registers begin.
+/// Address at which the sensor's registers begin.
 pub const SENSOR: u32 = 0x0010_0000;
 
 const fn sensor(address: u32) -> u32 {

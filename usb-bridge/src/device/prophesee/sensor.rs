@@ -1,4 +1,4 @@
-//! The sensors that are known, and how a board's is found, started and stopped.
+//! The known sensors, and how a board's sensor is found, started and stopped.
 
 use anyhow::{Result, bail, ensure};
 use eecvs_nostd::Sensor;
@@ -9,10 +9,10 @@ use super::registers::{self, CHIP, FORMAT, FORMAT_EVT21, Sequences, Step, VARIAN
 use super::registers_evk2::{EVK2_IMX636, SENSOR};
 use super::treuzell::{self, Board};
 
-/// Devices of a board, at the most: a wrong number must not be counted up to.
+/// Most devices of a board; it bounds the loop if a board reports a wrong number.
 const DEVICES_MAX: u32 = 16;
 
-/// A sensor, and for the EVK2 the board that it is on.
+/// A sensor; for the EVK2 together with its board.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Chip {
     /// IMX636.
@@ -27,11 +27,11 @@ pub enum Chip {
     Evk2Imx636,
 }
 
-/// Register of an EVK2's FPGA that has the number of the system.
+/// Register of an EVK2's FPGA with the number of the system.
 pub const EVK2_SYSTEM: u32 = 0x800;
 
 impl Chip {
-    /// Its size.
+    /// Returns the size of the sensor.
     #[must_use]
     pub const fn sensor(self) -> Sensor {
         match self {
@@ -46,7 +46,7 @@ impl Chip {
         }
     }
 
-    /// Name of a camera with it; `kind` is what a board says of itself.
+    /// Returns the name of a camera with this sensor; `kind` is the kind that its board reports.
     #[must_use]
     pub const fn camera(self, kind: Option<u8>) -> &'static str {
         match (self, kind) {
@@ -59,7 +59,8 @@ impl Chip {
         }
     }
 
-    /// What a board with it says of its kind: 0x31 an EVK4, 0x35 with an IMX646, 0x30 an EVK3-HD.
+    /// Returns the kind that a board with this sensor reports: 0x31 for an EVK4, 0x35 with an IMX646, 0x30 for an
+    /// EVK3-HD.
     #[must_use]
     pub const fn kind(self) -> Option<u8> {
         match self {
@@ -70,7 +71,7 @@ impl Chip {
         }
     }
 
-    /// What its device is compatible with.
+    /// Returns the compatibility string of the sensor's device.
     #[must_use]
     pub const fn compatible(self) -> &'static str {
         match self {
@@ -82,7 +83,7 @@ impl Chip {
         }
     }
 
-    /// Its number in [`CHIP`].
+    /// Returns the chip number in [`CHIP`].
     #[must_use]
     pub const fn number(self) -> u32 {
         match self {
@@ -101,7 +102,7 @@ impl Chip {
         }
     }
 
-    /// Where the sensor's registers begin.
+    /// Returns the address at which the sensor's registers begin.
     #[must_use]
     pub const fn base(self) -> u32 {
         match self {
@@ -110,7 +111,7 @@ impl Chip {
         }
     }
 
-    /// Register whose [`registers::PIXELS_GO`] lets the pixels go.
+    /// Returns the address of the register whose bit [`registers::PIXELS_GO`] enables the pixels.
     #[must_use]
     pub const fn pixels(self) -> u32 {
         match self {
@@ -119,32 +120,32 @@ impl Chip {
         }
     }
 
-    /// Whether a device of its own moves its stream.
+    /// Returns whether a separate device moves the sensor's stream.
     #[must_use]
     pub const fn has_streamer(self) -> bool {
         matches!(self, Self::Evk2Imx636)
     }
 }
 
-/// A board's sensor.
+/// The sensor found on a board.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Found {
-    /// Which one.
+    /// Type of the sensor.
     pub chip: Chip,
     /// Number of its device.
     device: u32,
-    /// Device that moves its stream, where the board has one.
+    /// Number of the device that moves its stream, if the board has one.
     streamer: Option<u32>,
 }
 
-/// What sends the events of an EVK2 on.
+/// Name of the device that forwards the events of an EVK2.
 pub const STREAMER: &str = "treuzell,streamer";
 
 impl Found {
-    /// Looks through a board's devices.
+    /// Searches a board's devices for a known sensor.
     ///
     /// # Errors
-    /// The board is gone, or has no sensor that is known.
+    /// The board is gone, or has no known sensor.
     pub fn look(board: &mut Board<'_>) -> Result<Self> {
         let devices = board.number(treuzell::DEVICES)?;
         let name = board.control().name().to_owned();
@@ -156,7 +157,7 @@ impl Found {
         for device in 0..devices {
             let names = match board.strings(treuzell::COMPATIBLE, device) {
                 Ok(names) => names,
-                // Old firmware has them as names.
+                // Old firmware reports the compatibility strings as names.
                 Err(_) => board.strings(treuzell::NAME, device)?,
             };
             if names.iter().any(|name| name == STREAMER) {
@@ -179,7 +180,7 @@ impl Found {
     fn chip(board: &mut Board<'_>, device: u32, names: &[String]) -> Result<Option<Chip>> {
         let has = |compatible: &str| names.iter().any(|name| name == compatible);
         if has(Chip::Evk2Imx636.compatible()) {
-            // What a board answers is not written down anywhere, but that it answers.
+            // The expected value is not documented, so only the fact of an answer is checked.
             board.read(device, EVK2_SYSTEM)?;
             return Ok(Some(Chip::Evk2Imx636));
         }
@@ -188,7 +189,7 @@ impl Found {
         if !names.iter().any(is_sensor) {
             return Ok(None);
         }
-        // The chip itself says what it is: boards name several that they might have.
+        // The chip's own number decides, because boards list several sensors that they may have.
         Ok(match board.read(device, CHIP)? {
             0xA040_1806 if board.read(device, VARIANT)? & 3 == 0 => Some(Chip::Imx636),
             0xA040_1806 => Some(Chip::Imx646),
@@ -198,7 +199,7 @@ impl Found {
         })
     }
 
-    /// The format that it is set to.
+    /// Returns the stream format that the sensor is set to.
     ///
     /// # Errors
     /// The board is gone.
@@ -216,7 +217,7 @@ impl Found {
         })
     }
 
-    /// Sets it up anew and lets events come.
+    /// Initialises the sensor and starts its events.
     ///
     /// # Errors
     /// The board is gone, or refuses a step.
@@ -242,7 +243,7 @@ impl Found {
         Ok(())
     }
 
-    /// Ends the events.
+    /// Stops the events.
     ///
     /// # Errors
     /// The board is gone.

@@ -1,49 +1,50 @@
-//! Treuzell, the control protocol of Prophesee's boards: a frame to one bulk endpoint, the answer from another.
+//! Treuzell, the control protocol of Prophesee's boards: a frame sent to one bulk endpoint is answered on another.
 //!
 //! | bytes | field |
 //! |---|---|
-//! | 4 | property; [`WRITE`] set to write it; in an answer [`FAILED`] set where it failed |
-//! | 4 | bytes of the payload |
-//! | n | payload: numbers of 32 bits, or strings that end with 0 behind the device's number |
+//! | 4 | property; with [`WRITE`] to write it; in an answer with [`FAILED`] on failure |
+//! | 4 | number of bytes of the payload |
+//! | n | payload: 32-bit numbers, or the device's number followed by strings that end with 0 |
 //!
-//! All little-endian. The answer has the property of the question; [`FAILED`] alone means that there
-//! is no such property. A failed register access has the system's number of the error as its third number.
+//! All numbers are little-endian. The answer has the property of the question; [`FAILED`] alone means that the
+//! property does not exist. The answer to a failed register access has the system's error number as its third
+//! number.
 
 use anyhow::{Context, Result, bail, ensure};
 
 use crate::link::control::Control;
 
-/// Endpoint of questions.
+/// Endpoint for questions.
 pub const OUT: u8 = 0x02;
-/// Endpoint of answers.
+/// Endpoint for answers.
 pub const IN: u8 = 0x82;
-/// A write.
+/// Property flag of a write.
 pub const WRITE: u32 = 0x4000_0000;
-/// A failure.
+/// Property flag of a failure.
 pub const FAILED: u32 = 0x8000_0000;
-/// Longest frame.
+/// Length of the longest frame, in bytes.
 pub const FRAME_BYTES_MAX: usize = 1024;
-/// Bytes before the payload.
+/// Number of bytes before the payload.
 pub const HEAD_BYTES: usize = 8;
 
 /// Serial number of the board, 32 or 64 bits.
 pub const SERIAL: u32 = 0x72;
-/// Release of its firmware, `major << 16 | minor << 8 | patch`.
+/// Firmware release of the board, `major << 16 | minor << 8 | patch`.
 pub const RELEASE: u32 = 0x79;
-/// Date of its build, seconds since 1970, 64 bits.
+/// Build date of the firmware, in seconds since 1970, 64 bits.
 pub const BUILD_DATE: u32 = 0x7A;
-/// Number of its devices.
+/// Number of devices on the board.
 pub const DEVICES: u32 = 0x1_0000;
 /// Name of a device.
 pub const NAME: u32 = 0x1_0001;
-/// What a device is compatible with.
+/// Compatibility strings of a device.
 pub const COMPATIBLE: u32 = 0x1_0003;
-/// Registers of a device, from an address on, 4 bytes each.
+/// Registers of a device from an address on, 4 bytes each.
 pub const REGISTERS: u32 = 0x1_0102;
 /// Whether a device streams.
 pub const STREAM: u32 = 0x1_0200;
 
-/// A frame.
+/// Builds a frame from a property and its payload.
 #[must_use]
 pub fn frame(property: u32, payload: &[u8]) -> Vec<u8> {
     let mut bytes = property.to_le_bytes().to_vec();
@@ -52,7 +53,7 @@ pub fn frame(property: u32, payload: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// Property and payload of a frame; `None` for bytes that are none.
+/// Returns the property and the payload of a frame; `None` if the bytes are not a whole frame.
 #[must_use]
 pub fn parse(bytes: &[u8]) -> Option<(u32, &[u8])> {
     let (property, rest) = bytes.split_first_chunk()?;
@@ -61,13 +62,13 @@ pub fn parse(bytes: &[u8]) -> Option<(u32, &[u8])> {
     is_whole.then_some((u32::from_le_bytes(*property), payload))
 }
 
-/// Numbers as a payload.
+/// Encodes 32-bit numbers as a payload.
 #[must_use]
 pub fn payload(numbers: &[u32]) -> Vec<u8> {
     numbers.iter().flat_map(|n| n.to_le_bytes()).collect()
 }
 
-/// Number `index` of a payload.
+/// Returns number `index` of a payload, if it is long enough.
 #[must_use]
 pub fn number(payload: &[u8], index: usize) -> Option<u32> {
     payload
@@ -77,18 +78,18 @@ pub fn number(payload: &[u8], index: usize) -> Option<u32> {
         .map(|n| u32::from_le_bytes(*n))
 }
 
-/// A board that is asked.
+/// A board that answers questions.
 pub struct Board<'c> {
     control: &'c mut dyn Control,
 }
 
 impl<'c> Board<'c> {
-    /// A board behind its control side.
+    /// Uses the board at a control side.
     pub fn new(control: &'c mut dyn Control) -> Self {
         Self { control }
     }
 
-    /// The control side.
+    /// Returns the control side, for requests outside the protocol.
     pub fn control(&mut self) -> &mut dyn Control {
         self.control
     }
@@ -130,7 +131,7 @@ impl<'c> Board<'c> {
         format!("{name}: its answer to property {property:#x} is too short")
     }
 
-    /// Reads a number.
+    /// Reads a property that is a number.
     ///
     /// # Errors
     /// The board is gone, or has no such property.
@@ -139,10 +140,10 @@ impl<'c> Board<'c> {
         number(&answer, 0).with_context(|| self.short(property))
     }
 
-    /// Serial number: at least eight digits.
+    /// Reads the serial number as hexadecimal digits, at least eight.
     ///
     /// # Errors
-    /// As of [`Board::number`].
+    /// As for [`Board::number`].
     pub fn serial(&mut self) -> Result<String> {
         let answer = self.ask(SERIAL, &[])?;
         let low = number(&answer, 0).with_context(|| self.short(SERIAL))?;
@@ -150,10 +151,10 @@ impl<'c> Board<'c> {
         Ok(format!("{:08x}", u64::from(high) << 32 | u64::from(low)))
     }
 
-    /// Strings of a device.
+    /// Reads a property of a device that consists of strings.
     ///
     /// # Errors
-    /// As of [`Board::number`].
+    /// As for [`Board::number`].
     pub fn strings(&mut self, property: u32, device: u32) -> Result<Vec<String>> {
         let answer = self.ask(property, &payload(&[device]))?;
         let (_, text) = answer
@@ -166,20 +167,20 @@ impl<'c> Board<'c> {
             .collect())
     }
 
-    /// Reads a register.
+    /// Reads a register of a device.
     ///
     /// # Errors
-    /// As of [`Board::number`]; an answer for another register.
+    /// As for [`Board::number`], or the answer is for another register.
     pub fn read(&mut self, device: u32, address: u32) -> Result<u32> {
         let answer = self.ask(REGISTERS, &payload(&[device, address, 1]))?;
         self.check(&answer, device, address)?;
         number(&answer, 2).with_context(|| self.short(REGISTERS))
     }
 
-    /// Writes a register.
+    /// Writes a register of a device.
     ///
     /// # Errors
-    /// As of [`Board::read`].
+    /// As for [`Board::read`].
     pub fn write(&mut self, device: u32, address: u32, value: u32) -> Result<()> {
         let answer = self.ask(REGISTERS | WRITE, &payload(&[device, address, value]))?;
         self.check(&answer, device, address)
@@ -195,10 +196,10 @@ impl<'c> Board<'c> {
         Ok(())
     }
 
-    /// Lets a device stream, or not.
+    /// Turns the streaming of a device on or off.
     ///
     /// # Errors
-    /// As of [`Board::number`].
+    /// As for [`Board::number`].
     pub fn stream(&mut self, device: u32, on: bool) -> Result<()> {
         self.ask(STREAM | WRITE, &payload(&[device, on.into()]))?;
         Ok(())

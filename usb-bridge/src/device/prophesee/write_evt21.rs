@@ -1,8 +1,8 @@
-//! EVT 2.1 as a camera sends it, of any events.
+//! Writes events as EVT 2.1, the way a camera sends them.
 //!
-//! `EVT_TIME_HIGH` comes when it changes, every 64 us at the most; in a silence of up to 2^32 us
-//! every 4,096 us, in a longer one every 36 minutes. Events one after the other that share time, row and
-//! polarity in rising columns of one group of 32 are one word. The order of events is kept.
+//! `EVT_TIME_HIGH` is written when it changes, at most every 64 us; in a silence of up to 2^32 us every 4,096 us,
+//! in a longer one every 36 minutes. Consecutive events of the same time, row and polarity in increasing columns of
+//! one group of 32 form one word. The order of events is kept.
 
 use anyhow::{Context, Result};
 use eecvs_nostd::{Event, Sensor};
@@ -11,7 +11,7 @@ use event_files::evt::evt21_word::{HIGH_BITS, LOW_BITS, Order, time_word, vector
 use super::high_time::Way;
 use crate::device::WriteStream;
 
-/// `EVT_TIME_HIGH`s from one to the next in a silence, and those of the longest such silence.
+/// Step of `EVT_TIME_HIGH` in a silence, and the length of the longest silence that has this step.
 const SILENCE: (u64, u64) = (4096 >> LOW_BITS, 1 << (32 - LOW_BITS));
 
 /// Writer of EVT 2.1.
@@ -23,7 +23,7 @@ pub struct Evt21Stream {
 }
 
 impl Evt21Stream {
-    /// At the start of a stream of a camera with this sensor, whose time begins at 0.
+    /// Starts a stream of a camera with this sensor, whose time begins at 0.
     #[must_use]
     pub fn new(sensor: Sensor, order: Order) -> Self {
         Self {

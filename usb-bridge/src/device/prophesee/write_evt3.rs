@@ -1,11 +1,11 @@
-//! EVT 3.0 as a camera sends it, of any events.
+//! Writes events as EVT 3.0, the way a camera sends them.
 //!
-//! `TIME_HIGH` comes when it changes, and again before the first event of every further 16 us (a
-//! sensor sends it every 16 us, events or not); `TIME_LOW` and `ADDR_Y` follow it, and come when they change, so
-//! that a receiver is right again 16 us after a loss. In a silence of up to 2^32 us `TIME_HIGH`
-//! comes at each of its values, every 4,096 us, in a longer one every 2 s. Three and more events
-//! in a row that share time, row and polarity in rising columns are one vector, as far as that is
-//! shorter: up to 32 columns, as a sensor sends them. The order of events is kept.
+//! `TIME_HIGH` is written when it changes, and again before the first event of every further 16 us (a sensor sends
+//! it every 16 us, with or without events). `TIME_LOW` and `ADDR_Y` follow it, and are written again when they
+//! change, so that a receiver is correct again 16 us after a loss. In a silence of up to 2^32 us every value of
+//! `TIME_HIGH` is written, one per 4,096 us; in a longer silence one every 2 s. Three or more consecutive events of
+//! the same time, row and polarity in increasing columns form a vector of up to 32 columns, as a sensor sends them,
+//! if that is not longer than single events. The order of events is kept.
 
 use anyhow::{Context, Result};
 use eecvs_nostd::{Event, Polarity, Sensor};
@@ -16,18 +16,18 @@ use event_files::evt::evt3::{
 use super::high_time::Way;
 use crate::device::WriteStream;
 
-/// Columns of a vector's words: 12, 12 and 8.
+/// Columns of a full vector: words of 12, 12 and 8.
 const VECTOR_COLUMNS: u16 = 32;
-/// Microseconds after which `TIME_HIGH` comes again with the next event, as a power of two.
+/// Interval after which `TIME_HIGH` is repeated with the next event: 2^4 us.
 const REPEAT_BITS: u32 = 4;
-/// `TIME_HIGH`s of a silence through which each is sent: 2^32 us.
+/// Longest silence in which every `TIME_HIGH` is written: 2^32 us.
 const SILENCE: u64 = 1 << (32 - TIME_BITS);
 
 /// Writer of EVT 3.0.
 pub struct Evt3Stream {
     sensor: Sensor,
     high: Way<TIME_BITS>,
-    /// Time of the latest event, without its lowest [`REPEAT_BITS`].
+    /// Time of the latest event without its lowest [`REPEAT_BITS`] bits.
     block: Option<u64>,
     low: Option<u16>,
     row: Option<u16>,
@@ -35,7 +35,7 @@ pub struct Evt3Stream {
 }
 
 impl Evt3Stream {
-    /// At the start of a stream of a camera with this sensor, whose time begins at 0.
+    /// Starts a stream of a camera with this sensor, whose time begins at 0.
     #[must_use]
     pub fn new(sensor: Sensor) -> Self {
         Self {
@@ -48,7 +48,7 @@ impl Evt3Stream {
         }
     }
 
-    /// Has the next event's words say everything, so that whoever has not read those before can read them.
+    /// Makes the next event's words self-contained, so that a reader can start there.
     pub fn say_all(&mut self) {
         self.block = None;
     }
@@ -67,7 +67,7 @@ impl Evt3Stream {
             self.block = Some(t_us >> REPEAT_BITS);
             (self.low, self.row) = (None, None);
         }
-        // Below 2^12.
+        // `low` is below 2^12.
         let low = (t_us & 0xfff) as u16;
         if self.low != Some(low) {
             put(bytes, TIME_LOW, low);
@@ -115,7 +115,7 @@ impl WriteStream for Evt3Stream {
     }
 }
 
-/// Number of events at the start of `events` that one vector can hold in their order, and its columns.
+/// Returns how many events at the start of `events` fit one vector in their order, and the vector's columns.
 fn run(events: &[Event]) -> (usize, u32) {
     let Some(first) = events.first() else {
         return (0, 0);
@@ -135,7 +135,7 @@ fn run(events: &[Event]) -> (usize, u32) {
     (count, columns)
 }
 
-/// Words of a vector, with the one of its first column.
+/// Returns the number of words of a vector, including the one of its first column.
 const fn words(columns: u32) -> usize {
     match 32 - columns.leading_zeros() {
         0..=12 => 2,
@@ -214,9 +214,9 @@ mod tests {
         assert_eq!(row(&[10, 11, 20]), [0x380a, 0x4403]);
         assert_eq!(row(&[10, 22, 23]), [0x380a, 0x4001, 0x5003]);
         assert_eq!(row(&[10, 11, 34, 41]), [0x380a, 0x4003, 0x4000, 0x5081]);
-        // Longer than the events alone.
+        // Longer than the single events.
         assert_eq!(row(&[10, 11, 41]), [0x280a, 0x280b, 0x2829]);
-        // Columns that fall, and one that comes twice.
+        // Columns that decrease, and a column that occurs twice.
         assert_eq!(row(&[12, 11, 10]), [0x280c, 0x280b, 0x280a]);
         assert_eq!(row(&[12, 12, 13]), [0x280c, 0x280c, 0x280d]);
     }

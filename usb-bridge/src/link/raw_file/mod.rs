@@ -1,30 +1,31 @@
-//! Files of a device's stream as it came, `.stream`: every byte, when it came, and what was lost.
+//! Stream files, `.stream`: a device's stream byte for byte, with times of arrival and losses.
 //!
-//! All numbers are little-endian; times are nanoseconds since the header's.
+//! All numbers are little-endian; times are in nanoseconds after the header's time zero.
 //!
 //! ```text
 //! header   8  "EECVSTRM"
 //!          2  version, 1
-//!          2  bytes of the header, all of it
-//!          2  width, 2 height of the sensor in pixels
-//!          8  time zero in nanoseconds since 1970
+//!          2  length of the whole header in bytes
+//!          2  width and 2 height of the sensor, in pixels
+//!          8  time zero, in nanoseconds since 1970
 //!          6 strings, each 2 bytes of length and UTF-8: model, name, serial number (empty: none),
 //!             firmware, stream, program that wrote the file
 //!          4  CRC-32 of the header before it
 //! record   4  "DATA", "LOSS", "INDX" or "TAIL"
-//!          4  bytes of the payload
-//!          8  time; of TAIL: offset of INDX in the file
+//!          4  length of the payload in bytes
+//!          8  time; in TAIL: offset of INDX in the file
 //!          4  LOSS: cause (1 overflow, 2 damaged, 3 stalled, 4 injected); otherwise 0
 //!          4  CRC-32 of the record before it, without the payload
-//!             payload: DATA: bytes of the stream, at most 16 MiB, none of them checked
-//!                      LOSS: 8 bytes, number of lost bytes, 2^64 - 1 where it is not known
+//!             payload: DATA: bytes of the stream, at most 16 MiB, without a checksum
+//!                      LOSS: 8 bytes, number of lost bytes, 2^64 - 1 if it is unknown
 //!                      INDX: entries of 24 bytes: time, offset of a DATA record, bytes of the stream
 //!                            before it; one for each MiB of the stream
 //!                      TAIL: none
 //! ```
 //!
-//! A header, records in order of time, one INDX, one TAIL. A file that is cut off anywhere is read up
-//! to there, without an index; a damaged record is skipped up to the next one and told as a loss.
+//! A file consists of a header, records in order of time, one INDX and one TAIL. A file that is cut off anywhere is
+//! read up to the cut, without an index. A damaged record is skipped up to the next whole one, and reported as a
+//! loss.
 
 mod reader;
 mod writer;
@@ -45,22 +46,22 @@ const MAGIC: [u8; 8] = *b"EECVSTRM";
 const VERSION: u16 = 1;
 const FIXED: usize = 24;
 const RECORD: usize = 24;
-/// The largest payload of DATA.
+/// Largest payload of a DATA record.
 const DATA_MAX: usize = 16 << 20;
-/// Bytes of the stream between entries of the index.
+/// Bytes of the stream per index entry.
 const INDEX_STEP: u64 = 1 << 20;
 const CRC: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
 
-/// A file that is none of these, or cannot be read.
+/// A file that is not a stream file, or cannot be read.
 #[derive(Debug, Error)]
 pub enum RawFileError {
-    /// It cannot be read or written.
+    /// The file cannot be read or written.
     #[error("{0}")]
     Io(#[from] io::Error),
-    /// It begins otherwise.
+    /// The file does not begin with the magic bytes of a stream file.
     #[error("byte 0: is no stream file: begins with other bytes than EECVSTRM")]
     Magic,
-    /// A later program wrote it.
+    /// The file was written in another version of the format.
     #[error("byte 8: version {0} of stream files; this program reads version {VERSION}")]
     Version(u16),
     /// The header is cut off or damaged.
@@ -68,29 +69,29 @@ pub enum RawFileError {
     Header(u64),
 }
 
-/// What a file says of its stream.
+/// Header of a stream file: what the stream was captured from.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Header {
-    /// Model, as on the command line.
+    /// Model, as named on the command line.
     pub model: String,
-    /// What the device said of itself; `stream` is its own field here.
+    /// Name that the device reported.
     pub name: String,
-    /// Serial number, where it has one.
+    /// Serial number, if the device has one.
     pub serial: Option<String>,
-    /// Version of firmware and logic.
+    /// Version of firmware and logic, as the device reported it.
     pub firmware: String,
-    /// Which stream it sent.
+    /// Name of the stream, as in [`Info::stream`].
     pub stream: String,
     /// Size of the sensor.
     pub sensor: Sensor,
     /// Time zero, in nanoseconds since 1970.
     pub started_ns: u64,
-    /// Program that wrote it.
+    /// Program that wrote the file.
     pub program: String,
 }
 
 impl Header {
-    /// The header of a capture that starts at `started_ns`.
+    /// Creates the header of a capture that starts `started_ns` nanoseconds after 1970.
     #[must_use]
     pub fn new(model: &str, info: &Info, started_ns: u64) -> Self {
         Self {
@@ -122,7 +123,7 @@ impl Header {
             &self.program,
         ];
         for string in strings {
-            // A device's string descriptor has at most 126 characters.
+            // More than any device reports: a string descriptor has at most 126 characters.
             let mut length = string.len().min(1000);
             while !string.is_char_boundary(length) {
                 length -= 1;

@@ -1,4 +1,4 @@
-//! Stream files read.
+//! Reads stream files.
 
 use std::fs::File;
 use std::io::{self, BufReader, ErrorKind, Read, Seek, SeekFrom};
@@ -9,21 +9,21 @@ use super::writer::nanoseconds;
 use super::{CAUSES, Entry, FIXED, Fixed, Header, MAGIC, Mark, RECORD, RawFileError, VERSION};
 use crate::link::Loss;
 
-/// What a stream file has next.
+/// The next record of a stream file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Record {
-    /// Bytes of the stream, in the caller's buffer.
+    /// Bytes of the stream, written to the caller's buffer.
     Bytes {
-        /// When they came, since time zero.
+        /// When they arrived, after time zero.
         time: Duration,
     },
-    /// Bytes were lost before the next ones.
+    /// Bytes are missing before the next ones.
     Lost {
-        /// When that was found, since time zero.
+        /// When the loss was found, after time zero.
         time: Duration,
-        /// How many, where it is known.
+        /// Number of lost bytes, if known.
         bytes: Option<u64>,
-        /// Why.
+        /// Cause of the loss.
         cause: Loss,
     },
 }
@@ -40,7 +40,7 @@ pub struct RawReader<R> {
 }
 
 impl RawReader<BufReader<File>> {
-    /// Opens a file.
+    /// Opens a stream file.
     ///
     /// # Errors
     /// As for [`RawReader::new`].
@@ -49,7 +49,7 @@ impl RawReader<BufReader<File>> {
     }
 }
 
-/// Fills `bytes` as far as there is something; returns how far.
+/// Reads until `bytes` is full or the input ends; returns the number of bytes read.
 fn read_up_to(input: &mut impl Read, bytes: &mut [u8]) -> io::Result<usize> {
     let mut got = 0;
     while got < bytes.len() {
@@ -64,10 +64,10 @@ fn read_up_to(input: &mut impl Read, bytes: &mut [u8]) -> io::Result<usize> {
 }
 
 impl<R: Read + Seek> RawReader<R> {
-    /// Reads the header, and the index where there is one.
+    /// Reads the header, and the index if there is one.
     ///
     /// # Errors
-    /// It cannot be read, is no stream file, or its header is damaged.
+    /// The input cannot be read, is not a stream file, or its header is damaged.
     pub fn new(mut input: R) -> Result<Self, RawFileError> {
         let mut bytes = vec![0; FIXED];
         let got = read_up_to(&mut input, &mut bytes)?;
@@ -135,23 +135,24 @@ impl<R: Read + Seek> RawReader<R> {
         Ok(())
     }
 
-    /// What the file says of its stream.
+    /// Returns the file's header, which describes its stream.
     pub const fn header(&self) -> &Header {
         &self.header
     }
 
-    /// Where the file is cut off, once its end was read: the offset of the first record that is not
-    /// whole, or of the end where the index would be.
+    /// Returns where the file is cut off, once its end was read: the offset of the first incomplete record, or the
+    /// end of the file if only the index is missing.
     pub const fn cut(&self) -> Option<u64> {
         self.cut
     }
 
-    /// Whether there is an index to seek by; without one, seeking reads every record before.
+    /// Returns whether the file has an index; without one, seeking walks through all records from the first one on.
     pub const fn is_indexed(&self) -> bool {
         !self.index.is_empty()
     }
 
-    /// The fixed part of the record here; `None` at the end, which it notes, and where it is damaged.
+    /// Reads the fixed part of the record here. `Err(true)` means the end of the file, which is noted as a cut;
+    /// `Err(false)` means a damaged record.
     fn fixed(&mut self) -> io::Result<Result<Fixed, bool>> {
         let mut bytes = [0; RECORD];
         let got = read_up_to(&mut self.input, &mut bytes)?;
@@ -162,7 +163,8 @@ impl<R: Read + Seek> RawReader<R> {
         Ok(Fixed::from_bytes(&bytes).ok_or(false))
     }
 
-    /// The next record; `bytes` gets the stream's and is empty otherwise. `None` at the end.
+    /// Reads the next record; `None` at the end. `bytes` is cleared, and filled if the record holds bytes of the
+    /// stream.
     ///
     /// # Errors
     /// The file cannot be read.
@@ -201,7 +203,7 @@ impl<R: Read + Seek> RawReader<R> {
                         self.cut = Some(start);
                         return Ok(None);
                     }
-                    // Whatever else it may hold in later versions.
+                    // Skips fields that later versions may add.
                     self.go_to(start + RECORD as u64 + length.max(8))?;
                     let cause = CAUSES.iter().find(|one| one.1 == fixed.detail);
                     return Ok(Some(Record::Lost {
@@ -219,7 +221,7 @@ impl<R: Read + Seek> RawReader<R> {
         }
     }
 
-    /// Goes to the next record that is whole.
+    /// Skips damage up to the next whole record and reports it as a loss.
     fn skip_damage(&mut self) -> io::Result<Record> {
         let damaged = self.position;
         let mut base = damaged + 1;
@@ -235,7 +237,7 @@ impl<R: Read + Seek> RawReader<R> {
                 let of_stream = matches!(fixed.mark, Mark::Data | Mark::Loss);
                 return Ok(Record::Lost {
                     time: Duration::from_nanos(if of_stream { fixed.time } else { 0 }),
-                    // With the record's own bytes: no more than this.
+                    // An upper bound: it includes the damaged records' own headers.
                     bytes: Some(self.position - damaged),
                     cause: Loss::Damaged,
                 });
@@ -252,13 +254,13 @@ impl<R: Read + Seek> RawReader<R> {
         }
     }
 
-    /// Goes to the first record at or after `time`.
+    /// Seeks to the first record at or after `time`.
     ///
     /// # Errors
     /// The file cannot be read.
     pub fn seek(&mut self, time: Duration) -> io::Result<()> {
         let time = nanoseconds(time);
-        // Several entries may have the same time: the first of them.
+        // Entries may share a time; this starts before the first of them.
         let after = self.index.partition_point(|entry| entry.time < time);
         let start = after
             .checked_sub(1)
@@ -271,7 +273,7 @@ impl<R: Read + Seek> RawReader<R> {
                 Ok(fixed) if matches!(fixed.mark, Mark::Data | Mark::Loss) => {
                     (fixed.time < time).then_some(fixed.length)
                 }
-                // `next` tells of the end and of damage.
+                // `next` reports the end and damage.
                 _ => None,
             };
             self.cut = None;

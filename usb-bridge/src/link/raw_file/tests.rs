@@ -80,7 +80,7 @@ fn a_file_says_what_was_written_and_is_sought_by_its_index() {
         assert_eq!(read(&mut reader), expected, "{from} ms");
         assert_eq!(reader.cut(), None);
     }
-    // Without its index, by reading.
+    // Without the index, seeking walks through the records.
     let mut reader = RawReader::new(Cursor::new(&file[..file.len() - 1])).unwrap();
     assert!(!reader.is_indexed());
     reader.seek(Duration::from_millis(211)).unwrap();
@@ -136,14 +136,14 @@ proptest! {
         let mut reader = RawReader::new(Cursor::new(&file[..length])).unwrap();
         let read = read(&mut reader);
         prop_assert!(reader.cut().is_some());
-        // Whole records, and then a part of one.
+        // Whole records, then at most one partial record.
         let parts = read.iter().zip(&records).filter(|(read, written)| read != written);
         for (index, (part, whole)) in parts.enumerate() {
             let (Ok(part), Ok(whole)) = (&part.1, &whole.1) else { panic!("another record") };
             prop_assert!(index == 0 && whole.starts_with(part));
         }
         let got: usize = read.iter().filter_map(|one| one.1.as_ref().ok()).map(Vec::len).sum();
-        // What is missing was not in the file.
+        // Whatever is missing was not in the file.
         let overhead: usize = records.iter().map(|one| RECORD + if one.1.is_err() { 8 } else { 0 }).sum();
         prop_assert!(got + overhead + RECORD >= length - first || read.len() == records.len());
     }

@@ -1,4 +1,4 @@
-//! Stream files written.
+//! Writes stream files.
 
 use std::io::{self, Write};
 use std::time::Duration;
@@ -6,7 +6,7 @@ use std::time::Duration;
 use super::{CAUSES, DATA_MAX, Entry, Fixed, Header, INDEX_STEP, Mark, RECORD};
 use crate::link::Loss;
 
-/// Writes a stream file. Without [`RawWriter::finish`] it has no index, and is readable.
+/// Writes a stream file. Without [`RawWriter::finish`] the file has no index, but is still readable.
 pub struct RawWriter<W> {
     out: W,
     offset: u64,
@@ -19,10 +19,10 @@ pub(super) fn nanoseconds(time: Duration) -> u64 {
 }
 
 impl<W: Write> RawWriter<W> {
-    /// Begins a file. `out` should be buffered.
+    /// Begins a file by writing its header; `out` should be buffered.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// `out` cannot be written.
     pub fn new(mut out: W, header: &Header) -> io::Result<Self> {
         let bytes = header.to_bytes();
         out.write_all(&bytes)?;
@@ -41,10 +41,10 @@ impl<W: Write> RawWriter<W> {
         Ok(())
     }
 
-    /// Adds bytes that came at `time` since time zero.
+    /// Appends bytes that arrived at `time` after time zero.
     ///
     /// # Errors
-    /// They cannot be written.
+    /// The file cannot be written.
     pub fn bytes(&mut self, time: Duration, bytes: &[u8]) -> io::Result<()> {
         let time = nanoseconds(time);
         for part in bytes.chunks(DATA_MAX) {
@@ -68,10 +68,10 @@ impl<W: Write> RawWriter<W> {
         Ok(())
     }
 
-    /// Adds that bytes were lost before the next ones.
+    /// Appends a loss: bytes are missing before the next ones. `bytes` is their number, if known.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The file cannot be written.
     pub fn lost(&mut self, time: Duration, bytes: Option<u64>, cause: Loss) -> io::Result<()> {
         let detail = CAUSES
             .iter()
@@ -86,15 +86,15 @@ impl<W: Write> RawWriter<W> {
         self.record(fixed, &bytes.unwrap_or(u64::MAX).to_le_bytes())
     }
 
-    /// Bytes of the stream so far.
+    /// Returns the number of bytes of the stream written so far.
     pub const fn stream_bytes(&self) -> u64 {
         self.stream
     }
 
-    /// Ends the file with its index, and gives the writer back, flushed.
+    /// Ends the file with its index, flushes it and returns the inner writer.
     ///
     /// # Errors
-    /// It cannot be written.
+    /// The file cannot be written.
     pub fn finish(mut self) -> io::Result<W> {
         let offset = self.offset;
         let payload: Vec<u8> = self
@@ -103,7 +103,7 @@ impl<W: Write> RawWriter<W> {
             .flat_map(|entry| [entry.time, entry.offset, entry.stream])
             .flat_map(u64::to_le_bytes)
             .collect();
-        // Four thousand terabytes of stream have a longer index: none is better than a part.
+        // The 32-bit length suffices for a stream of about 187 TB; the index of a longer one is left empty.
         let length = u32::try_from(payload.len()).unwrap_or(0);
         let fixed = |mark, length, time| Fixed {
             mark,

@@ -1,4 +1,4 @@
-//! What is attached.
+//! Lists the USB devices that are attached.
 
 use std::fs;
 use std::mem::MaybeUninit;
@@ -12,16 +12,16 @@ use super::errors;
 use crate::device::{Model, recognise};
 use crate::link::LinkError;
 
-/// A hub's class: nothing that is looked for.
+/// Class code of hubs, which are ignored.
 const HUB: u8 = 9;
 
-/// Where Linux lists devices; absent on a machine without any host controller, as in a container.
+/// Where Linux lists USB devices; absent on a machine without a host controller, as in a container.
 const SYSFS: &str = "/sys/bus/usb/devices";
 
-/// The USB of this machine.
+/// The USB host of this machine.
 #[derive(Debug, Clone)]
 pub struct Bus {
-    /// `None` on a machine that has no USB, and so no devices.
+    /// `None` on a machine without USB, which has no devices.
     context: Option<Context>,
 }
 
@@ -29,43 +29,43 @@ pub struct Bus {
 #[derive(Clone)]
 pub struct Attached {
     pub(super) device: rusb::Device<Context>,
-    /// Its model, where that is known.
+    /// Its model, if known.
     pub model: Option<&'static dyn Model>,
-    /// Number of the bus.
+    /// Bus number.
     pub bus: u8,
-    /// Address on the bus, which is another at each connection.
+    /// Address on the bus, which changes with each connection.
     pub address: u8,
-    /// Ports from the root on, which stay while it is not moved.
+    /// Port numbers from the root on, which stay the same until the device is moved.
     pub ports: Vec<u8>,
-    /// USB vendor.
+    /// USB vendor ID.
     pub vendor: u16,
-    /// USB product.
+    /// USB product ID.
     pub product: u16,
-    /// `bcdDevice`.
+    /// `bcdDevice`, the release number of the device.
     pub release: u16,
     /// Speed of its connection.
     pub speed: Speed,
-    /// The device's own name, where it can be read.
+    /// The device's own product name, if it can be read.
     pub product_name: Option<String>,
-    /// Serial number, where it has one and it can be read.
+    /// Serial number, if the device has one and it can be read.
     pub serial: Option<String>,
 }
 
-/// Whether a device can be had.
+/// Whether a device can be used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Use {
-    /// It can be opened.
+    /// The device can be opened.
     Free,
-    /// Another program or driver has it.
+    /// Another program or driver uses it.
     Taken,
-    /// This user may not open it.
+    /// This user has no permission to open it.
     Forbidden,
-    /// It has gone meanwhile, or cannot be asked.
+    /// The device has gone in the meantime, or cannot be queried.
     Unknown,
 }
 
 impl Use {
-    /// What an attempt to open it tells.
+    /// Derives the availability from an attempt to open the device.
     #[must_use]
     pub const fn of(opened: &Result<Device, LinkError>) -> Self {
         match opened {
@@ -76,7 +76,7 @@ impl Use {
         }
     }
 
-    /// For people and programs.
+    /// Returns the text shown to people and to programs.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -89,10 +89,10 @@ impl Use {
 }
 
 impl Bus {
-    /// The USB of this machine, as it is now.
+    /// Opens the USB host of this machine.
     ///
     /// # Errors
-    /// The system does not let it be seen.
+    /// The system does not allow access to USB.
     pub fn new() -> Result<Self, LinkError> {
         match Context::new() {
             Ok(context) => Ok(Self {
@@ -108,7 +108,7 @@ impl Bus {
         }
     }
 
-    /// Every device but hubs.
+    /// Returns every device except hubs, ordered by bus and port.
     ///
     /// # Errors
     /// As for [`Bus::new`].
@@ -125,7 +125,7 @@ impl Bus {
         Ok(all)
     }
 
-    /// The devices whose model is known.
+    /// Returns the devices whose model is known.
     ///
     /// # Errors
     /// As for [`Bus::new`].
@@ -135,10 +135,10 @@ impl Bus {
         Ok(all)
     }
 
-    /// The known device that `wanted` names, or the only one.
+    /// Returns the known device that `wanted` names, or the only one.
     ///
     /// # Errors
-    /// As for [`Bus::new`]; none fits, or several do, as [`choose`] says.
+    /// As for [`Bus::new`]; or no device fits, or several do, by the rules of [`choose`].
     pub fn find(&self, wanted: Option<&str>) -> Result<Attached, LinkError> {
         let mut devices = self.devices()?;
         let candidates: Vec<_> = devices.iter().map(Attached::candidate).collect();
@@ -150,7 +150,7 @@ impl Bus {
 }
 
 impl Attached {
-    /// `None` for a hub, and for a device that has gone.
+    /// Reads the properties of a device; `None` for a hub, and for a device that has gone.
     pub(super) fn of(device: rusb::Device<Context>) -> Option<Self> {
         let descriptor = device.device_descriptor().ok()?;
         if descriptor.class_code() == HUB {
@@ -183,19 +183,19 @@ impl Attached {
         Some(attached)
     }
 
-    /// A string that Linux has kept from the device's connection: no permission is needed, and the
-    /// device, which may be streaming, is not asked.
+    /// Reads a string that Linux cached when the device was connected. This needs no permission, and does not query
+    /// the device, which may be streaming.
     fn kept_string(&self, name: &str) -> Option<String> {
         let path = format!("{SYSFS}/{}/{name}", &self.id()[4..]);
         let text = fs::read_to_string(path).ok()?;
         Some(text.trim().to_owned()).filter(|text| !text.is_empty())
     }
 
-    /// Whether its controller loses bytes where one of several transfers in flight is taken back: QEMU's xHCI
-    /// (7.2) goes on behind all of them, and the kernel throws away what comes for those.
+    /// Returns whether the host controller loses bytes when one of several transfers in flight is cancelled: QEMU's
+    /// xHCI (7.2) continues after all of them, and the kernel discards what arrives for the skipped ones.
     #[must_use]
     pub fn loses_what_is_taken_back(&self) -> bool {
-        // A root hub's parent is the controller.
+        // The parent of a root hub is the controller.
         let is = |name: &str, value: &str| {
             let path = format!("{SYSFS}/usb{}/../{name}", self.bus);
             fs::read_to_string(path).is_ok_and(|text| text.trim() == value)
@@ -203,14 +203,14 @@ impl Attached {
         cfg!(target_os = "linux") && is("vendor", "0x1b36") && is("device", "0x000d")
     }
 
-    /// Its place: `usb:1-4.2` is port 2 of the hub at port 4 of bus 1.
+    /// Returns its port: `usb:1-4.2` is port 2 of the hub at port 4 of bus 1.
     #[must_use]
     pub fn id(&self) -> String {
         let ports: Vec<_> = self.ports.iter().map(ToString::to_string).collect();
         format!("usb:{}-{}", self.bus, ports.join("."))
     }
 
-    /// Name for messages: `usb 1-4 davis346`.
+    /// Returns its name for messages: `usb 1-4 davis346`.
     #[must_use]
     pub fn name(&self) -> String {
         let place = &self.id()[4..];
@@ -220,7 +220,7 @@ impl Attached {
         }
     }
 
-    /// What it can be chosen by.
+    /// Returns the names by which the device can be selected.
     #[must_use]
     pub fn candidate(&self) -> Candidate {
         Candidate {
@@ -230,10 +230,11 @@ impl Attached {
         }
     }
 
-    /// Opens it and claims one interface. A kernel driver gives way, and is back afterwards.
+    /// Opens the device and claims one interface. A kernel driver is detached, and attached again when the device
+    /// is closed.
     ///
     /// # Errors
-    /// No permission, in use, gone, or connected slower than its model's stream.
+    /// The user has no permission, the device is in use or gone, or its connection is too slow for its model.
     pub fn open(&self, interface: u8) -> Result<Device, LinkError> {
         if self.model.is_some_and(Model::needs_super_speed) {
             self.require_super_speed()?;
@@ -241,16 +242,16 @@ impl Attached {
         Device::open(self, interface, Drivers::GiveWay)
     }
 
-    /// Opens it and claims one interface where nobody has it, and disturbs nobody: [`Use::of`] says what
-    /// that tells.
+    /// Opens the device and claims one interface only if nobody uses it, so that nobody is disturbed; [`Use::of`]
+    /// interprets the result.
     ///
     /// # Errors
-    /// No permission, in use, or gone.
+    /// The user has no permission, or the device is in use or gone.
     pub fn try_open(&self, interface: u8) -> Result<Device, LinkError> {
         Device::open(self, interface, Drivers::Stay)
     }
 
-    /// Refuses a connection that is slower than the stream.
+    /// Checks that the connection is at least SuperSpeed (5 Gbit/s).
     ///
     /// # Errors
     /// [`LinkError::TooSlow`] below SuperSpeed; an unknown speed passes.
@@ -269,7 +270,7 @@ impl Attached {
     }
 }
 
-/// What a speed is called.
+/// Returns a USB speed as text.
 #[must_use]
 pub const fn speed_name(speed: Speed) -> &'static str {
     match speed {
@@ -282,12 +283,12 @@ pub const fn speed_name(speed: Speed) -> &'static str {
     }
 }
 
-/// `bcdDevice` as it is: rusb's version takes it for decimal digits, which not every device heeds.
+/// Reads the raw `bcdDevice`: rusb parses it as decimal digits, which not every device uses.
 #[expect(unsafe_code, reason = "rusb does not give the number itself")]
 fn release(device: &rusb::Device<Context>) -> Option<u16> {
     let mut descriptor = MaybeUninit::<rusb::ffi::libusb_device_descriptor>::uninit();
-    // SAFETY: the device is alive as long as `device`, which holds a reference; libusb fills the
-    // descriptor where it returns 0, and only then it is read.
+    // SAFETY: the device is alive as long as `device`, which holds a reference; libusb fills the descriptor when it
+    // returns 0, and only then is it read.
     unsafe {
         let result =
             rusb::ffi::libusb_get_device_descriptor(device.as_raw(), descriptor.as_mut_ptr());

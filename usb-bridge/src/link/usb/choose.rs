@@ -1,24 +1,24 @@
-//! Which of several devices is meant.
+//! Selects one of several devices by name.
 
 use crate::link::LinkError;
 
-/// What a device can be called by.
+/// The names by which a device can be selected.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Candidate {
-    /// Place on the bus: `usb:1-4.2`.
+    /// Port on the bus: `usb:1-4.2`.
     pub id: String,
-    /// Name of its model, where that is known.
+    /// Name of its model, if known.
     pub model: Option<&'static str>,
-    /// Serial number, where it has one and it can be read.
+    /// Serial number, if the device has one and it can be read.
     pub serial: Option<String>,
 }
 
-/// The number of the one that `wanted` names: its place `usb:BUS-PORT`, its serial number, or its
-/// model; of a single one without a name. A place comes before a serial number, and that before a
-/// model. `None` where none fits, which [`absent`] tells.
+/// Returns the index of the candidate that `wanted` names: its port `usb:BUS-PORT`, else its serial number, else
+/// its model. Without a name, returns the only candidate. `None` if none fits; [`absent`] makes the error for that
+/// case.
 ///
 /// # Errors
-/// Several fit; the message lists them.
+/// Several candidates fit; the message lists them.
 pub fn choose(candidates: &[Candidate], wanted: Option<&str>) -> Result<Option<usize>, LinkError> {
     let found = |fits: &dyn Fn(&Candidate) -> bool| -> Vec<usize> {
         (0..candidates.len())
@@ -50,7 +50,7 @@ pub fn choose(candidates: &[Candidate], wanted: Option<&str>) -> Result<Option<u
     }
 }
 
-/// That none of `candidates` is the one that `wanted` names.
+/// Returns the error that no candidate fits `wanted`; its message lists the candidates.
 #[must_use]
 pub fn absent(candidates: &[Candidate], wanted: Option<&str>) -> LinkError {
     let all: Vec<_> = (0..candidates.len()).collect();

@@ -1,4 +1,4 @@
-//! The control side of a device on USB.
+//! The control side of a USB device.
 
 use std::sync::Arc;
 use std::thread;
@@ -8,10 +8,10 @@ use super::device::Opened;
 use crate::link::LinkError;
 use crate::link::control::{Control, Request};
 
-/// A device that does not answer in this time does not answer at all.
+/// A device that does not answer within this time has failed.
 const ANSWER: Duration = Duration::from_secs(1);
 
-/// Control requests and commands of an opened device.
+/// Sends control requests and commands to an opened device.
 #[derive(Debug, Clone)]
 pub struct UsbControl {
     opened: Arc<Opened>,
@@ -34,7 +34,7 @@ impl UsbControl {
     }
 }
 
-/// A request as a message names it.
+/// Formats a request for messages.
 fn step(request: Request) -> String {
     format!(
         "request {:#04x} (value {:#06x}, index {:#06x})",
@@ -42,7 +42,7 @@ fn step(request: Request) -> String {
     )
 }
 
-/// A command's endpoint as a message names it.
+/// Formats a command's endpoint for messages.
 fn command(endpoint: u8) -> String {
     format!("command over endpoint {endpoint:#04x}")
 }

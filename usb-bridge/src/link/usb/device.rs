@@ -1,4 +1,4 @@
-//! A device that is opened, with one interface claimed.
+//! An opened USB device, with one interface claimed.
 
 use std::sync::Arc;
 
@@ -11,12 +11,12 @@ use super::stream::UsbLink;
 use crate::device::Transfers;
 use crate::link::LinkError;
 
-/// Whether a kernel driver that has the interface is asked to leave it.
+/// What happens to a kernel driver that holds the interface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Drivers {
-    /// It leaves, and is back when the device is closed.
+    /// It is detached, and attached again when the device is closed.
     GiveWay,
-    /// It stays, and the device is in use.
+    /// It stays, and the device counts as in use.
     Stay,
 }
 
@@ -26,7 +26,7 @@ pub struct Device {
     opened: Arc<Opened>,
 }
 
-/// What the sides of a device share.
+/// State shared by the sides of a device.
 #[derive(Debug)]
 pub(super) struct Opened {
     pub(super) handle: DeviceHandle<Context>,
@@ -34,12 +34,12 @@ pub(super) struct Opened {
     pub(super) identity: (u16, u16),
     pub(super) release: u16,
     pub(super) serial: Option<String>,
-    /// The interface's bulk endpoints and their packets' sizes.
+    /// Addresses of the interface's bulk endpoints, with their maximum packet sizes.
     endpoints: Vec<(u8, usize)>,
 }
 
 impl Opened {
-    /// The first bulk endpoint that takes bytes, where there is one.
+    /// Returns the first bulk OUT endpoint, if there is one.
     pub(super) fn bulk_out(&self) -> Option<u8> {
         let mut endpoints = self.endpoints.iter().map(|one| one.0);
         endpoints.find(|endpoint| endpoint & 0x80 == 0)
@@ -58,14 +58,14 @@ impl Device {
     ) -> Result<Self, LinkError> {
         let error = |step: &str, error| attached.error(step, error);
         let handle = attached.device.open().map_err(|e| error("open", e))?;
-        // A device that nothing has configured yet; where this cannot be asked, claiming tells.
+        // Nothing has configured the device yet. If this query fails, claiming the interface reports the problem.
         if handle.active_configuration() == Ok(0) {
             handle
                 .set_active_configuration(1)
                 .map_err(|e| error("configuration", e))?;
         }
         if drivers == Drivers::GiveWay {
-            // Not every system has drivers that can be detached: claiming tells there.
+            // Not every system can detach drivers; claiming the interface reports the problem there.
             let _ = handle.set_auto_detach_kernel_driver(true);
         }
         handle.claim_interface(interface).map_err(|e| match e {
@@ -87,22 +87,22 @@ impl Device {
         })
     }
 
-    /// Name for messages.
+    /// Returns the name used in messages.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.opened.name
     }
 
-    /// Its control side; there may be several.
+    /// Returns a control side of the device; there may be several at a time.
     #[must_use]
     pub fn control(&self) -> UsbControl {
         UsbControl::new(Arc::clone(&self.opened))
     }
 
-    /// Its stream: transfers are in flight when this returns, so that nothing is missed.
+    /// Returns the stream of the device. Its transfers are in flight when this returns, so that nothing is missed.
     ///
     /// # Errors
-    /// There is no such endpoint, or a transfer cannot be made or submitted.
+    /// The endpoint does not exist, or a transfer cannot be allocated or submitted.
     pub fn stream(&self, transfers: &Transfers) -> Result<UsbLink, LinkError> {
         let mut endpoints = self.opened.endpoints.iter();
         let Some(&(_, packet)) = endpoints.find(|one| one.0 == transfers.endpoint) else {
@@ -114,7 +114,7 @@ impl Device {
                 ),
             });
         };
-        // A last packet that does not fit would be an overflow.
+        // A multiple of the packet size, because a last packet that does not fit is an overflow.
         let whole = Transfers {
             bytes: transfers.bytes.next_multiple_of(packet.max(1)),
             ..*transfers
@@ -123,7 +123,7 @@ impl Device {
     }
 }
 
-/// The bulk endpoints of an interface, with the sizes of their packets.
+/// Returns the bulk endpoints of an interface with their maximum packet sizes.
 fn bulk_endpoints(device: &rusb::Device<Context>, interface: u8) -> Vec<(u8, usize)> {
     let Ok(configuration) = device.active_config_descriptor() else {
         return Vec::new();

@@ -1,13 +1,13 @@
-//! Errors of libusb as those of a link.
+//! Translates errors of libusb into link errors.
 
 use rusb::Error;
 
 use crate::link::LinkError;
 
-/// Where the udev rule belongs: before 73-seat-late.rules, which gives devices to who is logged in.
+/// Path of the udev rule. It must sort before 73-seat-late.rules, which gives the logged-in user access.
 pub const RULES_FILE: &str = "/etc/udev/rules.d/65-event-cameras.rules";
 
-/// What lets a user open a device, in one line.
+/// Returns, in one line, how a user gets permission to open the device.
 pub(super) fn remedy(vendor: u16, product: u16) -> String {
     format!(
         "put the line SUBSYSTEM==\"usb\", ATTR{{idVendor}}==\"{vendor:04x}\", \
@@ -16,7 +16,7 @@ pub(super) fn remedy(vendor: u16, product: u16) -> String {
     )
 }
 
-/// A failed step as a link's error; `step` says what was tried.
+/// Converts a libusb error into a link error; `step` names the step that failed.
 pub(super) fn link_error(
     link: &str,
     (vendor, product): (u16, u16),
@@ -25,7 +25,7 @@ pub(super) fn link_error(
 ) -> LinkError {
     let link = link.to_owned();
     match error {
-        // A removal shows as either, depending on what the kernel had noticed.
+        // A removal appears as either of these, depending on what the kernel had noticed.
         Error::NoDevice | Error::Io => LinkError::Unplugged { link },
         Error::Access => LinkError::Permission {
             link,
@@ -50,7 +50,7 @@ pub(super) fn link_error(
     }
 }
 
-/// A message as it stands within a sentence.
+/// Lowercases the first letter, for use within a sentence.
 fn lower(message: &str) -> String {
     let mut chars = message.chars();
     chars.next().map_or_else(String::new, |first| {

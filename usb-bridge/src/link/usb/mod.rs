@@ -1,12 +1,11 @@
-//! Devices on USB, through libusb.
+//! USB devices, through libusb.
 //!
-//! [`Bus`] finds them, [`Device`] is one that is opened: its [`control`](Device::control) side and its
-//! [`stream`](Device::stream), which has several bulk transfers in flight. [`Watch`] tells of arrivals
-//! and removals.
+//! [`Bus`] finds devices. [`Device`] is an opened one, with a [`control`](Device::control) side and a
+//! [`stream`](Device::stream) that keeps several bulk transfers in flight. [`Watch`] reports arrivals and removals.
 //!
-//! A device is stopped without loss in this order: the device stops, what it sent before is received
-//! until it is quiet, and only then the stream is dropped, which cancels what is in flight. A transfer
-//! that is cancelled while bytes arrive may lose them.
+//! To stop a device without loss, stop the device itself first, receive what it sent before until it is quiet, and
+//! only then drop the stream, which cancels the transfers in flight. Cancelling a transfer while bytes arrive may
+//! lose them.
 
 mod bus;
 mod choose;

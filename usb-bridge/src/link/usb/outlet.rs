@@ -1,4 +1,4 @@
-//! The way to a device on USB.
+//! The sending side of a USB device.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -6,14 +6,14 @@ use std::time::Duration;
 use super::device::Opened;
 use crate::link::{LinkError, Outlet};
 
-/// A device that does not take bytes in this time does not take them at all.
+/// A device that accepts no bytes for this long has failed.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Bytes of a transfer: a device that is only slow takes them in much less than [`PATIENCE`]. It has to,
-/// as nobody knows how much of a transfer that was cancelled has arrived.
+/// Bytes per transfer. A device that is merely slow must accept them well within [`PATIENCE`], because it is
+/// unknown how much of a cancelled transfer has arrived.
 const TRANSFER: usize = 4096;
 
-/// The first bulk endpoint that takes bytes, one transfer after the other.
+/// Sends to the first bulk OUT endpoint of the interface, one transfer at a time.
 pub struct UsbOutlet {
     opened: Arc<Opened>,
     endpoint: u8,

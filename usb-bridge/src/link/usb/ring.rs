@@ -3,18 +3,18 @@
 //! Each transfer is in one of three states:
 //!
 //! ```text
-//! Ours      ours: its buffer may be read, it may be submitted or freed
-//! InFlight  libusb's and the kernel's, from the submission until its callback has run
-//! Done      ours again, with what came
+//! Ours      ours: its buffer may be read, and it may be submitted or freed
+//! InFlight  owned by libusb and the kernel, from its submission until its callback has run
+//! Done      ours again, with its result
 //! ```
 //!
-//! Only [`Ring::submit`] makes one InFlight, and only its callback makes it Done. Buffers are read, and
-//! memory is freed, in the other two states alone; a transfer that does not come back is leaked, with
-//! all that it points to.
+//! Only [`Ring::submit`] makes a transfer InFlight, and only the transfer's callback makes it Done. Buffers are read
+//! and memory is freed only in the states Ours and Done; a transfer that never comes back is leaked with everything
+//! it points to.
 //!
-//! Callbacks run on a thread of the ring's own, or on one that waits for a control request. The thread
-//! is there for the arrival times: they are taken when a transfer ends and not when the receiver comes
-//! to ask, which relates the device's clock to this host's even while the receiver is busy.
+//! Callbacks run on a thread of the ring, or on a thread that waits for a control request. The ring's thread exists
+//! for the arrival times: they are taken when a transfer ends, not when the receiver asks for it, so that the
+//! device's clock can be related to the host's even while the receiver is busy.
 #![expect(unsafe_code, reason = "rusb has no asynchronous transfers")]
 
 use std::ffi::c_int;
@@ -43,11 +43,11 @@ use super::device::Opened;
 pub(super) enum Status {
     /// It is full, or the device ended it with a short packet.
     Complete,
-    /// It was taken back before that.
+    /// It was cancelled before it was full.
     Cancelled,
     /// The endpoint halted.
     Stalled,
-    /// The device sent more than fits.
+    /// The device sent more than the transfer had room for.
     Overflow,
     /// The device has gone.
     NoDevice,
@@ -55,11 +55,11 @@ pub(super) enum Status {
     Failed,
 }
 
-/// A transfer that ended.
+/// The result of a transfer that ended.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Completion {
     pub(super) status: Status,
-    /// Bytes that came, whatever the status.
+    /// Bytes received, whatever the status.
     pub(super) length: usize,
     pub(super) at: Instant,
 }
@@ -71,50 +71,50 @@ enum State {
     Done(Completion),
 }
 
-/// What the callbacks share with the ring.
+/// State shared by the callbacks and the ring.
 struct Shared {
     states: Mutex<Vec<State>>,
     changed: Condvar,
 }
 
 impl Shared {
-    /// A panic elsewhere leaves the states as they are, which are single words.
+    /// Locks the states. A poisoned lock is safe to use, as each state is written in a single assignment.
     fn lock(&self) -> MutexGuard<'_, Vec<State>> {
         self.states.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// What a transfer's callback gets.
+/// The user data of a transfer's callback.
 struct Tag {
     shared: Arc<Shared>,
     slot: usize,
 }
 
-/// One transfer with its buffer, all of it allocated once. Raw pointers, as libusb and the kernel write
-/// behind them: a `Box` would promise that nobody else does.
+/// One transfer with its buffer, allocated once. It holds raw pointers because libusb and the kernel write to the
+/// memory; a `Box` would promise exclusive access.
 struct Transfer {
     raw: NonNull<libusb_transfer>,
     buffer: NonNull<u8>,
     tag: NonNull<Tag>,
 }
 
-/// Bulk transfers from one endpoint, in order.
+/// Bulk transfers from one endpoint, completed in order.
 pub(super) struct Ring {
     opened: Arc<Opened>,
     shared: Arc<Shared>,
     transfers: Vec<Transfer>,
     bytes: usize,
-    /// The transfer whose end comes next.
+    /// The transfer that completes next.
     head: usize,
     events: Option<Events>,
 }
 
-// SAFETY: the pointers are the ring's own. libusb may be called from any thread, and what its callbacks
-// touch at the same time is behind the lock of `Shared`.
+// SAFETY: the pointers belong to the ring alone. libusb may be called from any thread, and what its callbacks touch
+// concurrently is behind the lock of `Shared`.
 unsafe impl Send for Ring {}
 
 impl Ring {
-    /// Makes `count` transfers of `bytes` each; none is in flight yet.
+    /// Allocates `count` transfers of `bytes` bytes each; none is in flight yet.
     pub(super) fn new(
         opened: Arc<Opened>,
         endpoint: u8,
@@ -138,7 +138,7 @@ impl Ring {
             events: None,
         };
         for slot in 0..count {
-            // SAFETY: no packets of isochronous transfers; the result is checked.
+            // SAFETY: 0 isochronous packets is valid for a bulk transfer; the result is checked.
             let raw = unsafe { libusb_alloc_transfer(0) };
             let raw = NonNull::new(raw).ok_or(Error::NoMem)?;
             let buffer = vec![0u8; bytes].into_boxed_slice();
@@ -151,9 +151,9 @@ impl Ring {
                 buffer: NonNull::from(Box::leak(buffer)).cast(),
                 tag: NonNull::from(Box::leak(tag)),
             };
-            // SAFETY: `raw` was just allocated; handle, buffer and tag live until it is freed, in
-            // `Transfer::free`, or for ever. No timeout: libusb would cancel every transfer of a quiet
-            // device at once, and a transfer that is cancelled may lose bytes.
+            // SAFETY: `raw` was just allocated; handle, buffer and tag live until it is freed in `Transfer::free`,
+            // or for ever. There is no timeout: libusb would cancel all transfers of a quiet device at once, and a
+            // cancelled transfer may lose bytes.
             unsafe {
                 libusb_fill_bulk_transfer(
                     raw.as_ptr(),
@@ -171,8 +171,8 @@ impl Ring {
         Ok(ring)
     }
 
-    /// Submits all, none of which is in flight; returns how many are then: fewer than all where the
-    /// kernel has no memory for more.
+    /// Submits all transfers, none of which may be in flight. Returns how many are in flight afterwards: fewer than
+    /// all if the kernel has no memory for more.
     pub(super) fn submit_all(&mut self) -> Result<usize, Error> {
         if self.events.is_none() {
             self.events = Some(Events::start(&self.opened)?);
@@ -195,30 +195,30 @@ impl Ring {
         Ok(self.transfers.len())
     }
 
-    /// Goes on with the first `count` transfers; the others are ours.
+    /// Keeps the first `count` transfers and frees the others, which must be ours.
     fn shrink(&mut self, count: usize) {
         for transfer in self.transfers.drain(count..) {
-            // SAFETY: they come after one whose submission failed, so none of them is in flight.
+            // SAFETY: these transfers follow one whose submission failed, so none of them is in flight.
             unsafe { transfer.free(self.bytes) };
         }
         self.shared.lock().truncate(count);
     }
 
     fn submit(&mut self, slot: usize) -> Result<(), Error> {
-        // Before the call: its callback may come first.
+        // Set before the call, because the callback may run before the call returns.
         self.shared.lock()[slot] = State::InFlight;
-        // SAFETY: the transfer was ours, is filled, and nobody reads its buffer: `bytes` borrows the
+        // SAFETY: the transfer is ours and filled, and nobody reads its buffer: `bytes` returns a borrow of the
         // ring, which is borrowed mutably here.
         let result = unsafe { libusb_submit_transfer(self.transfers[slot].raw.as_ptr()) };
         if result == 0 {
             return Ok(());
         }
-        // It was not taken: no callback will come.
+        // The submission failed, so no callback will run.
         self.shared.lock()[slot] = State::Ours;
         Err(error(result))
     }
 
-    /// Waits until the head has ended; `None` at `until`. A head that is not in flight has not ended.
+    /// Waits until the head has ended, and returns how. Returns `None` at `until`, and at once if the head is ours.
     pub(super) fn wait(&self, until: Instant) -> Option<Completion> {
         let mut states = self.shared.lock();
         loop {
@@ -240,24 +240,24 @@ impl Ring {
         }
     }
 
-    /// Whether the head is ours: neither in flight nor with anything to read.
+    /// Returns whether the head is ours: neither in flight nor with a result to read.
     pub(super) fn head_is_ours(&self) -> bool {
         matches!(self.shared.lock()[self.head], State::Ours)
     }
 
-    /// The first `length` bytes of the head; none while it is in flight.
+    /// Returns the first `length` bytes of the head; empty while it is in flight.
     pub(super) fn bytes(&self, length: usize) -> &[u8] {
         if matches!(self.shared.lock()[self.head], State::InFlight) {
             return &[];
         }
         let buffer = self.transfers[self.head].buffer.as_ptr();
-        // SAFETY: the buffer is ours, was zeroed when it was allocated, has `self.bytes` bytes, and is
-        // submitted again only through `&mut self`, when this borrow has ended.
+        // SAFETY: the buffer is ours, was zeroed when it was allocated, has `self.bytes` bytes, and is submitted
+        // again only through `&mut self`, when this borrow has ended.
         unsafe { std::slice::from_raw_parts(buffer, length.min(self.bytes)) }
     }
 
-    /// Ends the reading of the head: what comes next is the following transfer's. It is submitted again
-    /// where `again`.
+    /// Releases the head after its bytes were read, and moves on to the next transfer. With `again`, the released
+    /// transfer is submitted again.
     pub(super) fn release(&mut self, again: bool) -> Result<(), Error> {
         let slot = self.head;
         let mut states = self.shared.lock();
@@ -273,14 +273,14 @@ impl Ring {
         Ok(())
     }
 
-    /// Asks for the head back, as far as it was filled.
+    /// Cancels the head, which then completes with what it has received so far.
     pub(super) fn cancel_head(&mut self) {
         self.cancel(self.head);
     }
 
-    /// Asks for all back.
+    /// Cancels all transfers.
     pub(super) fn cancel_all(&mut self) {
-        // The last first: no transfer before it takes the bytes that it was to get.
+        // In reverse order, so that no earlier transfer takes bytes meant for a cancelled one.
         for step in (0..self.transfers.len()).rev() {
             self.cancel((self.head + step) % self.transfers.len());
         }
@@ -288,13 +288,13 @@ impl Ring {
 
     fn cancel(&mut self, slot: usize) {
         if matches!(self.shared.lock()[slot], State::InFlight) {
-            // SAFETY: the transfer is allocated; one that has ended meanwhile is refused by libusb.
-            // Its end is told by its callback in any case, so that the result says nothing new.
+            // SAFETY: the transfer is allocated; libusb refuses to cancel one that has ended in the meantime. Its
+            // callback reports the end in any case, so the result can be ignored.
             let _ = unsafe { libusb_cancel_transfer(self.transfers[slot].raw.as_ptr()) };
         }
     }
 
-    /// Waits until no transfer is in flight; `false` where some still are after `limit`.
+    /// Waits until no transfer is in flight; returns `false` if some still are after `limit`.
     fn wait_all(&self, limit: Duration) -> bool {
         let until = Instant::now() + limit;
         let mut states = self.shared.lock();
@@ -318,7 +318,7 @@ impl Drop for Ring {
     fn drop(&mut self) {
         self.cancel_all();
         let all_back = self.wait_all(Duration::from_secs(5));
-        // No callback runs after this, but on threads that wait for a control request.
+        // After this, callbacks run only on threads that wait for a control request.
         self.events = None;
         if all_back {
             for transfer in self.transfers.drain(..) {
@@ -326,18 +326,20 @@ impl Drop for Ring {
                 unsafe { transfer.free(self.bytes) };
             }
         } else {
-            // A transfer that libusb still has: it keeps its memory and the open device, for ever.
+            // libusb still holds a transfer: its memory and the open device are leaked, so that they stay valid.
             std::mem::forget(Arc::clone(&self.opened));
         }
     }
 }
 
 impl Transfer {
+    /// Frees the transfer, its buffer and its tag.
+    ///
     /// # Safety
-    /// It is not in flight, and has a buffer of `bytes`.
+    /// The transfer must not be in flight, and its buffer must have `bytes` bytes.
     unsafe fn free(self, bytes: usize) {
-        // SAFETY: by the caller nobody else has any of the three. Buffer and tag came from boxes of
-        // these types, and the buffer of this length.
+        // SAFETY: by the caller's promise nobody else uses any of the three. Buffer and tag came from boxes of
+        // these types, and the buffer has this length.
         unsafe {
             libusb_free_transfer(self.raw.as_ptr());
             let buffer = ptr::slice_from_raw_parts_mut(self.buffer.as_ptr(), bytes);
@@ -347,16 +349,16 @@ impl Transfer {
     }
 }
 
-/// The callback of every transfer: notes how it ended, and nothing else. It does not panic: the slot is
-/// one of the states, which are only cut behind transfers that were never submitted.
+/// The callback of every transfer: records how the transfer ended, and nothing else. It cannot panic: its slot
+/// exists, because only slots of transfers that were never submitted are cut off.
 extern "system" fn ended(raw: *mut libusb_transfer) {
     let at = Instant::now();
-    // SAFETY: libusb calls this once for each submission, with the transfer that was submitted, which
-    // is not freed while it is in flight; its `user_data` is its tag, freed with it.
+    // SAFETY: libusb calls this once per submission, with the submitted transfer, which is not freed while it is in
+    // flight; its `user_data` is its tag, which is freed together with it.
     let (status, length, shared, slot) = unsafe {
         let tag = (*raw).user_data.cast::<Tag>();
-        // The ring may free the tag as soon as the state is Done: what is needed after it is taken
-        // out before.
+        // The ring may free the tag as soon as the state is Done, so everything needed after that is copied out
+        // first.
         let shared = Arc::clone(&(*tag).shared);
         ((*raw).status, (*raw).actual_length, shared, (*tag).slot)
     };
@@ -378,7 +380,7 @@ extern "system" fn ended(raw: *mut libusb_transfer) {
     shared.changed.notify_all();
 }
 
-/// The thread that waits for libusb's events.
+/// The thread that handles libusb's events.
 struct Events {
     opened: Arc<Opened>,
     stop: Arc<AtomicBool>,
@@ -394,7 +396,7 @@ impl Events {
             .spawn(move || {
                 while !stopped.load(Ordering::Acquire) {
                     if context.handle_events(Some(Duration::from_secs(1))).is_err() {
-                        // Interrupted, or the system is out of something: not at full speed then.
+                        // Interrupted, or out of some system resource: do not retry at full speed.
                         thread::sleep(Duration::from_millis(1));
                     }
                 }
@@ -419,7 +421,7 @@ impl Drop for Events {
     }
 }
 
-/// A result of libusb as rusb's error, as far as a submission can have it.
+/// Converts libusb's result code of a submission into rusb's error.
 fn error(result: c_int) -> Error {
     match result {
         LIBUSB_ERROR_NO_DEVICE => Error::NoDevice,

@@ -1,4 +1,4 @@
-//! The stream of a device on USB.
+//! The stream of a USB device.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -9,55 +9,56 @@ use super::ring::{Completion, Ring, Status};
 use crate::device::Transfers;
 use crate::link::{Link, LinkError, Loss, Outlet, Received, until};
 
-/// Transfers that are taken back come back in this time, or the host controller is stuck.
+/// Time within which cancelled transfers must come back; beyond it, the host controller is stuck.
 const BACK: Duration = Duration::from_secs(5);
 
-/// Failed transfers without a byte between them after which nothing is expected any more.
+/// Consecutive failed transfers without any bytes after which the stream fails.
 const FAILURES_MAX: usize = 64;
 
-/// A stream of bulk transfers, several in flight, each lent as it is and then submitted again.
+/// A stream of bulk transfers, several of which are in flight. The bytes of each are lent without a copy, and the
+/// transfer is then submitted again.
 ///
 /// # Hand-over
-/// A transfer ends when it is full, or with a short packet of the device. Where neither comes for
-/// [`Transfers::timeout`], the oldest one is taken back as far as it was filled, and only that one: the
-/// others stay in flight, and the device always finds one that takes its bytes. A timeout of zero
-/// leaves even that one: right for a device that ends a transfer itself when it pauses.
+/// A transfer ends when it is full or when the device sends a short packet. If neither happens within
+/// [`Transfers::timeout`], the oldest transfer is cancelled and handed over as far as it was filled. Only that one:
+/// the others stay in flight, so the device always finds a transfer that takes its bytes. A timeout of zero
+/// disables this; it suits a device that ends its transfers itself when it pauses.
 pub struct UsbLink {
     opened: Arc<Opened>,
     ring: Ring,
     endpoint: u8,
     timeout: Duration,
-    /// Transfers in flight.
+    /// Number of transfers in flight.
     count: usize,
-    /// The head's bytes are lent, or used up: it is submitted again at the next call.
+    /// The head's bytes are lent or used up; the head is submitted again at the next call.
     used: bool,
-    /// Since when the head has been the oldest.
+    /// When the head became the oldest transfer.
     head_since: Instant,
-    /// The head was asked back.
+    /// The head was cancelled for hand-over.
     asked_back: bool,
-    /// To be told before the next bytes.
+    /// A loss to report before the next bytes.
     loss: Option<Loss>,
-    /// The endpoint has halted: what is in flight comes back, then the halt is ended.
+    /// The endpoint has halted: the transfers in flight come back first, then the halt is cleared.
     halted: bool,
-    /// Halts since bytes came.
+    /// Consecutive halts without bytes in between.
     halts: usize,
-    /// Failed transfers since bytes came.
+    /// Consecutive failed transfers without bytes in between.
     failures: usize,
-    /// No transfer is submitted any more; what has come is still lent, and then this is told.
+    /// No transfer is submitted any more: what has arrived is still lent, then this failure is returned.
     failed: Option<Failure>,
 }
 
 /// Why a stream has ended.
 #[derive(Debug, Clone, Copy)]
 enum Failure {
-    /// libusb's word for it, at a step.
+    /// An error of libusb.
     Usb(rusb::Error),
     Stalled,
-    /// Transfers fail one after the other.
+    /// Too many transfers in a row failed on the wire.
     Wire,
-    /// More bytes than were asked for, again and again.
+    /// Too many transfers in a row overflowed.
     Overflow,
-    /// Transfers do not come back.
+    /// Cancelled transfers do not come back.
     Stuck,
 }
 
@@ -90,13 +91,13 @@ impl UsbLink {
         })
     }
 
-    /// Transfers in flight: fewer than were asked for where the kernel has no memory for more.
+    /// Returns the number of transfers in flight: fewer than requested if the kernel has no memory for more.
     #[must_use]
     pub const fn in_flight(&self) -> usize {
         self.count
     }
 
-    /// Gives the head back, when its bytes are not needed any more.
+    /// Releases the head if its bytes are no longer needed.
     fn next_head(&mut self) {
         if !std::mem::take(&mut self.used) {
             return;
@@ -104,14 +105,14 @@ impl UsbLink {
         let again = self.failed.is_none() && !self.halted;
         if let Err(error) = self.ring.release(again) {
             self.failed.get_or_insert(Failure::Usb(error));
-            // What has come is kept; nothing more will.
+            // What has arrived is kept, but nothing more will arrive.
             self.ring.cancel_all();
         }
         self.head_since = Instant::now();
         self.asked_back = false;
     }
 
-    /// Takes note of how the head ended.
+    /// Updates the state by how the head ended.
     fn note(&mut self, completion: Completion) {
         self.used = true;
         if completion.length > 0 {
@@ -153,7 +154,8 @@ impl UsbLink {
         }
     }
 
-    /// The head is not in flight and has nothing: the stream has ended, or begins anew after a halt.
+    /// Returns the failure if there is one, else restarts the stream after a halt. Call it when the head is neither
+    /// in flight nor has a result.
     fn begin_again(&mut self) -> Result<(), LinkError> {
         if let Some(failure) = self.failed {
             return Err(self.error(failure));
@@ -190,7 +192,7 @@ impl UsbLink {
                 link,
                 endpoint: self.endpoint,
             },
-            // A cable that is pulled fails like this until the hub has noticed.
+            // An unplugged cable fails like this until the hub has noticed.
             Failure::Wire => LinkError::Unplugged { link },
             Failure::Overflow => LinkError::Failed {
                 link,
@@ -221,7 +223,7 @@ impl Link for UsbLink {
             let hand_over = (!self.timeout.is_zero() && !self.asked_back)
                 .then(|| self.head_since.checked_add(self.timeout))
                 .flatten();
-            // What is coming back is waited for, whatever the timeout: it is not far.
+            // Cancelled transfers are awaited whatever the timeout: they come back soon.
             let ending = self.failed.is_some() || self.halted;
             let wait = if ending {
                 Instant::now() + BACK

@@ -1,4 +1,4 @@
-//! Arrivals and removals.
+//! Watches for USB devices that arrive or leave.
 
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -12,32 +12,32 @@ use super::bus::{Attached, Bus};
 use super::choose::choose;
 use crate::link::{LinkError, until};
 
-/// How often the devices are listed where libusb does not tell of changes.
+/// Period at which devices are listed where libusb does not report changes.
 const POLL: Duration = Duration::from_millis(200);
 
-/// How long a device that has arrived may be without permission: udev sets it after the arrival.
+/// Time after arrival within which a device may lack permission: udev sets it after the arrival.
 const SETTLING: Duration = Duration::from_secs(2);
 
-/// A device that came or went.
+/// A device that arrived or left.
 #[derive(Clone)]
 pub enum Change {
-    /// It is attached; one that was there from the beginning is told too.
+    /// A device is attached; devices that were there from the beginning are reported as well.
     Arrived(Box<Attached>),
-    /// It has gone.
+    /// A device has gone.
     Left {
-        /// Its place, as [`Attached::id`] gives it.
+        /// Its port, as returned by [`Attached::id`].
         id: String,
     },
 }
 
-/// Tells of every device that comes or goes, known or not.
+/// Reports every device that arrives or leaves, whether its model is known or not.
 pub struct Watch {
     source: Source,
 }
 
 enum Source {
     Told {
-        // Dropped first: it ends the callbacks.
+        // Dropped first, because dropping it ends the callbacks.
         _registration: Registration<Context>,
         context: Context,
         changes: Receiver<(bool, rusb::Device<Context>)>,
@@ -52,7 +52,7 @@ enum Source {
 struct Callbacks(Sender<(bool, rusb::Device<Context>)>);
 
 impl Hotplug<Context> for Callbacks {
-    // Nothing else may be asked of libusb in here.
+    // A hotplug callback must not call into libusb.
     fn device_arrived(&mut self, device: rusb::Device<Context>) {
         let _ = self.0.send((true, device));
     }
@@ -63,16 +63,16 @@ impl Hotplug<Context> for Callbacks {
 }
 
 impl Watch {
-    /// Begins to watch; devices that are attached already are told as arrivals.
+    /// Begins to watch; devices that are attached already are reported as arrivals.
     ///
     /// # Errors
-    /// As for [`Bus::new`].
+    /// Those of [`Bus::new`].
     pub fn new() -> Result<Self, LinkError> {
         let failed = |error| LinkError::Failed {
             link: "usb".to_owned(),
             cause: format!("arrivals of devices cannot be watched: {error}"),
         };
-        // Without a host controller there is no context; one may be plugged in as well.
+        // Without a host controller there is no context; a controller may still be plugged in later.
         let Some(context) = Context::new().ok().filter(|_| is_told()) else {
             return Ok(Self::polling());
         };
@@ -90,7 +90,7 @@ impl Watch {
         })
     }
 
-    /// Watches by listing the devices now and then, as where libusb cannot tell.
+    /// Watches by listing the devices periodically, for systems where libusb reports no changes.
     #[must_use]
     pub fn polling() -> Self {
         Self {
@@ -102,13 +102,13 @@ impl Watch {
         }
     }
 
-    /// Whether the system tells of changes; where not, the devices are listed now and then.
+    /// Returns whether the system reports changes; otherwise the devices are listed periodically.
     #[must_use]
     pub const fn is_told(&self) -> bool {
         matches!(self.source, Source::Told { .. })
     }
 
-    /// The next change within `timeout`.
+    /// Returns the next change, or `None` if there is none within `timeout`.
     ///
     /// # Errors
     /// The devices cannot be listed.
@@ -160,20 +160,20 @@ impl Watch {
     }
 }
 
-/// Whether libusb tells of changes on this system. rusb's own question makes a global context, and
-/// panics where there is no USB.
+/// Returns whether libusb reports changes on this system. rusb's own query creates a global context, and panics on
+/// a machine without USB.
 #[expect(unsafe_code, reason = "see above")]
 fn is_told() -> bool {
-    // SAFETY: a question about the library, which needs no context.
+    // SAFETY: this queries a property of the library and needs no context.
     unsafe { rusb::ffi::libusb_has_capability(LIBUSB_CAP_HAS_HOTPLUG) != 0 }
 }
 
-/// Lists the devices and compares: one at another address is another one.
+/// Lists the devices and compares them with `known`. A device at another address counts as another device.
 fn list(
     known: &mut Vec<((u8, u8), String)>,
     changes: &mut VecDeque<Change>,
 ) -> Result<(), LinkError> {
-    // A new context each time: a list is as old as its context where nothing tells of changes.
+    // A new context each time: without change reports, a context keeps the list from its creation.
     let present = Bus::new()?.all()?;
     let key = |one: &Attached| (one.bus, one.address);
     known.retain(|(at, id)| {
@@ -192,11 +192,11 @@ fn list(
     Ok(())
 }
 
-/// Waits for the known device that `wanted` names, or for the only one, until it is there and may be
-/// opened; `None` once `given_up`.
+/// Waits for the known device that `wanted` names, or for the only one, until it is attached and may be opened.
+/// Returns `None` once `given_up` returns true.
 ///
 /// # Errors
-/// Several devices fit, or it may not be opened even a while after its arrival.
+/// Several devices fit, or the device may not be opened even a while after its arrival.
 pub fn wait_for(
     wanted: Option<&str>,
     given_up: &dyn Fn() -> bool,
@@ -204,7 +204,7 @@ pub fn wait_for(
     let mut watch = Watch::new()?;
     let mut forbidden_since: Option<Instant> = None;
     while !given_up() {
-        // Nothing new is worth a look too: permissions come without an announcement here.
+        // The devices are listed even without a change: a change of permission is not reported.
         while watch.next(Duration::ZERO)?.is_some() {}
         let mut devices = Bus::new()?.devices()?;
         let candidates: Vec<_> = devices.iter().map(Attached::candidate).collect();
@@ -225,7 +225,7 @@ pub fn wait_for(
                     return Err(error);
                 }
             }
-            // It went again.
+            // The device left again.
             Err(LinkError::Unplugged { .. }) => {}
             Err(error) => return Err(error),
         }

@@ -1,17 +1,16 @@
-//! usbredir: a device for QEMU's `usb-redir`, as the side that has the device (its "usb-host").
+//! usbredir: a device for QEMU's `usb-redir`; this is the side that has the device (its "usb-host").
 //!
-//! A packet is a header and a body, little-endian:
+//! A packet consists of a header and a body, in little-endian:
 //!
 //! | bytes | header |
 //! |---|---|
 //! | 4 | type |
 //! | 4 | length of the body |
-//! | 4, or 8 after both have said `64bits_ids` | id, which an answer repeats |
+//! | 4, or 8 once both sides have announced `64bits_ids` | id, which an answer repeats |
 //!
-//! Each side begins with its hello; then the device's side says what it has and connects it.
-//! Data for the host may stay away for as long as the device has none: the answer comes when it is
-//! due, and many transfers can wait. Interrupt endpoints are silent; isochronous ones, streams and
-//! buffered receiving are refused.
+//! Each side begins with a hello; then the device's side describes the device and connects it. Transfers to the
+//! host may wait as long as the device has no data: each is answered when its data is due, and many can wait.
+//! Interrupt endpoints are silent; isochronous endpoints, streams and buffered receiving are refused.
 
 mod wire;
 
@@ -24,41 +23,41 @@ use super::{Peripheral, Reply, Speed};
 use crate::link::control::Request;
 use wire::{capability, packet, status};
 
-/// Body of a packet, at the most: a longer one cannot be meant.
+/// Most bytes in the body of a packet; a longer one is a protocol error.
 pub const BODY_MAX: usize = 1 << 20;
 
-/// Interfaces and endpoints that the tables have.
+/// Number of entries in the tables of interfaces and endpoints.
 const TABLE: usize = 32;
 
-/// Bytes of the hello's name.
+/// Size of the name in the hello, in bytes.
 const NAME: usize = 64;
 
-/// Where the cable is.
+/// State of the cable.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Plug {
     /// No device is connected.
     Out,
-    /// The host was told that the device left, and has not said that it knows.
+    /// The host was informed that the device left, and has not acknowledged it.
     Leaving,
     /// The device is connected.
     In,
 }
 
-/// A host at the other end, and the device that it has.
+/// A session with a host, and the device that it has.
 pub struct UsbRedir {
     device: Option<Attached>,
     plug: Plug,
-    /// The host's capabilities, once its hello has come.
+    /// The host's capabilities, once its hello has arrived.
     peer: Option<u32>,
     input: Input,
     output: Vec<u8>,
     data: Vec<u8>,
-    /// What devices carried that are gone.
+    /// Counts of devices that are gone.
     report: Report,
 }
 
 impl UsbRedir {
-    /// A session without a device, at its hello.
+    /// Starts a session without a device; the hello is queued for sending.
     #[must_use]
     pub fn new() -> Self {
         let mut session = Self {
@@ -77,7 +76,7 @@ impl UsbRedir {
         session
     }
 
-    /// As [`UsbRedir::new`], with a device that is connected after the host's hello.
+    /// Starts a session like [`UsbRedir::new`], with a device that is connected after the host's hello.
     #[must_use]
     pub fn with(peripheral: Box<dyn Peripheral>) -> Self {
         let mut session = Self::new();
@@ -85,7 +84,7 @@ impl UsbRedir {
         session
     }
 
-    /// Whether both sides have said a capability.
+    /// Returns whether both sides have announced a capability.
     fn both(&self, capability: u32) -> bool {
         self.peer.unwrap_or(0) & capability::OURS & capability != 0
     }
@@ -104,7 +103,8 @@ impl UsbRedir {
         }
     }
 
-    /// Tells the host of the device, once it has said hello and knows that the one before has left.
+    /// Announces the device to the host, once its hello has arrived and it has acknowledged that the previous
+    /// device left.
     fn connect(&mut self) {
         if self.peer.is_none() || self.plug != Plug::Out || self.device.is_none() {
             return;
@@ -136,7 +136,7 @@ impl UsbRedir {
         self.plug = Plug::In;
     }
 
-    /// Takes the device out.
+    /// Removes the device.
     fn disconnect(&mut self) {
         if let Some(device) = self.device.take() {
             self.report.traffic.add(device.traffic());
@@ -177,7 +177,7 @@ impl UsbRedir {
         let mut intervals = [0; TABLE];
         let mut interfaces = [0; TABLE];
         let mut packets = [0; 2 * TABLE];
-        // Endpoint 0, both ways.
+        // Endpoint 0, in both directions.
         transfers[0] = Transfer::Control as u8;
         transfers[16] = Transfer::Control as u8;
         for one in &device.layout().endpoints {
@@ -186,7 +186,7 @@ impl UsbRedir {
             }
             let place = usize::from(one.address & 0x0F | (one.address & 0x80) >> 3);
             transfers[place] = one.transfer as u8;
-            // Of a polled endpoint, 0 is no interval.
+            // 0 is not a valid interval for a polled endpoint.
             let is_polled = one.transfer == Transfer::Interrupt;
             intervals[place] = if is_polled { one.interval.max(1) } else { 0 };
             interfaces[place] = one.interface;
@@ -201,7 +201,7 @@ impl UsbRedir {
         self.send(packet::ENDPOINT_INFO, 0, &parts);
     }
 
-    /// Takes the next packet; `false` where it has not come to its end.
+    /// Takes the next packet; returns `false` if it is incomplete.
     fn packet(&mut self) -> Result<bool> {
         let is_long = self.both(capability::LONG_IDS);
         let header = if is_long { 16 } else { 12 };
@@ -254,7 +254,7 @@ impl UsbRedir {
                 self.report.is_rejected = true;
                 true
             }
-            // What the host sent before it knew that the device has left.
+            // Sent by the host before it knew that the device had left.
             _ if self.plug != Plug::In => true,
             _ => self.ask_device(kind, id, body),
         };
@@ -277,7 +277,7 @@ impl UsbRedir {
         true
     }
 
-    /// `false` where the packet is not understood.
+    /// Handles a packet for the device; returns `false` if it is not understood.
     fn ask_device(&mut self, kind: u32, id: u64, body: &[u8]) -> bool {
         let Some(device) = &mut self.device else {
             return true;
@@ -342,7 +342,7 @@ impl UsbRedir {
                 self.send(packet::STREAMS_STATUS, id, &[&answer]);
             }
             (packet::CANCEL, _) => {
-                // Where it has ended already, its answer is on the way.
+                // If the transfer has ended already, its answer is on the way.
                 if let Some(endpoint) = device.cancel(id) {
                     self.send_bulk(id, endpoint, status::CANCELLED, 0);
                 }
@@ -374,7 +374,7 @@ impl UsbRedir {
             value: u16::from_le_bytes([v0, v1]),
             index: u16::from_le_bytes([i0, i1]),
         };
-        // To the host, nothing comes with the request; from it, all that was announced.
+        // A request to the host comes without data; one from the host with all the data it announces.
         let expected = if asked.is_in() {
             0
         } else {
@@ -390,7 +390,7 @@ impl UsbRedir {
         };
         let done = match (answer, asked.is_in()) {
             (status::SUCCESS, false) => length,
-            // No longer than the length that was asked for.
+            // At most the length that was requested.
             _ => bytes.len() as u16,
         };
         let mut header = [0; 10];
@@ -435,7 +435,7 @@ impl UsbRedir {
         true
     }
 
-    /// Ends a bulk transfer without data of its own.
+    /// Ends a bulk transfer without data.
     fn send_bulk(&mut self, id: u64, endpoint: u8, answer: u8, length: usize) {
         self.send_bulk_data(id, endpoint, answer, length, &[]);
     }
@@ -519,7 +519,7 @@ impl Session for UsbRedir {
     }
 }
 
-/// A standard request without data.
+/// Sends a standard request without data to the device.
 fn request(device: &mut Attached, kind: u8, asked: u8, value: u16, index: u16) -> Option<()> {
     let asked = Request {
         kind,

@@ -1,6 +1,6 @@
-//! Numbers of the usbredir protocol, version 0.7.
+//! Constants of the usbredir protocol, version 0.7.
 
-/// Types of packets.
+/// Packet types.
 pub(super) mod packet {
     pub const HELLO: u32 = 0;
     pub const DEVICE_CONNECT: u32 = 1;
@@ -32,7 +32,7 @@ pub(super) mod packet {
     pub const INTERRUPT: u32 = 103;
 }
 
-/// Capabilities, as bits of the hello's first word.
+/// Capabilities, as bits of the first word in the hello.
 pub(super) mod capability {
     pub const DEVICE_VERSION: u32 = 1 << 1;
     pub const DISCONNECT_ACK: u32 = 1 << 3;
@@ -42,7 +42,7 @@ pub(super) mod capability {
     pub const OURS: u32 = DEVICE_VERSION | DISCONNECT_ACK | ENDPOINT_PACKETS | LONG_IDS | LONG_BULK;
 }
 
-/// Status of an answer.
+/// Status codes of an answer.
 pub(super) mod status {
     pub const SUCCESS: u8 = 0;
     pub const CANCELLED: u8 = 1;

@@ -1,20 +1,20 @@
-//! Packs chunks as Prophesee's ECF does, for tests alone: every part that the format has, at will.
+//! Packs chunks as Prophesee's ECF does, only for tests: any part of the format can be requested.
 
-/// What an event is here: t, x, y, p.
+/// An event: t, x, y, p.
 pub type Numbers = (u64, u16, u16, u8);
 
-/// How x, y and p are packed.
+/// The packing of x, y and p.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Form {
     /// All three in 24 bits.
     Yxp,
     /// Runs of y; x and p in 12 bits.
     Xp,
-    /// Runs of y and p, and x with bits for the five behind it.
+    /// Runs of y and p; x with bits for the five columns after it.
     Runs,
 }
 
-/// Packs events whose times ascend; runs are no longer than `run`.
+/// Packs events whose times ascend; no run is longer than `run`.
 pub fn pack(events: &[Numbers], form: Form, run: usize) -> Vec<u8> {
     let flags = match form {
         Form::Yxp => 2,
@@ -103,7 +103,7 @@ fn pack_columns(events: &[Numbers], packed: &mut Vec<u8>) {
     }
 }
 
-/// Equal numbers and how many of them follow each other.
+/// Returns runs of equal numbers and their lengths, at most `most`.
 fn runs<T: Copy + PartialEq>(numbers: impl Iterator<Item = T>, most: usize) -> Vec<(T, usize)> {
     let mut runs: Vec<(T, usize)> = Vec::new();
     for number in numbers {
@@ -115,7 +115,7 @@ fn runs<T: Copy + PartialEq>(numbers: impl Iterator<Item = T>, most: usize) -> V
     runs
 }
 
-/// Four events a time, the last of them with zeros behind it.
+/// Returns groups of four events; the last group is filled with zeros.
 fn fours<T: Copy + Default>(events: &[Numbers], of: impl Fn(Numbers) -> T) -> Vec<[T; 4]> {
     let four = |part: &[Numbers]| {
         let mut four = [T::default(); 4];

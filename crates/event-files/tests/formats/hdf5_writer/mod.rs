@@ -1,28 +1,28 @@
-//! Writes small HDF5 files as HDF5 1.6's library does: superblock and object headers of version 0
-//! and 1, symbol tables, B-trees of version 1. Independent of the reader's crate.
+//! Writes small HDF5 files like HDF5 1.6's library: superblock version 0, object headers version 1, symbol tables,
+//! version 1 B-trees. It shares no code with the reader's crate.
 
 pub mod ecf;
 
 use std::io::Write;
 
-/// An address that leads nowhere.
+/// Address that leads nowhere.
 const UNDEFINED: u64 = u64::MAX;
 
-/// Entries of a B-tree's node: of groups, of chunks.
+/// Largest numbers of entries in a B-tree's node: of groups, of chunks.
 const GROUP_ENTRIES: usize = 32;
 const CHUNK_ENTRIES: usize = 64;
 
-/// Most members of a group: one symbol table node.
+/// Largest number of members of a group: one symbol table node.
 const MEMBERS: usize = 8;
 
-/// Type of an element.
+/// The type of an element.
 #[derive(Clone)]
 pub enum Type {
-    /// Integer of so many bytes, signed or not, big-endian or not.
+    /// An integer: size in bytes, whether it is signed, whether it is big-endian.
     Integer(u8, bool, bool),
-    /// Double, little-endian.
+    /// A little-endian double.
     Double,
-    /// Named fields with their offsets.
+    /// Named fields with their offsets, and the size of the whole.
     Compound(Vec<(&'static str, u8, Type)>, u8),
 }
 
@@ -61,30 +61,30 @@ impl Type {
     }
 }
 
-/// How a dataset lies in the file.
+/// The storage of a dataset.
 #[derive(Clone)]
 pub enum Storage {
     Contiguous,
-    /// Chunks of this shape, through these filters in turn.
+    /// Chunks of this shape, packed by these filters in turn.
     Chunked(Vec<usize>, Vec<Filter>),
 }
 
-/// What a chunk goes through.
+/// A filter that packs chunks.
 #[derive(Clone, Copy, PartialEq)]
 pub enum Filter {
     Shuffle,
     Deflate,
-    /// Prophesee's, of their compounds.
+    /// Prophesee's filter for its compounds.
     Ecf(ecf::Form),
-    /// Packed by LZ4, and by nothing.
+    /// Bitshuffle, with LZ4 (`true`) or without a codec.
     Bitshuffle(bool),
-    /// Of LZ4 and shuffled bytes, in a frame.
+    /// Blosc 2: shuffled bytes packed by LZ4, in a frame.
     Blosc2,
-    /// Only named, with this number.
+    /// A filter that is only named, with this number.
     Other(u16),
 }
 
-/// A group, or a dataset.
+/// A group or a dataset.
 pub enum Node {
     Group(Vec<(&'static str, Node)>),
     Dataset {
@@ -95,7 +95,7 @@ pub enum Node {
     },
 }
 
-/// A file with these members of its root.
+/// Returns a file whose root has these members.
 pub fn file(members: Vec<(&'static str, Node)>) -> Vec<u8> {
     let mut bytes = vec![0; 96];
     let root = write(&mut bytes, &Node::Group(members));
@@ -175,7 +175,7 @@ fn write_group(bytes: &mut Vec<u8>, members: &[(&'static str, Node)]) -> u64 {
     symbols.resize(8 + 40 * MEMBERS, 0);
     let names_at = append(bytes, &names);
     let mut heap = b"HEAP\0\0\0\0".to_vec();
-    // 1: no free place in the heap.
+    // 1 means that the heap has no free space.
     heap.extend(
         [names.len() as u64, 1, names_at]
             .map(u64::to_le_bytes)
@@ -241,13 +241,13 @@ fn pipeline(filters: &[Filter], size: usize) -> Vec<u8> {
             Filter::Other(number) => (*number, 0),
         };
         message.extend([number, 0, 0, 1].map(u16::to_le_bytes).concat());
-        // One value, padded to an even number of them.
+        // One value, padded to an even number of values.
         message.extend([value, 0].map(u32::to_le_bytes).concat());
     }
     message
 }
 
-/// A key of a chunk's entry: bytes, mask of filters left out, place in the dataset.
+/// Returns the key of a chunk's entry: stored bytes, mask of skipped filters, place in the dataset.
 fn key(stored: u32, place: &[usize]) -> Vec<u8> {
     let mut key = [stored, 0].map(u32::to_le_bytes).concat();
     key.extend(place.iter().flat_map(|at| (*at as u64).to_le_bytes()));
@@ -280,7 +280,7 @@ fn write_chunks(
                 raw = match filter {
                     Filter::Shuffle => shuffle(&raw, size),
                     Filter::Deflate => deflate(&raw),
-                    // The last chunk has only the events that are there.
+                    // The last chunk has only the events that exist.
                     Filter::Ecf(form) => pack_ecf(&raw[..size * rows.min(shape[0] - row)], *form),
                     Filter::Bitshuffle(false) => {
                         let block = size * bitshuffle_block(size);
@@ -339,7 +339,7 @@ fn deflate(raw: &[u8]) -> Vec<u8> {
     encoder.finish().expect("memory")
 }
 
-/// Prophesee's compounds: x, y (u16), p (i16), two bytes, t (i64).
+/// Packs Prophesee's compounds: x, y (u16), p (i16), two unused bytes, t (i64).
 fn pack_ecf(raw: &[u8], form: ecf::Form) -> Vec<u8> {
     let number = |bytes: &[u8]| u16::from_le_bytes([bytes[0], bytes[1]]);
     let event = |record: &[u8]| {
@@ -350,12 +350,12 @@ fn pack_ecf(raw: &[u8], form: ecf::Form) -> Vec<u8> {
     ecf::pack(&events, form, usize::MAX)
 }
 
-/// Elements of a block where the filter's values have none.
+/// Returns the number of elements in a block if the filter's values do not state it.
 fn bitshuffle_block(size: usize) -> usize {
     (8192 / size / 8 * 8).max(128)
 }
 
-/// Eight elements at a time; what is left stays behind.
+/// Shuffles the bits of eight elements at a time; the remaining elements are unchanged.
 fn shuffle_bits(raw: &[u8], size: usize) -> Vec<u8> {
     let whole = raw.len() / size / 8 * 8;
     let mut planes = raw.to_vec();
@@ -383,7 +383,7 @@ fn bitshuffle(raw: &[u8], size: usize) -> Vec<u8> {
     packed
 }
 
-/// A buffer of Blosc 2: 16 bytes of header and 16 more, the blocks' places, the blocks, each of one stream.
+/// Returns a Blosc 2 buffer: a header of 32 bytes, the blocks' offsets, the blocks, each of one stream.
 fn blosc2_buffer(raw: &[u8], size: usize, block: usize) -> Vec<u8> {
     let blocks: Vec<Vec<u8>> = raw
         .chunks(block)
@@ -406,7 +406,7 @@ fn blosc2_buffer(raw: &[u8], size: usize, block: usize) -> Vec<u8> {
     [buffer, places, streams].concat()
 }
 
-/// A frame of two buffers and their index; zeros are in the index alone.
+/// Returns a frame of two buffers and their index; a buffer of zeros is only in the index.
 fn blosc2(raw: &[u8], size: usize) -> Vec<u8> {
     let each = (raw.len() / 2).next_multiple_of(size);
     let (mut buffers, mut index) = (Vec::new(), Vec::new());
@@ -432,7 +432,7 @@ fn blosc2(raw: &[u8], size: usize) -> Vec<u8> {
     }
     frame.extend(b"\xd1\0\x01\xd1\0\x01\xc2\xd8\x06");
     frame.extend([0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
-    // Nothing more is said of the data.
+    // No named metadata.
     frame.extend(b"\x93\xcd\0\x07\xde\0\0\xdc\0\0");
     [frame, buffers, blosc2_buffer(&index, 8, index.len())].concat()
 }

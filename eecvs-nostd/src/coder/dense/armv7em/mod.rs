@@ -1,11 +1,11 @@
-//! What the dense coder's walk in assembly, [`walk`], begins with, and what it leaves to
-//! Rust: the same as [`dense`](super) and [`times`](super::times) code, to the bit.
+//! Interface of the dense coder's assembly, [`walk`]: what it starts with and what it leaves to Rust. It codes the
+//! same as [`dense`](super) and [`times`](super::times), to the bit.
 //!
-//! The compiler has fewer registers than the coder has state and keeps most of it on the stack. What an
-//! encoder knows beforehand also makes the walk shorter: which column is the next with events, so that
-//! the quiet ones before it need not be looked up, and what all columns see. The assembly leaves to the
-//! loop in Rust what it would have to look at twice: events out of order, and the end of the output. Here
-//! it goes on to the next segment and to the next row.
+//! The compiler has fewer registers than the coder has state, and keeps most of it on the stack. The walk is also
+//! shorter because an encoder knows more beforehand: which column is the next with events, so that the quiet ones
+//! before it need not be looked up, and what all columns see. The assembly leaves to the loop in Rust what it would
+//! have to look at twice: events out of order, and the end of the output. The code here moves it to the next
+//! segment and to the next row.
 #![allow(unsafe_code)]
 
 pub(crate) mod state;
@@ -28,27 +28,27 @@ use crate::group::Pixel;
 use crate::window::{NEXT_SHIFT, SEGMENT_PIXELS};
 use event_types::Sensor;
 
-/// How far rows were coded.
+/// How far the assembly has coded rows.
 pub struct Walked {
-    /// The first row that was not coded as a whole, beyond all where there is none.
+    /// The first row that was not coded as a whole; beyond all rows if there is none.
     pub y: usize,
-    /// Whether the one above it has events.
+    /// Whether the row above that has events.
     pub above_is_active: bool,
-    /// How far that row was coded, if its flag was.
+    /// How far that row was coded, if its flag was coded.
     pub(in crate::coder) begun: Option<Begun>,
-    /// Events and pixels coded.
+    /// Number of events and pixels coded.
     pub events: u32,
     pub pixels: u32,
 }
 
-/// What the assembly does not do itself: going on to the next segment and to the next row.
+/// What the assembly leaves to Rust: moving to the next segment and to the next row.
 pub(crate) struct Rows<'r, 'p, 'w> {
     parts: Parts<'p, 'w>,
     words: Words<'r>,
     stride: usize,
     height: usize,
     has_previous: bool,
-    /// The row at hand, the one after it, and whether it has events.
+    /// The current row, the one after it, and whether the current one has events.
     y: usize,
     next_y: usize,
     is_active: bool,
@@ -59,7 +59,7 @@ pub(crate) struct Rows<'r, 'p, 'w> {
 }
 
 impl Rows<'_, '_, '_> {
-    /// The next segment of the row that has events, beyond all where there is none.
+    /// Returns the next segment of the row that has events; beyond all segments if there is none.
     #[inline(always)]
     fn segment(&mut self) -> u32 {
         match self.parts.group.peek(self.parts.window) {
@@ -68,7 +68,7 @@ impl Rows<'_, '_, '_> {
         }
     }
 
-    /// Where a row's words begin.
+    /// Returns where a row's words begin.
     #[inline(always)]
     fn row(&self, y: usize) -> usize {
         row_of(y, self.has_previous) * self.stride
@@ -82,20 +82,20 @@ impl Rows<'_, '_, '_> {
     }
 }
 
-/// Counts the pixels of a segment and goes to the next that has events.
+/// Counts the pixels of a segment and moves to the next segment with events.
 pub(crate) unsafe extern "C" fn next_segment(rows: &mut Rows<'_, '_, '_>, occupied: u32) -> u32 {
     rows.pixels += occupied.count_ones();
     rows.segment()
 }
 
-/// Goes to the next row, of which `walk.ahead` is the first segment with events then; its flag's
-/// probability, null after the last row.
+/// Moves to the next row and sets `walk.ahead` to its first segment with events. Returns the probability of the
+/// row's flag; null after the last row.
 pub(crate) unsafe extern "C" fn next_row(
     rows: &mut Rows<'_, '_, '_>,
     walk: &mut Walk,
 ) -> *mut Probability {
     if rows.next_y > rows.y {
-        // The row at hand was coded.
+        // The current row was coded.
         if !rows.is_active {
             rows.here().iter().for_each(|word| word.set(0));
         }
@@ -113,7 +113,7 @@ pub(crate) unsafe extern "C" fn next_row(
     rows.flags.cast::<Probability>().wrapping_add(context)
 }
 
-/// Begins the row at hand.
+/// Sets `walk` up for the current row.
 pub(crate) unsafe extern "C" fn begin_row(rows: &mut Rows<'_, '_, '_>, walk: &mut Walk) {
     let (y, stride) = (rows.y, rows.stride);
     let occupied = rows.words.occupied.as_ptr().cast::<u32>();
@@ -147,29 +147,29 @@ pub(crate) unsafe extern "C" fn begin_row(rows: &mut Rows<'_, '_, '_>, walk: &mu
     walk.tries = u32::from(following == Following::Tries);
 }
 
-/// Bytes that a segment's flags and an event take at the most, beyond what is asked for before an event.
+/// Most bytes that a segment's flags and an event take, beyond the room that is checked before an event.
 pub const FLAGS_BYTES_MAX: usize = 48;
-/// Bits of cells that the assembly takes at the most: the plain ones of a first cell are coded at once, and
-/// those of a distance, which are one more, at once but for the last.
+/// Most bits of cells that the assembly handles: it codes the plain bits of a first cell at once, and those of a
+/// distance, one more, at once but for the last.
 const BITS_MAX: u32 = FIRST_BITS + PLAIN_BITS;
 
-/// The row above the first.
+/// Zeros, in place of rows beyond the sensor.
 static ZEROS: [u32; SEGMENTS_MAX] = [0; SEGMENTS_MAX];
-/// Segments of the widest sensor's row.
+/// Segments in a row of the widest sensor.
 const SEGMENTS_MAX: usize = Sensor::SIDE_MAX as usize / SEGMENT_PIXELS as usize;
 
-/// What the walk over rows needs.
+/// Input of the walk over rows.
 pub(crate) struct RowsWalk<'r> {
     pub(crate) walk: &'r mut Walk,
     pub(crate) coder: RangeParts<'r>,
     pub(crate) model: &'r mut Model,
     pub(crate) clock: &'r mut Clock,
-    /// The sensor's.
+    /// For each column of the sensor, the latest pixel's events and the last of these.
     pub(crate) lists: &'r mut [u32],
     pub(crate) lasts: &'r mut [u32],
     pub(crate) words: Words<'r>,
     pub(crate) sensor: Sensor,
-    /// The first row, and whether the one above it has events.
+    /// The first row, and whether the row above it has events.
     pub(crate) y: usize,
     pub(crate) above_is_active: bool,
     pub(crate) has_previous: bool,
@@ -178,7 +178,7 @@ pub(crate) struct RowsWalk<'r> {
 impl content::Walk for RowsWalk<'_> {
     type Walked = Walked;
 
-    /// Codes rows up to where it ends.
+    /// Codes rows as far as the assembly goes.
     #[inline(always)]
     fn walk(self, parts: Parts<'_, '_>) -> Walked {
         let Self {
@@ -227,7 +227,7 @@ impl content::Walk for RowsWalk<'_> {
         walk.crowds = model.runs.as_mut_ptr().wrapping_add(31);
         walk.polarities = model.polarities.as_mut_ptr();
         let times = &raw mut model.times;
-        // SAFETY: places in what the pointer is of.
+        // SAFETY: these are addresses of fields within what the pointer points to.
         unsafe {
             walk.more = (&raw mut (*times).more).cast();
             walk.flips = (&raw mut (*times).flips).cast();
@@ -262,18 +262,16 @@ impl content::Walk for RowsWalk<'_> {
         };
         walk.columns_told = &raw mut rows.parts.group.columns;
         walk.rows = (&raw mut rows).cast();
-        // SAFETY: the pointers are those of exclusive references that outlive the call, of cells
-        // that only this writes while it runs, or of zeros, which it reads. The assembly reads and
-        // writes as many words of the rows as there are segments; entries of columns below 32 and
-        // slots at their heads and links, all of which `Group` has made of slots that are there;
-        // lists and last events of the sensor's columns, and reads the last event to the west of
-        // one that has it, which is no sensor's first. Its contexts are sums of bounded parts, as
-        // the twin's in Rust, and its symbols those of cells below `clock.cells`, where those of a
-        // window's events are. It writes bytes from `out` on, where there is room for a row's and a
-        // segment's flags and first event from `pixel_room` on, and for another event from `room`
-        // on. `next_segment`, `next_row` and `begin_row` have the only references to the group, the
-        // window and the times while they run. This file is built only for cores that have the
-        // instructions.
+        // SAFETY: the pointers come from exclusive references that outlive the call, from cells that only this
+        // writes while it runs, or from zeros, which it only reads. The assembly reads and writes as many words of
+        // the rows as there are segments; entries of columns below 32, and slots at their heads and links, all of
+        // which `Group` has made of slots that exist; and lists and last events of the sensor's columns. It reads
+        // the last event to the west only of a pixel that has events there, which a sensor's first column never
+        // has. Its contexts are sums of bounded parts, as in the twin in Rust, and its symbols are those of cells
+        // below `clock.cells`, where the cells of a window's events are. It writes bytes from `out` on; from
+        // `pixel_room` on there is room for a row's and a segment's flags and a first event, and from `room` on for
+        // another event. `next_segment`, `next_row` and `begin_row` have the only references to the group, the
+        // window and the times while they run. This file is compiled only for cores that have the instructions.
         let how = unsafe {
             if has_previous {
                 walk_rows_after(walk)
@@ -295,7 +293,7 @@ impl content::Walk for RowsWalk<'_> {
         walked.pixels = pixels;
         *parts.left = walk.left;
         (*coder.range, *coder.low) = (walk.range, walk.low);
-        // Both are of one slice, the first not below the second.
+        // Both point into one slice, the first not below the second.
         *coder.len = walk.out.addr() - out.addr();
         if how == ROWS || how == ROW_FLAG {
             return walked;
@@ -341,15 +339,15 @@ impl content::Walk for RowsWalk<'_> {
     }
 }
 
-/// Words of all rows that are kept: occupied columns, here and further on those of the window before, and
-/// the polarities of last events; and of the first ones, of two rows.
+/// Words of all rows that are kept: columns with events (from the current pixel on those of the window before), and
+/// polarities of last events; and polarities of first events, of two rows.
 pub(crate) struct Words<'r> {
     pub(crate) occupied: &'r [Cell<u32>],
     pub(crate) last_on: &'r [Cell<u32>],
     pub(crate) first_on: &'r [Cell<u32>],
 }
 
-/// Whether a row's walk is made for these cells.
+/// Returns whether the walk can code these cells.
 pub(crate) const fn serves(clock: &Clock) -> bool {
     clock.beside_bits == 0 && clock.bits > FIRST_BITS && clock.bits <= BITS_MAX
 }

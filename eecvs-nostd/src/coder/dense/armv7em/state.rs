@@ -1,5 +1,5 @@
-//! What the dense coder's walk in assembly, [`walk`](super::walk), knows: rows, tables and the range
-//! coder's state, at places that the assembly names.
+//! State of the dense coder's assembly, [`walk`](super::walk): rows, tables and the range coder's state, at offsets
+//! that the assembly names.
 
 use core::ptr::{null, null_mut};
 
@@ -13,18 +13,18 @@ use crate::coder::range::{Probability, RATES};
 use crate::group::Entry;
 use crate::window::Slot;
 
-/// What the assembly ends with: the columns' end, a column that it leaves to the loop in Rust, the
-/// window's last event, and an output that is full.
+/// How the assembly ends: at the columns' end, at a column that it leaves to the loop in Rust, after the window's
+/// last event, and with the output full.
 pub(crate) const DONE: u32 = 0;
 pub(crate) const LEFT: u32 = 1;
 pub(crate) const OVER: u32 = 2;
 pub(crate) const FULL: u32 = 3;
-/// The same of rows: all of them, and a segment's or a row's flag that is left to the loop in Rust.
+/// How it ends in rows: after all of them, and at a segment's or a row's flag that it leaves to the loop in Rust.
 pub(crate) const ROWS: u32 = 4;
 pub(crate) const FLAG: u32 = 5;
 pub(crate) const ROW_FLAG: u32 = 6;
 
-/// What the assembly knows; it addresses all from `rates` on.
+/// State of the assembly, which addresses all of it relative to `rates`.
 #[derive(Debug)]
 #[repr(C)]
 pub struct Walk {
@@ -37,27 +37,27 @@ pub struct Walk {
     /// Whether any neighbour has events, the first column highest.
     pub(crate) busy: u32,
     pub(crate) rates: [u16; 8],
-    /// Weights of four neighbours in a polarity's context, by whether they have events.
+    /// Weights of four neighbours in a polarity's context, indexed by which of them have events.
     pub(crate) weights: [u8; 16],
-    /// Of the last distance's bits: twice the context of the next, where at least half of the window is
-    /// left and where less is.
+    /// By the length of the last distance: twice the context of the next, where at least half of the window is left
+    /// and where less is.
     pub(crate) of_last: [u8; 16],
     pub(crate) of_last_late: [u8; 16],
-    /// The same of whether there is another.
+    /// By the same length: the context of whether there is another event.
     pub(crate) of_last_more: [u8; 16],
-    /// Of the bits of a neighbour's distance: twice its context.
+    /// By the length of a neighbour's distance: twice its context.
     pub(crate) of_near: [u8; 20],
     pub(crate) range: u32,
     pub(crate) low: u32,
     pub(crate) out: *mut u8,
     pub(crate) start: *mut u8,
-    /// Beyond this no event is begun, and beyond that no pixel.
+    /// Beyond `room` no event is begun, and beyond `pixel_room` no pixel.
     pub(crate) room: *mut u8,
     pub(crate) pixel_room: *mut u8,
-    /// Columns with events that were not visited, and all.
+    /// Columns with events that were not visited yet, and all columns with events.
     pub(crate) told: u32,
     pub(crate) told_all: u32,
-    /// Whether a column is quiet but for those to its west, the first highest.
+    /// Whether a column is quiet except for those to its west, the first column highest.
     pub(crate) quiet: u32,
     pub(crate) columns: u32,
     pub(crate) last_column: u32,
@@ -66,7 +66,7 @@ pub struct Walk {
     pub(crate) lists: *mut u32,
     pub(crate) lasts: *mut u32,
     pub(crate) pixels: *mut Probability,
-    /// 31 beyond the first one of the crowd at hand.
+    /// 31 beyond the first one of the current crowd.
     pub(crate) runs: *mut Probability,
     pub(crate) polarities: *mut Probability,
     pub(crate) more: *mut Probability,
@@ -78,42 +78,42 @@ pub struct Walk {
     /// Leading zeros of what is left of the window where it is at least half.
     pub(crate) half: u32,
     pub(crate) cells: u32,
-    /// By the leading zeros of what is left of the window: six times its context.
+    /// By the leading zeros of what is left of the window: six times the context.
     pub(crate) rests: *const u8,
     pub(crate) fine: u32,
-    /// 7 times `fine`, and 8.
+    /// 7 times `fine`, plus 8.
     pub(crate) fine_symbols: u32,
-    /// Of the first events so far, and of those to the west of each column.
+    /// Polarities of the segment's first events so far, and of those to the west of each column.
     pub(crate) first_on: u32,
     pub(crate) west_on: u32,
     pub(crate) north_west_on: u32,
     pub(crate) north_on: u32,
     pub(crate) north_east_on: u32,
-    /// Pixels of the window before, how many there are further on (two bits each), and the polarities of
-    /// those.
+    /// Of the window before: pixels with events, how many there are further on (two bits each), and the last
+    /// polarities of the former.
     pub(crate) old: u32,
     pub(crate) later: [u32; 2],
     pub(crate) old_on: u32,
-    /// Of the last events so far.
+    /// Polarities of the segment's last events so far.
     pub(crate) last_on: u32,
-    /// Last events of the neighbours.
+    /// Last events of the neighbours to the west and north.
     pub(crate) west_last: u32,
     pub(crate) north_last: u32,
-    /// Bits of the last distance, up to 15.
+    /// Length in bits of the last distance, up to 15.
     pub(crate) last_length: u32,
-    /// 3 times the polarity before the last, 6 without one.
+    /// 3 times the polarity before the last; 6 if there is none.
     pub(crate) before: u32,
-    /// The part of the number of events in the context of whether there is another.
+    /// Part of the context of whether there is another event: that of the number of events.
     pub(crate) number: u32,
     pub(crate) column: u32,
-    /// Link of the last event where the output was full.
+    /// Link of the last event, where the window is over or the output is full.
     pub(crate) link: u32,
     pub(crate) left: u32,
-    /// The row's segment at hand, its last one, and that one's columns.
+    /// The row's current segment, its last one, and the columns of that.
     pub(crate) segment: u32,
     pub(crate) last_segment: u32,
     pub(crate) last_columns: u32,
-    /// The next segment that has events.
+    /// The next segment with events.
     pub(crate) ahead: u32,
     pub(crate) segments: *mut Probability,
     pub(crate) north_row: *const u32,
@@ -123,10 +123,10 @@ pub struct Walk {
     pub(crate) here_on_row: *mut u32,
     pub(crate) south_row: *const u32,
     pub(crate) last_on_row: *mut u32,
-    /// Of the segment to the west.
+    /// Columns with events in the segment to the west, and the polarities of their first events.
     pub(crate) made: u32,
     pub(crate) made_on: u32,
-    /// Above, here and in the segment to the east.
+    /// Columns with events in the row above: here and in the segment to the east.
     pub(crate) north_here: u32,
     pub(crate) north_next: u32,
     pub(crate) crowds: *mut Probability,
@@ -134,22 +134,22 @@ pub struct Walk {
     pub(crate) all_lasts: *mut u32,
     pub(crate) columns_told: *mut u32,
     pub(crate) rows: *mut Rows<'static, 'static, 'static>,
-    /// Whether the row follows, 1 or 0, and the list that the column had before.
+    /// Whether the row follows (1 or 0), and the list that the column had before.
     pub(crate) follows: u32,
     pub(crate) north_list: u32,
-    /// In such a row: slots of the next events to the west and north of the pixel at hand, 0 for none.
+    /// In a row that follows: slots of the next events to the west and north of the current pixel, 0 for none.
     pub(crate) near: [u32; 2],
     pub(crate) prefixes: *mut [Probability; PREFIX_CONTEXTS],
     pub(crate) lengths: *mut [Probability; LENGTHS],
-    /// Bits of the longest distance that is shorter than all that have a length.
+    /// Length in bits of the longest distance whose length is not coded.
     pub(crate) short: u32,
-    /// Whether it is counted what following is worth, and where.
+    /// Whether following is tried (1 or 0), and where trials are counted.
     pub(crate) tries: u32,
     pub(crate) trials: *mut u16,
 }
 
 impl Walk {
-    /// Before the first row of a frame, for these cells.
+    /// State before the first row of a frame, for the cells of `clock`.
     pub(crate) fn new(clock: &Clock) -> Self {
         Self {
             west: 0,
@@ -189,8 +189,8 @@ impl Walk {
             distances: null_mut(),
             half: 32 - clock.bits,
             cells: clock.cells,
-            // There are at least those of all of the window, less one: all of a window whose cells are a
-            // power of two.
+            // What is left of the window has at least `half` leading zeros, or one less: all of a window whose
+            // cells are a power of two.
             rests: (&raw const RESTS_SIX)
                 .cast::<u8>()
                 .wrapping_add(1)
@@ -284,7 +284,7 @@ const OF_NEAR_TWICE: [u8; 20] = {
     contexts
 };
 
-/// Of what is left of the window, from twice its power of two down: six times the context.
+/// By what is left of the window, from twice its power of two down: six times the context.
 static RESTS_SIX: [u8; 34] = {
     let (mut contexts, mut i) = ([0; 34], 0);
     while i < RESTS {

@@ -1,6 +1,6 @@
-//! The times of a pixel in assembly, the same as [`times`](crate::coder::dense::times) codes, to the
-//! bit: contexts, and all events of a pixel in a row that follows. [`walk`](super::walk) calls it with
-//! the range coder's state in registers.
+//! Times of a pixel in assembly: contexts, and all events of a pixel in a row that follows. It codes the same as
+//! [`times`](crate::coder::dense::times), to the bit. [`walk`](super::walk) calls it with the range coder's state
+//! in registers.
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;
@@ -19,7 +19,7 @@ use crate::coder::range::{PLAIN_BITS, Probability};
 
 const PREFIX_BYTES: usize = PREFIX_CONTEXTS * size_of::<Probability>();
 
-// What the assembly takes for granted.
+// Assumptions of the assembly.
 const _: () = assert!(LENGTHS == 16 && NEARS == 9 && LOOK_AHEAD == 4);
 const _: () = assert!(PREFIX_LENGTHS.0 == 4 && PREFIX_LENGTHS.1 == 13 && TRIAL_LENGTH == 6);
 
@@ -31,8 +31,8 @@ pub(crate) unsafe extern "C" fn renew_distance(table: &mut Symbols<DISTANCES>) {
     table.renew();
 }
 
-/// From a part of the context of whether there is another event in r1 to its probability: number r0 from lr
-/// on.
+/// Completes the context of whether there is another event, a part of which is in r1. The probability is then number
+/// r0 of those from lr on.
 macro_rules! more {
     () => {
         concat!(
@@ -50,7 +50,7 @@ macro_rules! more {
     };
 }
 
-/// Six times what is left of the window, in r1.
+/// Loads six times the context of what is left of the window into r1.
 macro_rules! rest {
     () => {
         concat!(
@@ -64,7 +64,7 @@ macro_rules! rest {
 
 pub(crate) use {more, rest};
 
-/// Moves a neighbour's slot in a register, 0 for none, behind cell r6; r12: slots; r2 and r3 are overwritten.
+/// Moves a neighbour's slot in a register (0 for none) beyond cell r6. r12: slots. Overwrites r2 and r3.
 macro_rules! after {
     ($near:literal) => {
         concat!(
@@ -87,8 +87,8 @@ macro_rules! after {
     };
 }
 
-/// From a neighbour's slot in a register, 0 for none, r2: the distance of its next event of r7's polarity,
-/// and on to label 24 where that has as many bits as r5. r12: slots; r3 and lr are overwritten.
+/// From a neighbour's slot in a register (0 for none), computes in r2 the distance to its next event of r7's
+/// polarity, and branches to label 24 if that has as many bits as r5. r12: slots. Overwrites r3 and lr.
 macro_rules! like {
     ($near:literal) => {
         concat!(
@@ -110,13 +110,13 @@ macro_rules! like {
     };
 }
 
-/// Codes the events of a pixel of which the polarity of the first has been.
+/// Codes the events of a pixel, after the polarity of the first.
 ///
-/// r4 to r11 are as the walk has them, r6 the first event's cell and r7 its link. r0: how it ends; r6 and
-/// r7 are those of the last event then, and r5 is overwritten.
+/// r4 to r11 are as in the walk, r6 the first event's cell and r7 its link. Returns in r0 how it ended; r6 and r7
+/// are then those of the last event, and r5 is overwritten.
 ///
 /// # Safety
-/// As the walk has it, of which r11 has the `rates`.
+/// As for the walk, whose `rates` r11 points to.
 #[unsafe(naked)]
 pub(crate) unsafe extern "C" fn follow() {
     naked_asm!(
@@ -153,7 +153,7 @@ pub(crate) unsafe extern "C" fn follow() {
         "eors r3, r7",
         "lsls r3, r3, #31",
         "bmi 5f",
-        // As one of them with its polarity. r2: that one's cell.
+        // By the first of them with its polarity. r2: that event's cell.
         "4:",
         "ldr r0, [r11, #{prefixes}]",
         "add r0, r0, #{first_prefix}",
@@ -191,7 +191,7 @@ pub(crate) unsafe extern "C" fn follow() {
         "movs r1, #6",
         "movs r2, #36",
         "strd r1, r2, [r11, #{before}]",
-        // The next event's polarity. r5: slot; lr: what the neighbours' next ones foretell.
+        // The next event's polarity. r5: slot; r3: prediction from the neighbours' next events.
         "8:",
         "ldr r12, [r11, #{slots}]",
         "asrs r1, r7, #16",
@@ -232,7 +232,7 @@ pub(crate) unsafe extern "C" fn follow() {
         "and r1, r7, #1",
         "eor lr, r2, r1",
         "subs r5, r5, r6",
-        // r2: the nearer of the neighbours' next events, 0 for none.
+        // r2: distance to the nearer of the neighbours' next events, 0 for none.
         "ldrd r0, r1, [r11, #{near}]",
         "movs r2, #0",
         "cbz r0, 13f",
@@ -250,7 +250,7 @@ pub(crate) unsafe extern "C" fn follow() {
         "ldr r2, [r1]",
         "subs r2, r2, r6",
         "14:",
-        // r0: the tree of its length.
+        // r6: the tree of its length.
         "clz r2, r2",
         "rsbs r2, r2, #32",
         "cmp r2, #16",
@@ -267,7 +267,7 @@ pub(crate) unsafe extern "C" fn follow() {
         "ldr r0, [r11, #{lengths}]",
         "push {{r6, r7}}",
         "add r6, r0, r1, lsl #5",
-        // r7: the length in its four bits, and a one above.
+        // r7: the length in its four low bits, and a one above.
         "clz r1, r5",
         "ldr r2, [r11, #{short}]",
         "rsb r1, r1, #32",
@@ -292,13 +292,13 @@ pub(crate) unsafe extern "C" fn follow() {
         "lsls r0, r7, #28",
         "pop {{r6, r7}}",
         "bne 18f",
-        // Shorter than what has a length of its own.
+        // Shorter than any distance whose length is coded.
         "ldr r3, [r11, #{short}]",
         "lsrs r8, r3",
         "umlal r9, r4, r5, r8",
         renew_twice!(),
         "b 28f",
-        // Of the neighbours' next events one of its length. r0: leading zeros.
+        // Find an event among the neighbours' next ones at a distance of its length. r0: leading zeros.
         "18:",
         "ldr r12, [r11, #{slots}]",
         "clz r0, r5",
@@ -306,7 +306,7 @@ pub(crate) unsafe extern "C" fn follow() {
         like!("r1"),
         "ldr r1, [r11, #{near} + 4]",
         like!("r1"),
-        // None: a tree of three.
+        // None: a tree of three bits.
         "rsb r3, r0, #31",
         "bl 40f",
         "movs r1, #0",
@@ -318,7 +318,7 @@ pub(crate) unsafe extern "C" fn follow() {
         "cbz r1, 26f",
         "cmp r3, #{trial_length} - 1",
         "blo 26f",
-        // What it is worth is counted.
+        // Count whether following was right.
         "ldr r1, [r11, #{trials}]",
         "ldrh r12, [r1]",
         "ldrh lr, [r1, #{matches}]",
@@ -424,10 +424,10 @@ pub(crate) unsafe extern "C" fn follow() {
     )
 }
 
-/// The low r3 bits of r12, of which candidate r2 may have the upper ones where r1 is not 0; r0: contexts.
+/// Codes the low r3 bits of r12. If r1 is not 0, candidate r2 may share the upper ones. r0: contexts.
 ///
 /// # Safety
-/// As of [`follow`].
+/// As for [`follow`].
 #[unsafe(naked)]
 unsafe extern "C" fn prefix() {
     naked_asm!(
@@ -439,8 +439,8 @@ unsafe extern "C" fn prefix() {
         "beq 20f",
         "cmp r1, #0",
         "beq 11f",
-        // As long as it is right. r5: the bits, the next at the top; r6: where the candidate has others;
-        // lr: how many are left; r7: contexts, less a place's two.
+        // Follow the candidate as long as it is right. r5: the bits, the next at the top; r6: where the candidate
+        // differs; lr: how many are left; r7: contexts, less the two of a place.
         "lsls r2, r3",
         "eor r6, r5, r2",
         "subs r7, r0, #4",
@@ -466,7 +466,7 @@ unsafe extern "C" fn prefix() {
         "cmp lr, #0",
         "bne 1b",
         "b 20f",
-        // Just above it: zeros, up to a one. r6: its bits.
+        // Just above the candidate: zeros, up to a one. r6: its bits.
         "3:",
         "eors r6, r5",
         "adds r7, #68",
@@ -489,7 +489,7 @@ unsafe extern "C" fn prefix() {
         "5:",
         one!(),
         "b 15f",
-        // Just below: ones, up to a zero.
+        // Just below the candidate: ones, up to a zero.
         "6:",
         "eors r6, r5",
         "adds r7, #64",
@@ -512,7 +512,7 @@ unsafe extern "C" fn prefix() {
         "lsrs r0, lr, #8",
         "bne 7b",
         "b 15f",
-        // Without a candidate, a tree of three. r6: its node.
+        // Without a candidate: a tree of three bits. r6: its node.
         "11:",
         "add r7, r0, #84",
         "movs r6, #1",
@@ -532,7 +532,7 @@ unsafe extern "C" fn prefix() {
         "beq 20f",
         "cmp r6, #8",
         "blo 12b",
-        // As they are.
+        // The rest as plain bits.
         "15:",
         "uxtb lr, lr",
         "16:",

@@ -1,5 +1,5 @@
-//! The dense coder's walk over rows, their segments and their pixels' events in assembly, with the range
-//! coder's state in registers; [`armv7em`](super) hands it what it knows.
+//! The dense coder's walk over rows, their segments and the events of their pixels in assembly, with the range
+//! coder's state in registers; [`armv7em`](super) sets it up.
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;
@@ -17,14 +17,14 @@ use crate::coder::range::{PLAIN_BITS, Probability};
 use crate::group::Entry;
 use crate::window::{NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot};
 
-// What the assembly takes for granted.
+// Assumptions of the assembly.
 const _: () = assert!(SLOTS_MAX < 1 << 15 && NO_SLOT >= 1 << 15 && NEXT_SHIFT == 16);
 const _: () = assert!(size_of::<Slot>() == 8 && size_of::<Probability>() == 2);
 const _: () = assert!(size_of::<Entry>() == 8 && offset_of!(Entry, head) == 0);
 const _: () = assert!(COARSE == 15 && RESTS == 6 && FIRST_BITS == 5);
 
-/// What column r5 sees, at the top of which `$quiet` is where it goes on if that is nothing; r0: context
-/// of whether it has events.
+/// Computes in r0 the context of whether column r5 has events; branches to `$quiet` if no neighbour of the column
+/// has.
 macro_rules! see {
     ($quiet:literal, $old:expr) => {
         concat!(
@@ -48,8 +48,8 @@ macro_rules! see {
     };
 }
 
-/// Adds to the first register what a word in the second has of bits: 0, 1, 2 to 3, or more, as 0 to 3;
-/// r12 and lr are overwritten.
+/// Adds to the first register how many bits of the second are set, as 0 to 3: none, 1, 2 to 3, or more. Overwrites
+/// r12 and lr.
 macro_rules! few {
     ($few:literal, $word:literal) => {
         concat!(
@@ -67,7 +67,7 @@ macro_rules! few {
     };
 }
 
-/// A row's segments.
+/// Codes the segments of a row.
 macro_rules! row {
     ($any_old:expr, $few_old:expr, $sees_old:expr, $put_old:expr) => {
         concat!(
@@ -105,7 +105,7 @@ macro_rules! row {
             "movs r0, #0\n",
             "movs r1, #0\n",
             "strd r0, r1, [r11, #{made}]\n",
-            // It was made so.
+            // Store what was coded of the segment: r0 and r1.
             "53:\n",
             "ldrd r2, r3, [r11, #{here_row}]\n",
             "str r0, [r2, r5, lsl #2]\n",
@@ -146,7 +146,7 @@ macro_rules! row {
             "57:\n",
             "movs r0, #{row_flag}\n",
             "b 75f\n",
-            // One that has events: what its columns see.
+            // A segment with events: what its columns see.
             "52:\n",
             one!(),
             "ldr r0, [r11, #{columns_told}]\n",
@@ -231,7 +231,7 @@ macro_rules! row {
             "add r1, r1, r5, lsl #7\n",
             "strd r0, r1, [r11, #{lists}]\n",
             "b 5b\n",
-            // On to the next.
+            // Move to the next segment.
             "55:\n",
             "ldr r0, [r11, #{columns_told}]\n",
             "movs r1, #0\n",
@@ -251,8 +251,10 @@ macro_rules! row {
 
 macro_rules! walk_rows {
     ($name:ident, $see_old:expr, $polarity_old:expr, $last_old:expr, $row:expr) => {
+/// Codes rows as described at [`RowsWalk`](super::RowsWalk).
+///
 /// # Safety
-/// As `walk` has it.
+/// The pointers in `walk` have to be valid as stated where [`RowsWalk`](super::RowsWalk) calls this.
 #[unsafe(naked)]
 pub(crate) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
     naked_asm!(
@@ -308,7 +310,7 @@ pub(crate) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "ldr r6, [r11, #{columns}]",
         "movs r7, #0",
         "b 4b",
-        // A quiet run. r1: how long.
+        // A quiet run. r1: its length.
         "10:",
         "ldr r1, [r11, #{quiet}]",
         "lsls r1, r5",
@@ -323,7 +325,7 @@ pub(crate) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "mov r5, lr",
         zero!(),
         "b 4b",
-        // The pixel is in it.
+        // The pixel is in the run.
         "11:",
         "ldr r2, [r11, #{columns}]",
         "cmp lr, r2",
@@ -359,7 +361,7 @@ pub(crate) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "22:",
         "ldr lr, [r11, #{pixels}]",
         one!("lr"),
-        // Its polarity's context. lr: that of the column.
+        // Context of its polarity. lr: context of the column.
         "21:",
         "mov lr, r0",
         "ldrd r3, r1, [r11, #{west_on}]",
@@ -389,7 +391,7 @@ pub(crate) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "tst lr, #8",
         "it ne",
         "ldrne r3, [r1]",
-        // A pixel: r0: its polarity's context; r2 and r3: the neighbours' last events.
+        // A pixel. r0: its polarity's context; r2 and r3: the neighbours' last events.
         "30:",
         "strd r2, r3, [r11, #{west_last}]",
         "ldrd r6, r7, [r7]",
@@ -481,7 +483,7 @@ pub(crate) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "b 45f",
         "44:",
         one!("lr"),
-        // Its distance: r5; r12: leading zeros of what is left of the window.
+        // Its distance: r5; r12: leading zeros of half of the window.
         "45:",
         "and r2, r7, #1",
         "add r1, r2, r2, lsl #1",
@@ -503,7 +505,7 @@ pub(crate) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "ldr r0, [r11, #{distances}]",
         "movs r2, #{distances_bytes}",
         "mla r0, r1, r2, r0",
-        // r12: what lies within the window.
+        // r12: end of the shares of the distances within the window.
         "ldrd r2, lr, [r11, #{fine}]",
         "subs r3, #1",
         "clz r12, r3",
@@ -565,7 +567,7 @@ pub(crate) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "48:",
         one!("lr"),
         "b 41b",
-        // 13 plain bits: all but the last first.
+        // 13 plain bits: all but the last, then the last.
         "49:",
         "ubfx r2, r5, #1, #{plain_bits}",
         "lsrs r8, r8, #{plain_bits}",
@@ -581,7 +583,7 @@ pub(crate) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "cmp r0, #0",
         "beq 34b",
         "b 77f",
-        // Whether a pixel's events are in order. r12: the next slot; r2: time of the one before.
+        // Check that a pixel's events are in order. r12: the next slot; r2: time of the one before.
         "60:",
         "ldr r2, [r7]",
         "61:",
@@ -593,7 +595,7 @@ pub(crate) unsafe extern "C" fn $name(walk: &mut Walk) -> u32 {
         "asrs r12, r12, #16",
         "bpl 61b",
         "b 3b",
-        // The last column: where no other has events it does.
+        // The last column: if no other has events, it does, and no flag is coded.
         "62:",
         "ldrd r2, r3, [r11, #{told}]",
         "cmp r2, r3",
@@ -779,7 +781,7 @@ walk_rows!(
             "cmp r5, #0\n",
             "it ne\n",
             "ldrne r1, [r6, #-4]\n",
-            // To the east, and of the row below in the south-west, south and south-east.
+            // To the east, and in the row below to the south-west, south and south-east.
             "lsr lr, r0, #1\n",
             "orr lr, lr, r2, lsl #31\n",
             "lsrs r1, r1, #31\n",

@@ -1,10 +1,10 @@
-//! The walk of [`crate::coder::window_events`]'s fast coder over pixels, with its state in registers: it deals
-//! segments and writes the codes of [`crate::coder::fast`].
+//! Walk over pixels for the fast coder of [`crate::coder::window_events`], with its state in registers: it sorts
+//! segments into columns and writes the codes of [`crate::coder::fast`].
 //!
-//! The compiler has fewer registers than the walk has state, and counts events and looks for room
-//! more often than there is need: its walk takes nearly twice the instructions. The assembly gives
-//! back to the loop in Rust, as they were, the pixels that it would have to look at twice: with events
-//! out of order, with a code of over 32 bits, and where the output is full.
+//! The compiler's walk takes nearly twice the instructions, as it has fewer registers than the walk has state, and
+//! counts events and checks for room more often than needed. The assembly leaves pixels that it would have to look
+//! at twice, unchanged, to the loop in Rust: pixels with events out of order, pixels with a code of over 32 bits,
+//! and pixels for which the output has no room.
 #![allow(unsafe_code)]
 
 use core::arch::naked_asm;
@@ -19,83 +19,83 @@ use crate::window::{
     COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot, Window,
 };
 
-/// What the assembly knows. The first part is copied to its stack, and back.
+/// State of the assembly. The first part is copied to its stack, and back.
 #[repr(C)]
 struct Walk<'w, 'b> {
-    /// Of four orders, 31 less each, in bytes.
+    /// 31 less each of the four orders, in bytes.
     orders: u32,
-    /// [`Gaps::base`] and 1, before a cell and a polarity.
+    /// [`Gaps::base`] plus 1, above a cell and a polarity.
     base: u32,
-    /// Twice a gap of 1 there.
+    /// Twice a gap of 1, above a cell and a polarity.
     gap_one: u32,
     entries: *mut Entry,
     /// Place of the segment's first column.
     place: u32,
-    /// From the place after the last pixel's to that.
+    /// Distance from the place after the last pixel's to `place`.
     since: u32,
-    /// The longest gap whose pixel has a code of 32 bits with its first event.
+    /// The longest gap that fits a code of 32 bits together with the first event.
     gap_max: u32,
-    /// Of 32 segments, those still to be visited.
+    /// Those of 32 segments that are still to be visited.
     segments: u32,
-    /// The first of them.
+    /// The first of these 32 segments.
     first_segment: u32,
-    /// Where slots have the next one.
+    /// Where slots hold their next slot.
     nexts: *mut u8,
-    /// As above.
+    /// A copy of `entries`, where the assembly loads it with `nexts`.
     entries_again: *mut Entry,
     term_start: u32,
     term_max: u32,
-    /// `bits` of order 0.
+    /// Value of `bits` for order 0.
     bits_zero: u32,
-    /// Pixels of the terms that have ended.
+    /// Pixels of terms that have ended.
     pixels: u32,
-    /// Where the output has no room for another pixel.
+    /// End of the words in which a pixel may begin.
     limit: *mut [u8; 4],
     heads: *mut Head,
     /// Bits of a cell and a polarity.
     event_bits: u32,
-    // Not copied.
-    /// The segment's columns that were not visited, the first one highest.
+    // From here on, not copied.
+    /// The segment's columns not visited yet, the first one highest.
     columns: u32,
-    /// Where slots have their links.
+    /// Where slots hold their links.
     links: *mut u8,
-    /// [`Gaps::bits`], with the leading zeros of all that goes out with it.
+    /// [`Gaps::bits`], for the leading zeros of the whole code including the event.
     bits: u32,
-    /// The next word's, and how many it takes yet.
+    /// Pending bits of the next word, and how many bits it has room for.
     pending: u32,
     free: u32,
-    /// From the top: pixels of the term (5 bits); the end of a list (bit 15); events that were not their
+    /// From the top: pixels of the term (5 bits); the end of a list (bit 15); number of events that are not their
     /// pixel's first.
     counts: u32,
-    /// Where the next word goes.
+    /// Where the next word is written.
     out: *mut [u8; 4],
-    /// Place after the last pixel's, at the end.
+    /// Place after the last pixel's; set at the end.
     next: u32,
     source: Source<'w>,
-    /// Ties the pointers to what they point to.
+    /// Ties the pointers to the lifetime of what they point to.
     borrowed: PhantomData<&'b mut ()>,
 }
 
-/// The end of a list in [`Walk::counts`].
+/// The end of a list, in [`Walk::counts`].
 const EMPTY: u32 = 1 << 15;
-/// A pixel there.
+/// Shift of the number of pixels, in [`Walk::counts`].
 const PIXEL_SHIFT: u32 = 27;
-/// Where a slot has its link, and in it the next one.
+/// Offsets of a slot's link, and of the next slot within it.
 const LINK_AT: usize = 4;
 const NEXT_AT: usize = 6;
 /// 31 in each of four bytes.
 const ORDERS: u32 = 0x1f1f_1f1f;
 
-/// Encodes pixels up to the window's last, or up to one that [`Fast::write`] has to see to, which is
-/// the group's next then. Returns their events.
+/// Encodes pixels up to the window's last, or up to one that [`Fast::write`] has to encode, which is then the
+/// group's next. Returns the number of events encoded.
 ///
-/// Times are as the window has them: cells of a microsecond.
+/// Times are coded as the window has them: in cells of a microsecond.
 pub fn walk(
     (group, window): (&mut Group, &mut Window<'_>),
     coder: &mut Fast,
     writer: &mut BigWriter<'_>,
 ) -> u32 {
-    // Up to 31: else there is no gap whose code is short enough.
+    // At most 31 where the walk goes on: with more, no gap has a code that is short enough.
     let event_bits = (coder.cell_bits() + 1) & 31;
     let gap_max = coder.gaps.gap_max();
     if gap_max < SEGMENT || !writer.has_words(ROOM_WORDS) {
@@ -144,26 +144,25 @@ pub fn walk(
         source: Source { group, window },
         borrowed: PhantomData,
     };
-    // SAFETY: the pointers are those of exclusive references that outlive the call. `walk_columns`
-    // reads and writes heads of segments that the window's bitmap has, and slots at heads and
-    // links, all of which `Window` has made of slots that it has filled, or of entries that this or
-    // `Group` has made of those; reads and writes entries of columns below 32; and writes words
-    // before `limit` and one at it, which are there. This file is built only for cores that have
-    // the instructions.
+    // SAFETY: the pointers come from exclusive references that outlive the call. `walk_columns` reads and writes
+    // heads of segments that are in the window's bitmap, and slots at heads, links and entries: heads and links
+    // were made by `Window` of slots that it has filled, and entries by this or by `Group` of those. It reads and
+    // writes entries of columns below 32, and it writes words before `limit` and one at it, which exist. This file
+    // is compiled only for cores that have the instructions.
     unsafe { walk_columns(&mut walk) };
-    // SAFETY: the references that they were made of are not used before this.
+    // SAFETY: the references from which the pointers were made are not used before this.
     let group = unsafe { &mut *walk.source.group };
     group.segments = walk.segments;
     group.first_segment = walk.first_segment;
     group.columns = walk.columns.reverse_bits();
     if walk.columns != 0 {
-        // Never 0; asking leaves no panic in the code.
+        // Never 0; `checked_div` leaves no panic in the code.
         let y = walk.place.checked_div(row).unwrap_or(0);
         (group.segment_x, group.segment_y) = ((walk.place - y * row) as u16, y as u16);
     }
     writer.state.pending = walk.pending;
     writer.state.free = walk.free;
-    // Both are of one slice, the first not below the second.
+    // Both point into one slice, the first not below the second.
     writer.state.words = (walk.out.addr() - words.addr()) / size_of::<[u8; 4]>();
     coder.orders = ORDERS.wrapping_sub(walk.orders).to_le_bytes();
     let term_now = walk.counts >> PIXEL_SHIFT;
@@ -179,10 +178,10 @@ pub fn walk(
     pixels + (walk.counts & (EMPTY - 1))
 }
 
-/// Columns of a segment.
+/// Columns per segment.
 const SEGMENT: u32 = 1 << COLUMN_BITS;
 
-// What the assembly takes for granted.
+// Assumptions of the assembly.
 const _: () = assert!(SLOTS_MAX < EMPTY as usize && NO_SLOT >= EMPTY);
 const _: () = assert!(size_of::<Slot>() == 8 && NEXT_SHIFT == 16);
 const _: () = assert!(size_of::<Entry>() == 8 && offset_of!(Entry, head) == 0);
@@ -192,8 +191,7 @@ const _: () = assert!(offset_of!(Walk<'_, '_>, heads) == 64);
 const _: () = assert!(offset_of!(Walk<'_, '_>, columns) == 72);
 const _: () = assert!(offset_of!(Walk<'_, '_>, out) == 96);
 
-/// Puts a code of which r10 has taken the bits already, and which completes a word; overwrites the
-/// second register.
+/// Writes a code that completes a word, after its bits were taken off r10. Overwrites the second register.
 macro_rules! word {
     ($code:literal, $other:literal) => {
         concat!(
@@ -220,9 +218,9 @@ macro_rules! word {
     };
 }
 
-/// From a distance in r2 to its raised value there; overwrites the second register, of which lr's
-/// highest bit is the only one. r1: 31 less its order, less twice its leading zeros, which is its
-/// bits less 32.
+/// Raises the distance in r2, by the order of `$polarities`; `$highest` is a register with only its highest bit
+/// set. Leaves the number's leading zeros in `$other`, and in r1 31 less the order, less twice these zeros: the
+/// bits of the code, less 32.
 macro_rules! raise {
     ($polarities:literal, $other:literal, $highest:literal) => {
         concat!(
@@ -247,7 +245,7 @@ macro_rules! raise {
     };
 }
 
-/// Learns from what [`raise`] leaves in its register.
+/// Stores the order that follows from the leading zeros that [`raise`] leaves in `$other`.
 macro_rules! learn {
     ($polarities:literal, $other:literal) => {
         concat!(
@@ -270,7 +268,7 @@ macro_rules! learn {
     };
 }
 
-/// On to `$to` where there is no room for another pixel; overwrites the register.
+/// Branches to `$to` if there is no room for another pixel. Overwrites the register.
 macro_rules! room {
     ($other:literal, $to:literal) => {
         concat!(
@@ -284,8 +282,8 @@ macro_rules! room {
     };
 }
 
-/// An event of the polarity of the one before, which are both `$polarities`; on to `$flip` where
-/// it is of the other one.
+/// Loop over events of the same polarity as the one before, both being `$polarities`. Branches to `$flip` at one of
+/// the other polarity.
 macro_rules! further {
     ($loop:literal, $polarities:literal, $flips:literal, $flip:literal, $then:literal, $word:literal) => {
         concat!(
@@ -335,7 +333,7 @@ macro_rules! further {
     };
 }
 
-/// An event of the other polarity, which goes in front; on in the loop of that one.
+/// Puts the code for the other polarity in front of an event, and goes on in the loop of that polarity.
 macro_rules! flip {
     ($flip:literal, $polarities:literal, $then:literal) => {
         concat!(
@@ -353,7 +351,7 @@ macro_rules! flip {
             "movs r0, #{flip}\n",
             "lsls r0, r1\n",
             "orrs r2, r0\n",
-            // Found to be short enough.
+            // Checked already: lets the check at `$then` pass.
             "mvn r1, #15\n",
             "subs r10, r10, #1\n",
             "b ",
@@ -362,7 +360,7 @@ macro_rules! flip {
     };
 }
 
-/// On with the next pixel.
+/// Goes on with the next pixel.
 macro_rules! next {
     () => {
         "adds r11, r11, #{pixel}
@@ -373,8 +371,10 @@ macro_rules! next {
     };
 }
 
+/// Encodes pixels as described at [`walk`].
+///
 /// # Safety
-/// As `walk` has it.
+/// The pointers in `walk` have to be valid as stated where [`walk`] calls this.
 #[unsafe(naked)]
 unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
     naked_asm!(
@@ -383,8 +383,8 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         // | columns from r7's on, the first one highest | base | links | next entry | bits | pending |
         // free | counts | out | gap_one |
         //
-        // At sp: 0 orders; 4 to 24 orders, r0, r9 to r12 as they were before a pixel of several
-        // events; 28 its r4 and r7; 36 the walk's from `base` to `event_bits`; 104 walk.
+        // At sp: 0 orders; 4 to 24 orders, r0 and r9 to r12 as they were before a pixel of several events; 28 its
+        // r4 and r7; 36 `walk` from `base` to `event_bits`; 104 the address of `walk`.
         "push {{r4-r11, lr}}",
         "sub sp, #108",
         "str r0, [sp, #104]",
@@ -401,7 +401,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "cmp r4, #0",
         "bne 13f",
         "b 6f",
-        // The next pixel of a segment. r0: gap, and in the end the code.
+        // The next pixel of a segment. r0: gap, and at the end the code.
         "1:",
         "clz r0, r4",
         "lsls r4, r0",
@@ -412,13 +412,13 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "add r1, r6, r1, lsl #3",
         // r2: cell; r3: link.
         "ldrd r2, r3, [r1, #-4]",
-        // The carry is the polarity, the sign tells the end of the list.
+        // The carry is the polarity; the sign marks the end of the list.
         "asrs r3, r3, #1",
         "bpl 20f",
         "adc r2, r2, r2",
         "orrs r0, r2",
         "clz r1, r0",
-        // The entry is emptied.
+        // Empty the entry.
         "str r11, [r7, #-8]",
         "add r10, r10, r1, lsl #1",
         "subs r10, r10, r8",
@@ -451,7 +451,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "strd r2, r0, [sp, #48]",
         "ldrd r5, r7, [sp, #68]",
         "movs r4, #0",
-        // Its list, newest first, to the columns' lists, oldest first. r3: slot; r1: its link.
+        // Split its list, newest first, into the columns' lists, oldest first. r3: slot; r1: its link.
         "3:",
         "ldr r1, [r6, r3, lsl #3]",
         "ubfx r0, r1, #{column_at}, #{column_bits}",
@@ -472,7 +472,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "adds r0, r0, r1",
         "cmp r0, r2",
         "bls 4b",
-        // A long gap. All of it but the zeros in front has to fit a word: r2.
+        // A long gap. All of its code but the zeros in front has to fit a word. r2: raised gap.
         "ldr r1, [sp, #100]",
         "lsr r2, r5, r1",
         "add r2, r0, r2, lsr #1",
@@ -482,7 +482,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "bhs 51f",
         "mla r2, r0, lr, r5",
         "clz r1, r2",
-        // r1: zeros. Where they don't complete a word, nothing is different.
+        // r1: zeros. If they complete no word, the code is like any other.
         "subs r1, r8, r1",
         "subs r1, #32",
         "cmp r1, r10",
@@ -491,7 +491,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "ldr r1, [r6, r1, lsl #3]",
         "cmp r1, #0",
         "bpl 51f",
-        // That of these zeros may be the last one that there is room for.
+        // The word of these zeros may be the last that there is room for.
         "ldr r1, [sp, #92]",
         "add r2, r12, #4",
         "cmp r2, r1",
@@ -501,7 +501,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "movs r9, #0",
         "add r10, r10, #32",
         "b 4b",
-        // A single event's code completes a word: what that has no room for begins the next.
+        // A single event's code completes a word: the bits that the word has no room for begin the next.
         "2:",
         word!("r0", "r1"),
         room!("r0", "12f"),
@@ -511,7 +511,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "asr r1, r3, #15",
         "adc r3, r2, r2",
         "add r1, r6, r1, lsl #3",
-        // r1: the second one's cell; lr: its link; r2: distance.
+        // r1: the second event's cell; lr: its link; r2: distance.
         "ldrd r1, lr, [r1, #-4]",
         "subs r2, r1, r2",
         "blo 55f",
@@ -525,7 +525,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "cmn r1, #2",
         "bgt 56f",
         learn!("lr", "r3"),
-        // It is not a single one.
+        // The pixel has more than a single event.
         "ldr lr, [sp, #40]",
         "sub r0, r0, lr",
         "clz r3, r0",
@@ -552,7 +552,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "str r11, [r7, #-8]",
         room!("r0", "12f"),
         next!(),
-        // Whether there is room for another is asked once: two words more are there anyway.
+        // Room for another pixel is checked once: there always is room for two more words.
         "61:",
         word!("r0", "r3"),
         "lsls r2, r2, #2",
@@ -566,7 +566,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "str r11, [r7, #-8]",
         room!("r0", "12f"),
         next!(),
-        // Three events and more. r4: cell of the last one; r7: its link.
+        // Three or more events. r4: cell of the last one; r7: its link.
         "60:",
         "adc r3, r3, r3",
         "strd r4, r7, [sp, #28]",
@@ -612,7 +612,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         word!("r2", "r1"),
         room!("r1", "50f"),
         "b 25b",
-        // The last one.
+        // The last event of the pixel.
         "26:",
         "lsls r2, r2, #2",
         "adds r2, #{end}",
@@ -637,7 +637,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         word!("r0", "r1"),
         room!("r1", "50f"),
         "b 22b",
-        // A term ends: the gaps' order anew. r0: way; r7: next entry.
+        // A term ends: choose the gaps' order anew. r0: places spanned; r7: next entry.
         "30:",
         "ldrd r0, r1, [sp, #44]",
         "subs r0, r7, r0",
@@ -661,7 +661,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "ldr r3, [sp, #100]",
         "movs r5, #2",
         "lsls r5, r0",
-        // r1: the leading zeros that a place has to have; r2: the longest gap.
+        // r1: fewest leading zeros of a place; r2: longest gap.
         "sub r1, r8, #30",
         "add r1, r3, r1, asr #1",
         "usat r1, #5, r1",
@@ -702,7 +702,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "str r1, [sp, #60]",
         "movs r4, #0",
         "b 52f",
-        // As it was before the pixel.
+        // Restore the state before the pixel.
         "50:",
         "ldrd r4, r0, [sp, #4]",
         "str r4, [sp]",
@@ -710,7 +710,7 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_>) {
         "ldrd r11, r12, [sp, #20]",
         "ldrd r4, r7, [sp, #28]",
         "b 55f",
-        // As for 55, after r0 has been doubled.
+        // As 55, after r0 has been doubled.
         "56:",
         "lsrs r0, r0, #1",
         // Nothing of the pixel has been written.

@@ -1,5 +1,5 @@
-//! The fast coder's walk over a window's pixels, on cores of 32 bits; others have the loop of
-//! [`window_events`](crate::coder::window_events) alone.
+//! The fast coder's walk over a window's pixels, for cores of 32 bits. Others use only the loop in
+//! [`window_events`](crate::coder::window_events).
 
 #[cfg(eecvs_dsp)]
 mod armv7em;
@@ -17,5 +17,5 @@ pub(crate) use none::walk;
 #[cfg(not(any(eecvs_dsp, target_pointer_width = "64")))]
 pub(crate) use portable32::walk;
 
-/// Whether it is worth calling [`walk`].
+/// Whether calling [`walk`] is worth it.
 pub(crate) const IS_THERE: bool = !IS_64_BIT;

@@ -1,9 +1,9 @@
-//! The walk of [`crate::coder::window_events`]'s fast coder over pixels on a core of 32 bits: it deals segments
-//! and writes the codes of [`crate::coder::fast`] with little more than these at hand.
+//! Walk over pixels for the fast coder of [`crate::coder::window_events`], on cores of 32 bits: it sorts segments
+//! into columns and writes the codes of [`crate::coder::fast`] with little else in registers.
 //!
-//! It gives back to the loop that has every case, as they were, the pixels that it would have to look
-//! at twice: with events out of order, with a code of over 32 bits, the zeros of a long gap aside, and where
-//! the output is full.
+//! It leaves pixels that it would have to look at twice, unchanged, to the loop that handles every case: pixels
+//! with events out of order, pixels with a code of over 32 bits (not counting the zeros of a long gap), and pixels
+//! for which the output has no room.
 
 use core::mem;
 use core::num::NonZeroU32;
@@ -14,14 +14,14 @@ use crate::coder::fast::{END, FLIP, Fast, Orders, ROOM_WORDS, TERM_PIXELS};
 use crate::group::{Entry, Group};
 use crate::window::{FIRST, NO_SLOT, SEGMENT_PIXELS, Slot, Window};
 
-/// What a code of a place and its first event follows from, until a term ends.
+/// What the code of a place and its first event depends on, until a term ends.
 #[derive(Clone, Copy)]
 struct Codes {
-    /// [`crate::coder::fast::Gaps::base`] and 1, before a cell and a polarity.
+    /// [`crate::coder::fast::Gaps::base`] plus 1, above a cell and a polarity.
     base: u32,
-    /// Bits of a code, and twice its leading zeros.
+    /// Bits of a code plus twice its leading zeros.
     bits: u32,
-    /// The longest gap whose pixel has a code of 32 bits with its first event.
+    /// The longest gap that fits a code of 32 bits together with the first event.
     gap_max: u32,
 }
 
@@ -35,56 +35,57 @@ impl Codes {
         }
     }
 
-    /// Zeros in front of the code of a pixel after a gap of any length, of a single event or of several;
-    /// `None` where the rest of it has over 32 bits.
+    /// Returns how many zeros come before the code of a pixel after any gap, with a single event or several; `None`
+    /// if the rest of the code has over 32 bits.
     const fn zeros(&self, gap: u32, event_bits: u32) -> Option<u32> {
         let raised = 2 * gap + (self.base >> (event_bits & 31));
-        // A bit to spare, for a second event's polarity.
+        // One bit to spare, for a second event's polarity.
         if raised >= FIRST >> (event_bits & 31) {
             return None;
         }
         Some(self.bits + event_bits - u32::BITS - raised.leading_zeros())
     }
 
-    /// Whether they are for any gap within a segment.
+    /// Returns whether codes fit 32 bits after any gap within a segment.
     const fn are_short(&self) -> bool {
         self.gap_max >= SEGMENT_PIXELS as u32
     }
 }
 
-/// The output, whose state is in registers.
+/// The output, with its state in registers.
 struct Output<'o> {
-    /// Words that a pixel may begin in.
+    /// Words in which a pixel may begin.
     rest: IterMut<'o, [u8; 4]>,
     bits: Bits,
 }
 
-/// Bits of the next word, from the top, and how many: up to 31. In front of a pixel after a long gap also
-/// less than 0, which wraps: so many less of its code's zeros are to be put.
+/// Pending bits of the next word, from the top, and their number, up to 31. Before a pixel after a long gap the
+/// number may be negative, and wraps: that many zeros of the pixel's code have been written already.
 #[derive(Clone, Copy)]
 struct Bits {
     pending: u32,
     used: u32,
 }
 
-/// What became of a code.
+/// Result of writing a code.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Put {
-    /// It left room in the word.
+    /// The code left room in the word.
     Within,
-    /// It completed a word.
+    /// The code completed a word.
     Word,
-    /// It was not put.
+    /// The code was not written.
     None,
 }
 
 impl Output<'_> {
-    /// Puts a code of `bits` bits, which has no others. Nothing is put where there is no room, or where
-    /// it is not `IS_SHORT`, as which it is known to end in the next word at the latest, and has over 32.
+    /// Writes a code of `bits` bits, below 2^`bits`. Writes nothing if there is no room, or if a code that is not
+    /// `IS_SHORT` has over 32 bits and completes a word. An `IS_SHORT` code is known to end in the next word at the
+    /// latest.
     #[inline(always)]
     fn put<const IS_SHORT: bool>(&mut self, code: u32, bits: u32) -> Put {
         let end = self.bits.used.wrapping_add(bits);
-        // Where it goes; what the word has no room for is turned round to the top.
+        // Rotated to its place; the bits that the word has no room for wrap to the top.
         let turned = code.rotate_right(end);
         if end < 32 {
             self.bits.pending |= turned;
@@ -106,13 +107,13 @@ impl Output<'_> {
     }
 }
 
-/// An event that is not its pixel's first, in the counts, above the pixels that are left of the term.
+/// One event other than its pixel's first in the counts, above the number of pixels left of the term.
 const EVENT: u32 = 2 * TERM_PIXELS;
 
-/// Encodes pixels up to the window's last, or up to one that [`Fast::write`] has to see to, which is
-/// the group's next then. Returns their events.
+/// Encodes pixels up to the window's last, or up to one that [`Fast::write`] has to encode, which is then the
+/// group's next. Returns the number of events encoded.
 ///
-/// Times are as the window has them: cells of a microsecond.
+/// Times are coded as the window has them: in cells of a microsecond.
 #[inline(never)]
 pub fn walk(
     (group, window): (&mut Group, &mut Window<'_>),
@@ -121,7 +122,7 @@ pub fn walk(
 ) -> u32 {
     let event_bits = coder.cell_bits() + 1;
     let mut codes = Codes::new(coder, event_bits & 31);
-    // A pixel that completes the last word before is not for this walk: the frame may end after it.
+    // A pixel that completes the word before `limit` is not for this walk, as the frame may end after it.
     let limit = writer.words.len().saturating_sub(ROOM_WORDS + 1);
     if event_bits > 30 || !codes.are_short() || writer.position().words >= limit {
         return 0;
@@ -145,19 +146,19 @@ pub fn walk(
     };
     let gap_one = 2 << event_bits;
     let term_before = coder.gaps.term_left;
-    // From the top: events that are not their pixel's first, and pixels of terms that have ended; pixels left of
-    // the term.
+    // From the top: events that are not their pixel's first, plus pixels of terms that have ended; then the pixels
+    // left of the term.
     let mut counts = term_before;
-    // 30 less each.
+    // 30 less each order.
     let mut orders = coder.orders.map(|order| 30_u8.wrapping_sub(order));
     // Place of the segment's first column.
     let mut start = u32::from(group.segment_y) * row + u32::from(group.segment_x);
-    // Column before the next one, of the last pixel.
+    // The place after the last pixel's, relative to `start`.
     let mut before = coder.gaps.next.wrapping_sub(start);
     let mut columns = group.columns;
-    // Words to be taken back of a pixel that was not completed.
+    // Words to take back of a pixel that was not completed.
     let mut back = 0;
-    // What a word that zeros have completed had before them.
+    // Bits pending before zeros completed a word.
     let mut zeros_after = 0;
     'segments: loop {
         if let Some(rest) = NonZeroU32::new(columns) {
@@ -166,7 +167,7 @@ pub fn walk(
                 let Some(zeros) = codes.zeros(gap, event_bits) else {
                     break;
                 };
-                // Where they complete no word, the pixel's code goes out as any other one.
+                // If the zeros complete no word, the pixel's code is written like any other.
                 if out.bits.used + zeros > 31 {
                     let Some(word) = out.rest.next() else { break };
                     *word = out.bits.pending.to_be_bytes();
@@ -251,7 +252,7 @@ pub fn walk(
                 }
                 entry.head = head;
                 out.bits = bits_before;
-                // Below 0: zeros in front of the pixel have completed a word.
+                // Negative: zeros before the pixel have completed a word.
                 if out.bits.used > 31 {
                     out.bits.pending = zeros_after;
                     out.bits.used = out.bits.used.wrapping_add(32);
@@ -273,7 +274,7 @@ pub fn walk(
     }
     group.columns = columns;
     if columns != 0 {
-        // Never 0; asking leaves no panic in the code.
+        // Never 0; `checked_div` leaves no panic in the code.
         let y = start.checked_div(row).unwrap_or(0);
         (group.segment_x, group.segment_y) = ((start - y * row) as u16, y as u16);
     }
@@ -289,11 +290,11 @@ pub fn walk(
     (counts / EVENT + term_before).wrapping_sub(counts % EVENT)
 }
 
-/// Turns a segment's list, newest first, into one for each column, oldest first; returns the columns.
+/// Splits a segment's list, newest first, into one per column, oldest first. Returns the columns with events.
 #[inline(never)]
 fn deal(entries: &mut [Entry; 32], mut head: u32, slots: &mut [Slot]) -> u32 {
     let mut columns = 0;
-    // The end of a list is a slot that no buffer has.
+    // A list ends with a slot number beyond any buffer.
     while let Some(slot) = slots.get_mut(head as usize) {
         let column = slot.column();
         columns |= 1 << column;
@@ -306,7 +307,8 @@ fn deal(entries: &mut [Entry; 32], mut head: u32, slots: &mut [Slot]) -> u32 {
     columns
 }
 
-/// A raised distance, the bits of its code, and the order that follows; `zeros` is 30 less the order.
+/// Returns a raised distance, the bits of its code, and 30 less the order that follows; `zeros` is 30 less its
+/// order.
 #[inline(always)]
 fn raise(distance: u32, zeros: u8) -> (u32, u32, u8) {
     let zeros = u32::from(zeros);
@@ -315,11 +317,11 @@ fn raise(distance: u32, zeros: u8) -> (u32, u32, u8) {
     (raised, bits, (raised | 2).leading_zeros() as u8)
 }
 
-/// Puts a pixel of several events, of which the code is that of the place, the first event, and the second
-/// one's polarity; returns how many follow the first one. Or 0, and leaves the orders as they were.
+/// Writes a pixel of several events, given the code of its place, first event and second polarity. Returns how many
+/// events follow the first, or 0, with the orders unchanged, if the pixel was not written.
 ///
-/// Runs of one polarity, of which there are most, have a loop for each: its order is in one place then, and
-/// what tells the next event to be of that polarity, a zero, is one more in front of that one's code.
+/// Most runs are of one polarity, so each polarity has a loop of its own: its order is then in one place, and the
+/// zero that announces a next event of that polarity becomes one more zero in front of that event's code.
 #[inline(always)]
 fn several<'o>(
     (first, second): (&Slot, &Slot),
@@ -340,8 +342,9 @@ fn several<'o>(
         if out.put::<true>(code, bits) == Put::None {
             break 'undone;
         }
-        /// Puts the event in `slot`, whose code has so many zeros more in front; what tells of the one
-        /// after it where that is of the other polarity, or there is none.
+        /// Writes the event in `slot`, whose code has `$zeros` more zeros in front, and what follows if the next
+        /// event is of the other polarity or there is none. Evaluates to whether the next event is of the same
+        /// polarity.
         macro_rules! event {
             ($order:expr, $zeros:literal, $sign:expr) => {{
                 let Some(distance) = slot.offset_us().checked_sub(cell) else {
@@ -359,7 +362,7 @@ fn several<'o>(
                     return (out, events);
                 };
                 slot = *after;
-                // Its lowest bit alone: it is the only one in use.
+                // Only the lowest bit of `sign` is in use.
                 let is_same = (after.sign() ^ $sign) & 1 == 0;
                 let put = if is_same {
                     out.put::<false>(raised, bits + $zeros)
