@@ -30,6 +30,10 @@ cd "$(dirname "$0")"
 # Features that are off by default but tested, in every build of the whole workspace alike.
 FEATURES=(--features host-harness/onnx)
 
+# Every test but those of documentation, from which names choose. With `--test NAME` in its place the dependencies have
+# other features, and are built again.
+TESTS=(--workspace "${FEATURES[@]}" --lib --bins --tests)
+
 # Notes what a stage leaves out.
 skip() { echo "skipped: $1"; echo "$1" >>"$SKIPPED"; }
 
@@ -97,7 +101,7 @@ unit() {
     # The dev profile checks arithmetic overflow and debug assertions.
     cargo test --workspace "${FEATURES[@]}"
     # The bits must not depend on the profile.
-    cargo test --release -p eecvs-tests --test golden --test wire_format
+    cargo test --release -p eecvs-tests --test frames
     host_instructions
 }
 
@@ -110,7 +114,7 @@ host_instructions() {
             return
         fi
     fi
-    host-harness/instructions.sh --check || status=$?
+    cargo xtask host-instructions --check || status=$?
     [ "$status" != 77 ] || skip "unit: instructions: the saved ones are of another compiler"
     [ "$status" = 0 ] || [ "$status" = 77 ]
 }
@@ -125,7 +129,7 @@ metrics() {
         fi
     fi
     EECVS_PYTHON=$PWD/$folder/bin/python \
-        cargo test --workspace "${FEATURES[@]}" --test metrics_reference --test volumes_reference -- --nocapture
+        cargo test "${TESTS[@]}" -- --nocapture metrics_reference:: volumes_reference::
 }
 
 # Each package is wanted, none is a must: a decoder that cannot be installed is left out, by its own line.
@@ -141,7 +145,7 @@ peers() {
     # One of its modules is used, which needs none of the rest.
     "$folder/bin/pip" install -q --no-deps tonic || skip "peers: pip cannot install tonic"
     EECVS_PYTHON=$PWD/$folder/bin/python \
-        cargo test --workspace "${FEATURES[@]}" --test formats_peers -- --nocapture
+        cargo test "${TESTS[@]}" -- --nocapture formats_peers::
 }
 
 # The name of a browser that pages are opened in, as host-harness/tests/browser/mod.rs has them.
@@ -163,7 +167,7 @@ page() {
         fi
     fi
     # Named, it must run.
-    EECVS_BROWSER=$name cargo test --workspace "${FEATURES[@]}" --test report_page --test page -- --nocapture
+    EECVS_BROWSER=$name cargo test "${TESTS[@]}" -- --nocapture page::
 }
 
 # A target's core library, installed if rustup may.
@@ -223,18 +227,17 @@ firmware() {
         echo "golden vectors on $machine"
         qemu "$machine" golden
     done
-    firmware/instructions.sh --check
-    firmware/kernels.sh --check
+    cargo xtask instructions --check
+    cargo xtask kernels --check
     # The first events of every recording; without a number, all of them.
-    firmware/recordings.sh "${RECORDING_EVENTS:-6000}"
+    cargo xtask image-recordings --events "${RECORDING_EVENTS:-6000}"
     # Its only good end is the report of a fault.
     status=0
     qemu netduinoplus2 overflow >/dev/null || status=$?
     [ "$status" = 1 ] || { echo "a stack overflow ended with status $status"; return 1; }
-    # Last: until the unit stage is built, it waits. Of the whole workspace: of a part, the dependencies have
-    # other features and are built again.
-    ran unit || cargo test --workspace "${FEATURES[@]}" --test mcu
-    cargo test --workspace "${FEATURES[@]}" --test firmware_image -- --nocapture
+    # Last: until the unit stage is built, it waits.
+    ran unit || cargo test "${TESTS[@]}" -- mcu::
+    cargo test "${TESTS[@]}" -- --nocapture firmware_image::
 }
 
 usb() {
@@ -261,7 +264,7 @@ ros() {
         [ "$status" = 0 ] || [ "$status" = 77 ] || return 1
     done
     [ -e "$folder/stamp" ] || return 0
-    EECVS_ROS_PEERS=$PWD/$folder cargo test --workspace "${FEATURES[@]}" --test peers --test bags -- --nocapture
+    EECVS_ROS_PEERS=$PWD/$folder cargo test "${TESTS[@]}" -- --nocapture peers:: bags:: --skip formats_peers::
 }
 
 usb-recordings() {
@@ -288,7 +291,7 @@ fuzz() {
         fi
     fi
     # A panic tells its line without.
-    CARGO_PROFILE_RELEASE_DEBUG=0 fuzz/run.sh "${FUZZ_SECONDS:-2}"
+    CARGO_PROFILE_RELEASE_DEBUG=0 cargo xtask fuzz "${FUZZ_SECONDS:-2}"
 }
 
 # The demo's table in a document, without the rate, which is the machine's.

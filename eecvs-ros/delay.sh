@@ -9,7 +9,7 @@
 #   zenoh  by two routers in a chain: emulate and delay are at the first one, encode at the second, so that events as
 #          well as frames pass both
 #
-#   --record FILE  also writes the rows as a record, of which README.md's table is made
+#   --record FILE  also writes the rows as a record, of which a document's table is made
 #
 # Wants a machine that does nothing else.
 set -euo pipefail

@@ -43,7 +43,7 @@ fn memory(out: &Path) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// The part of a vector that `bin/golden.rs` needs; `tests/golden.rs` writes and describes vectors.
+/// The part of a vector that `bin/golden.rs` needs; `tests/frames/golden.rs` writes and describes vectors.
 #[derive(Deserialize)]
 struct Golden {
     width: u16,

@@ -9,8 +9,8 @@
 #   microbit        Cortex-M0 in QEMU: no FPU, no DSP instructions, no atomics; `golden` alone
 #
 # The images are firmware/target/MACHINE/TARGET/release/{encoder,golden}; the last line printed is
-# their folder. BINARY `instructions` needs its cuts: instructions.sh makes them and calls this.
-# BINARY `kernels` is for kernels.sh, on netduinoplus2 and mps2-an500. With `portable` the core's
+# their folder. BINARY `instructions` needs its cuts: cargo xtask instructions makes them and calls this.
+# BINARY `kernels` is for `cargo xtask kernels`, on netduinoplus2 and mps2-an500. With `portable` the core's
 # assembly is left out.
 set -euo pipefail
 cd "$(dirname "$0")"

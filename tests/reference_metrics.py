@@ -7,7 +7,7 @@
 
 The first prints the literals of crates/event-metrics/src/tests.rs. Their recordings come from the
 integer generator below, which the Rust test repeats, so no data file is needed. The second compares
-recordings, one JSON object a line; host-harness/tests/metrics_reference.rs runs it. Exit status 77: a
+recordings, one JSON object a line; host-harness/tests/command/metrics_reference.rs runs it. Exit status 77: a
 package is missing.
 
 Written from the definitions alone: SSIM by skimage.metrics.structural_similarity, the time distance by

@@ -156,10 +156,10 @@ pub fn parse(bytes: &[u8]) -> Frame<'_> {
     }
 }
 
-/// Holds what a test measured against its committed record, or writes that, and the README's section,
+/// Holds what a test measured against its committed record, or writes that, and the section of the document,
 /// where `EECVS_BLESS` is set: `section` makes it, if it can, of the records in a folder. Numbers may be apart by
 /// `tolerance` of the record's: where floats decide, another machine's `sin` is not this one's to the last bit. The
-/// README is compared with its record by a test of `host-harness`.
+/// document is compared with its record by a test of `host-harness`.
 ///
 /// # Panics
 /// Rows that are not those of the record.
@@ -167,7 +167,7 @@ pub fn hold_against_record<R>(
     name: &str,
     rows: &[R],
     tolerance: f64,
-    marks: Marks,
+    (document, marks): (&str, Marks),
     section: impl FnOnce(&Path) -> Option<String>,
 ) where
     R: Serialize + DeserializeOwned + std::fmt::Debug,
@@ -176,9 +176,11 @@ pub fn hold_against_record<R>(
     let folder = root.join("host-harness/record");
     if std::env::var_os("EECVS_BLESS").is_some() {
         record_file::write(&folder, name, rows).expect("the record is writable");
-        let readme = root.join("README.md");
+        let document = root.join(document);
         if let Some(section) = section(&folder) {
-            marks.write(&readme, &section).expect("the README's marks");
+            marks
+                .write(&document, &section)
+                .expect("the document's marks");
         }
         return;
     }
@@ -186,7 +188,7 @@ pub fn hold_against_record<R>(
     let values = |rows: &[R]| serde_json::to_value(rows).expect("plain data");
     assert!(
         is_near(&values(rows), &values(&record.rows), tolerance),
-        "not the rows of {name}.json, which `host-harness/record.sh` writes anew: {rows:#?}"
+        "not the rows of {name}.json, which `cargo xtask record` writes anew: {rows:#?}"
     );
 }
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the seeds in fuzz/seeds/read_mat/, which host-harness/tests/formats_mat.rs reads as well.
+"""Writes the seeds in fuzz/seeds/read_mat/, which crates/event-files/tests/formats/mat.rs reads as well.
 
     pip install scipy
     python3 fuzz/seeds/read_mat.py

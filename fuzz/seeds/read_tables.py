@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the seeds in fuzz/seeds/read_arrow/ and read_parquet/, which host-harness/tests/formats_tables.rs
+"""Writes the seeds in fuzz/seeds/read_arrow/ and read_parquet/, which crates/event-files/tests/formats/tables.rs
 reads as well.
 
     pip install pyarrow

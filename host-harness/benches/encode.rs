@@ -1,7 +1,7 @@
 //! Benchmarks pushing and encoding a window of 3,200 events of a 346 x 260 scene, on one thread: `cargo bench`.
 //!
 //! Events per second are comparable with the paper's Table III, whose windows have the same size.
-//! host-harness/instructions.sh counts the instructions of the same work.
+//! cargo xtask host-instructions counts the instructions of the same work.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use eecvs::encode::{HostStorage, WINDOW_EVENTS};

@@ -3,7 +3,7 @@
     python tests/peers/read_speed.py EECVS RECORDINGS FOLDER [--rounds N] [--record FILE]
 
 EECVS is the command, RECORDINGS the folder of the shared recordings, FOLDER where larger ones are made.
-`host-harness/read_speed.sh` installs the libraries and calls this. In every round each library reads each file
+`cargo xtask read-speed` installs the libraries and calls this. In every round each library reads each file
 that it knows, seven times in a process of its own; the best of all rounds is its figure. A library that reads
 either all at once or in parts counts with the quicker of the two. Every library has to give as many events as
 eecvs.

@@ -1,6 +1,6 @@
 //! Instructions of every kernel on microcontrollers: counts, saved or made anew, and their rows.
 //!
-//! [`super::kernel_image`] counts them in QEMU; `firmware/kernels.sh` saves them with the project.
+//! [`super::kernel_image`] counts them in QEMU; `cargo xtask kernels` saves them with the project.
 
 use anyhow::{Context, Result};
 use eecvs_nostd::Transform;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::Result;
+use event_files::{Error, ErrorKind};
 use font8x8::legacy::BASIC_LEGACY;
 
 /// Red, green and blue.
@@ -113,15 +113,26 @@ impl Picture {
     ///
     /// # Errors
     /// A side above what PNG can hold (2^31 - 1).
-    pub fn png(&self) -> Result<Vec<u8>> {
+    pub fn png(&self) -> Result<Vec<u8>, Error> {
         let mut bytes = Vec::new();
-        let (width, height) = (u32::try_from(self.width)?, u32::try_from(self.height)?);
-        let mut encoder = png::Encoder::new(&mut bytes, width, height);
-        encoder.set_color(png::ColorType::Rgb);
-        encoder.set_depth(png::BitDepth::Eight);
-        let mut writer = encoder.write_header()?;
-        writer.write_image_data(&self.rgb)?;
-        writer.finish()?;
+        let side = |pixels: usize| {
+            let side = u32::try_from(pixels).ok();
+            side.ok_or(png::EncodingError::LimitsExceeded)
+        };
+        let encode = |bytes: &mut Vec<u8>| {
+            let mut encoder = png::Encoder::new(bytes, side(self.width)?, side(self.height)?);
+            encoder.set_color(png::ColorType::Rgb);
+            encoder.set_depth(png::BitDepth::Eight);
+            let mut writer = encoder.write_header()?;
+            writer.write_image_data(&self.rgb)?;
+            writer.finish()
+        };
+        encode(&mut bytes).map_err(|error| {
+            let size = format!("a picture of {} x {} pixels", self.width, self.height);
+            Error::other(error)
+                .of_kind(ErrorKind::CannotHold)
+                .context(size)
+        })?;
         Ok(bytes)
     }
 
@@ -129,8 +140,8 @@ impl Picture {
     ///
     /// # Errors
     /// I/O; the message names the file.
-    pub fn save(&self, path: &Path) -> Result<()> {
-        Ok(event_files::output::write(path, self.png()?)?)
+    pub fn save(&self, path: &Path) -> Result<(), Error> {
+        event_files::output::write(path, self.png()?)
     }
 }
 

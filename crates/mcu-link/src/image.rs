@@ -18,6 +18,18 @@ const FIRMWARE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../firmware");
 /// # Errors
 /// No sources of the firmware, or a build that fails: what it said is on stderr.
 pub fn build(machine: Machine, program: &str) -> Result<PathBuf> {
+    build_with(machine, program, &[])
+}
+
+/// Builds an image as [`build`] does, without the core's assembly.
+///
+/// # Errors
+/// As those of [`build`].
+pub fn build_portable(machine: Machine, program: &str) -> Result<PathBuf> {
+    build_with(machine, program, &["portable"])
+}
+
+fn build_with(machine: Machine, program: &str, options: &[&str]) -> Result<PathBuf> {
     let scripts = [FIRMWARE, "firmware"].map(|folder| Path::new(folder).join("build.sh"));
     let Some(script) = scripts.iter().find(|script| script.is_file()) else {
         bail!(
@@ -28,6 +40,7 @@ pub fn build(machine: Machine, program: &str) -> Result<PathBuf> {
     let watched = stderr().is_terminal();
     let output = Command::new(script)
         .args([machine.name(), program])
+        .args(options)
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .stderr(if watched {

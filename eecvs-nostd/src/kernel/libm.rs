@@ -16,7 +16,7 @@ const RADIANS: f32 = core::f32::consts::TAU / 4_294_967_296.0;
 
 /// For comparison: the recurrence in single precision.
 ///
-/// Measured |c_k - c_ref| per event for K = 1,024: DCT 2^-16.2, DTFT 2^-16.0; `tests/kernels.rs` enforces 2^-14.
+/// Measured |c_k - c_ref| per event for K = 1,024: DCT 2^-16.2, DTFT 2^-16.0; `tests/across/kernels.rs` enforces 2^-14.
 #[derive(Debug, Clone, Copy)]
 pub struct Libm;
 

@@ -15,7 +15,7 @@ const RADIANS: f32 = core::f32::consts::TAU / 4_294_967_296.0;
 
 /// For comparison: the cost and the error of a fast approximation in single precision.
 ///
-/// Measured |c_k - c_ref| per event for K = 1,024: DCT 2^-9.8, DTFT 2^-9.8; `tests/kernels.rs` enforces 2^-9.
+/// Measured |c_k - c_ref| per event for K = 1,024: DCT 2^-9.8, DTFT 2^-9.8; `tests/across/kernels.rs` enforces 2^-9.
 #[derive(Debug, Clone, Copy)]
 pub struct Micromath;
 

@@ -15,7 +15,7 @@
 //! | [`Haar`] | Haar DWT | bytes for K up to 32, else histogram and butterflies, integers | 0 |
 //!
 //! The error is |c_k - c_ref| of any coefficient, as a complex magnitude for the DTFT, divided by the number of
-//! events in the pixel, for K up to 1,024 and any window; `tests/kernels.rs` enforces it. The two f32 kernels need
+//! events in the pixel, for K up to 1,024 and any window; `tests/across/kernels.rs` enforces it. The two f32 kernels need
 //! the feature `float`.
 
 mod haar;

@@ -17,7 +17,7 @@ pub type PreciseSum = I34F30;
 ///
 /// The error of an atom is at most 2^-27 from [`crate::accumulate::cosine`] plus 2^-30.3 from the phase, which has
 /// 64 bits until k times it is rounded to 32. Measured |c_k - c_ref| per event for K = 1,024: DCT 2^-27.2, DTFT
-/// 2^-27.1; `tests/kernels.rs` enforces 2^-26.
+/// 2^-27.1; `tests/across/kernels.rs` enforces 2^-26.
 #[derive(Debug, Clone, Copy)]
 pub struct Precise;
 

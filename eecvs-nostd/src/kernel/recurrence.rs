@@ -8,7 +8,7 @@ use crate::transform::{Dct, Dtft};
 
 /// The recurrence kernel: three instructions per number, but a costlier start per event.
 ///
-/// Measured |c_k - c_ref| per event for K = 1,024: DCT 2^-17.4, DTFT 2^-16.9; `tests/kernels.rs` enforces 2^-16.
+/// Measured |c_k - c_ref| per event for K = 1,024: DCT 2^-17.4, DTFT 2^-16.9; `tests/across/kernels.rs` enforces 2^-16.
 #[derive(Debug, Clone, Copy)]
 pub struct Recurrence;
 

@@ -8,8 +8,8 @@ use crate::transform::{Basis, Dct, Dtft};
 /// The table kernel: [`crate::accumulate::dct8`] for the DCT of K up to 8, [`crate::accumulate::dct16`] for K up to
 /// 16, [`crate::accumulate::dtft16`] for the DTFT of K = 16, and [`crate::accumulate::any_grid`] otherwise.
 ///
-/// Measured |c_k - c_ref| per event for K = 1,024: DCT 2^-15.2, DTFT 2^-14.9. `tests/kernels.rs` enforces 2^-14,
-/// and `tests/fixed_vs_float.rs` enforces 2^-14.9 for each part.
+/// Measured |c_k - c_ref| per event for K = 1,024: DCT 2^-15.2, DTFT 2^-14.9. `tests/across/kernels.rs` enforces 2^-14,
+/// and `tests/across/fixed_vs_float.rs` enforces 2^-14.9 for each part.
 #[derive(Debug, Clone, Copy)]
 pub struct Table;
 

@@ -296,7 +296,7 @@ mod tests {
         // written here and the last is padding; K bins for the DWT.
         for (transform, grid, bits) in [
             (Transform::Dct, 8, 11),
-            (Transform::Dtft, 16, 12),
+            (Transform::Dtft, 16, 13),
             (Transform::Dwt, 16, 4),
         ] {
             let packing = packing(transform, 8, grid, -6);

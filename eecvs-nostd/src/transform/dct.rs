@@ -17,7 +17,7 @@ use crate::transform::shape::Shape;
 ///
 /// `[Impulse; n] -> [Sum; K]`, |c_k| < n. Measured error against f64, per event:
 ///
-/// - K = 1,024: at most 2^-15.0 (`tests/fixed_vs_float.rs` enforces 2^-14.9, and n * 2^-14 for n events);
+/// - K = 1,024: at most 2^-15.0 (`tests/across/fixed_vs_float.rs` enforces 2^-14.9, and n * 2^-14 for n events);
 /// - K up to 8, by the table of [`dct8`]: at most 2^-14.28 (its tests enforce 2^-14.2);
 /// - K up to 16, by the table of [`dct16`]: at most 2^-14.21 (its tests enforce 2^-14.2).
 #[derive(Debug, Clone, Copy)]

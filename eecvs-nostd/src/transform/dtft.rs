@@ -17,7 +17,7 @@ use crate::transform::shape::Shape;
 ///
 /// `[Impulse; n] -> [Sum; 2K]`: K pairs of real and imaginary part, each of magnitude < n. As s(t) is real, the
 /// coefficients of negative k are the conjugates and are not computed. Measured error of each part against f64, per
-/// event, both enforced by `tests/fixed_vs_float.rs`:
+/// event, both enforced by `tests/across/fixed_vs_float.rs`:
 ///
 /// - K = 1,024: at most 2^-15.0 (enforced: 2^-14.9, and n * 2^-14 for n events);
 /// - K = 16, by the table of [`dtft16`]: at most 2^-14.18 (enforced: 2^-14.15).

@@ -33,7 +33,7 @@ use eecvs_nostd::{
     bitmap_words, segments,
 };
 
-/// A golden vector, as described in `tests/golden.rs`.
+/// A golden vector, as described in `tests/frames/golden.rs`.
 struct Golden {
     width: u16,
     height: u16,

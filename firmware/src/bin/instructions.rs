@@ -1,5 +1,5 @@
 //! Counts instructions per stage on real windows, in QEMU: prints a line of JSON for each cut, transform and M.
-//! `firmware/instructions.sh` builds the cuts and runs this.
+//! `cargo xtask instructions` builds the cuts and runs this.
 //!
 //! With QEMU's `-icount shift=0` an instruction takes one nanosecond of virtual time, and its TIM2 runs at 1 GHz,
 //! so the timer counts instructions. The image checks that first. These are instructions, not cycles: there are no

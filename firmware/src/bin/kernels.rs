@@ -1,5 +1,5 @@
 //! Counts instructions of every kernel of the accumulate stage on the pixels of a cut, in QEMU: prints a line of
-//! JSON for each kernel, transform and M. `firmware/kernels.sh` builds and runs this.
+//! JSON for each kernel, transform and M. `cargo xtask kernels` builds and runs this.
 //!
 //! The cut is the file `cut.words` in the folder in which QEMU runs, read over semihosting;
 //! `crates/eecvs-bench/src/kernel_image.rs` writes it and describes its content. What is counted is what the host

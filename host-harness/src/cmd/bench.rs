@@ -93,8 +93,8 @@ pub struct Bench {
     #[arg(long, value_name = "PATH", num_args = 1.., requires = "rate")]
     data: Vec<PathBuf>,
 
-    /// Also write the table into a document, between the lines that name this command: README.md, or METHODOLOGY.md
-    /// with --skips. Needs recordings, except with --rate, which saves whatever was measured, into one or both
+    /// Also write the table into a document, between the lines that name this command: docs/results.md, METHODOLOGY.md
+    /// with --skips, README.md or METHODOLOGY.md or both with --rate. Needs recordings, except with --rate
     #[arg(long, value_name = "FILE", conflicts_with_all = ["quick", "scaling", "errors"])]
     save: Vec<PathBuf>,
 

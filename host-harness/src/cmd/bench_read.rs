@@ -2,15 +2,18 @@
 
 use std::hint::black_box;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
 use eecvs_cli::output::{print, print_json};
 use event_files::BATCH_EVENTS;
 use serde::Serialize;
 
-/// How often each file is read; the fastest run counts.
+/// Least number of times that each file is read; the fastest run counts.
 const REPETITIONS: usize = 7;
+
+/// Least time for which each file is read again and again: the first milliseconds are slower than all later ones.
+const DURATION: Duration = Duration::from_millis(500);
 
 /// Reading speed of one recording.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -32,10 +35,14 @@ pub struct Row {
 /// # Errors
 /// Fails if a recording cannot be read to its end, or yields another number of events in a later run.
 pub fn run(files: &[PathBuf], quick: bool, json: bool) -> Result<()> {
-    let repetitions = if quick { 1 } else { REPETITIONS };
+    let (repetitions, duration) = if quick {
+        (1, Duration::ZERO)
+    } else {
+        (REPETITIONS, DURATION)
+    };
     let rows: Result<Vec<Row>> = files
         .iter()
-        .map(|file| measure(file, repetitions))
+        .map(|file| measure(file, repetitions, duration))
         .collect();
     let rows = rows?;
     if json {
@@ -52,25 +59,23 @@ pub fn run(files: &[PathBuf], quick: bool, json: bool) -> Result<()> {
     print(&text)
 }
 
-fn measure(file: &Path, repetitions: usize) -> Result<Row> {
-    let mut quickest: Option<Row> = None;
-    for _ in 0..repetitions {
+fn measure(file: &Path, repetitions: usize, duration: Duration) -> Result<Row> {
+    let start = Instant::now();
+    let mut quickest = read(file)?;
+    let mut readings = 1;
+    while readings < repetitions || start.elapsed() < duration {
         let row = read(file)?;
-        if let Some(before) = &quickest {
-            ensure!(
-                before.events == row.events,
-                "{}: changes while it is read: wait until it is whole",
-                file.display()
-            );
+        ensure!(
+            quickest.events == row.events,
+            "{}: changes while it is read: wait until it is whole",
+            file.display()
+        );
+        if row.seconds < quickest.seconds {
+            quickest = row;
         }
-        if quickest
-            .as_ref()
-            .is_none_or(|before| row.seconds < before.seconds)
-        {
-            quickest = Some(row);
-        }
+        readings += 1;
     }
-    quickest.map_or_else(|| read(file), Ok)
+    Ok(quickest)
 }
 
 fn read(file: &Path) -> Result<Row> {

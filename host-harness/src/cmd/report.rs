@@ -51,15 +51,15 @@ pub struct Report {
     #[arg(long)]
     keep_rows: bool,
 
-    /// Also write the answer and a table into a document, README.md, between the lines that name this command
+    /// Also write the answer and a table into a document, docs/paper.md, between the lines that name this command
     #[arg(long, value_name = "FILE", conflicts_with = "quick")]
     save: Option<PathBuf>,
 }
 
-/// Markers of the lines in the README between which the results of the report go.
+/// Markers of the lines in the document between which the results of the report go.
 pub const MARKS: Marks = Marks {
     name: "report",
-    command: "eecvs report --save README.md",
+    command: "eecvs report --save docs/paper.md",
 };
 
 impl Report {

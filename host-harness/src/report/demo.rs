@@ -84,13 +84,13 @@ pub fn table(rows: &[Row]) -> String {
     line(HEADINGS) + &body.collect::<String>()
 }
 
-/// Markers of the lines in the README between which its table goes.
+/// Markers of the lines in the document between which its table goes.
 pub const MARKS: Marks = Marks {
     name: "demo",
     command: "eecvs demo --save README.md",
 };
 
-/// Formats the table for the README, without the metrics that are exact for all rows.
+/// Formats the table for README.md, without the metrics that are exact for all rows.
 #[must_use]
 pub fn document(rows: &[Row]) -> String {
     let mut text = String::from(

@@ -1,14 +1,14 @@
-//! The README's table of sensors at full load through a hub.
+//! The document's table of sensors at full load through a hub.
 
 use std::fmt::Write as _;
 
 use eecvs_bench::marks::Marks;
 use serde::{Deserialize, Serialize};
 
-/// Markers of the lines in the README between which its table goes.
+/// Markers of the lines in the document between which its table goes.
 pub const MARKS: Marks = Marks {
     name: "hub load",
-    command: "host-harness/record.sh hub-load",
+    command: "cargo xtask record hub-load",
 };
 
 /// One run of `eecvs-hub/load.sh`, or of `eecvs-hub simulate`.
@@ -79,7 +79,7 @@ pub enum Row {
     },
 }
 
-/// Formats the README's table, one line per run.
+/// Formats the document's table, one line per run.
 #[must_use]
 pub fn document(rows: &[Row]) -> String {
     let mut text = String::from(

@@ -1,4 +1,4 @@
-//! Tables of run time against error of every kernel: for a terminal, and for the README.
+//! Tables of run time against error of every kernel: for a terminal, and for a document.
 
 use std::fmt::Write as _;
 
@@ -7,12 +7,12 @@ use eecvs_bench::mcu::TARGETS;
 use eecvs_bench::window::CROWDED_EVENTS;
 use eecvs_bench::{M, Row};
 
-/// Markers of the lines in the README between which the host's table goes.
+/// Markers of the lines in the document between which the host's table goes.
 pub const MARKS: Marks = Marks {
     name: "host kernels",
-    command: "eecvs bench --save README.md",
+    command: "eecvs bench --save docs/results.md",
 };
-/// Kernels and peers in the README's table, with their names there.
+/// Kernels and peers in the document's table, with their names there.
 const KERNELS: [(&str, &str); 7] = [
     ("table", "table"),
     ("recurrence", "recurrence"),
@@ -22,7 +22,7 @@ const KERNELS: [(&str, &str); 7] = [
     ("binning-fft", "1,024 bins and an FFT"),
     ("oracle-f64", "f64 reference"),
 ];
-/// Columns of the README's table: transform, its name, M.
+/// Columns of the document's table: transform, its name, M.
 const COLUMNS: [(&str, &str, u8); 4] = [
     ("dct", "DCT", 8),
     ("dct", "DCT", 16),
@@ -30,7 +30,7 @@ const COLUMNS: [(&str, &str, u8); 4] = [
     ("dtft", "DTFT", 16),
 ];
 
-/// Formats the host's rows for the README: ns per event, largest error, and `*` on the Pareto front; `None` if a
+/// Formats the host's rows for the document: ns per event, largest error, and `*` on the Pareto front; `None` if a
 /// row is missing.
 #[must_use]
 pub fn document(rows: &[Row]) -> Option<String> {
@@ -204,8 +204,8 @@ mod tests {
     }
 
     #[test]
-    fn the_readme_has_the_marks_and_these_rows() {
-        let readme = of_project("README.md");
+    fn the_document_has_the_marks_and_these_rows() {
+        let results = of_project("docs/results.md");
         let names = |text: &str| -> Vec<String> {
             let lines = text.lines().filter(|line| line.starts_with('|'));
             let cells = lines.map(|line| line.split('|').map(str::trim).collect::<Vec<_>>());
@@ -213,7 +213,7 @@ mod tests {
                 .map(|cells| format!("{} {}", cells[1], cells.len()))
                 .collect()
         };
-        let content = MARKS.content(&readme).unwrap();
+        let content = MARKS.content(&results).unwrap();
         let expected = document(&rows()).unwrap();
         assert_eq!(names(content), names(&expected));
         assert_eq!(content.lines().next(), expected.lines().next());

@@ -1,4 +1,4 @@
-//! Tables of rate against distortion: for a terminal, for the README, and for METHODOLOGY.md.
+//! Tables of rate against distortion: for a terminal, for README.md, and for METHODOLOGY.md.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -12,12 +12,12 @@ pub const MARKS: Marks = Marks {
     name: "rate and distortion",
     command: "eecvs bench --rate --save METHODOLOGY.md",
 };
-/// Markers of the lines in the README between which its table goes.
+/// Markers of the lines in the document between which its table goes.
 pub const README_MARKS: Marks = Marks {
     name: "rates",
     command: "eecvs bench --rate --save README.md",
 };
-/// Columns of the README's table: codec, setting, heading.
+/// Columns of the document's table: codec, setting, heading.
 const README: [(&str, &str, &str); 9] = [
     ("hybrid-fast", "lossless", "fast"),
     ("hybrid-dense", "lossless", "dense"),
@@ -166,7 +166,7 @@ pub fn of(document: &Path) -> (Marks, Table) {
     }
 }
 
-/// Formats the README's table; `None` if a row is missing.
+/// Formats the document's table; `None` if a row is missing.
 #[must_use]
 pub fn readme(rows: &[Row]) -> Option<String> {
     let recordings = recordings(rows);

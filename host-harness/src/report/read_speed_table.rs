@@ -1,14 +1,14 @@
-//! The README's table of the speed at which this project and other libraries read recordings.
+//! The document's table of the speed at which this project and other libraries read recordings.
 
 use std::fmt::Write as _;
 
 use eecvs_bench::marks::Marks;
 use serde::{Deserialize, Serialize};
 
-/// Markers of the lines in the README between which its table goes.
+/// Markers of the lines in the document between which its table goes.
 pub const MARKS: Marks = Marks {
     name: "read speed",
-    command: "host-harness/record.sh read-speed",
+    command: "cargo xtask record read-speed",
 };
 
 /// Name of this project among the libraries.
@@ -37,7 +37,7 @@ impl Row {
     }
 }
 
-/// Formats the README's table: one line per file, one column per library.
+/// Formats the document's table: one line per file, one column per library.
 #[must_use]
 pub fn document(rows: &[Row]) -> String {
     let mut libraries: Vec<&str> = vec![HERE];

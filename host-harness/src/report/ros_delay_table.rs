@@ -1,14 +1,14 @@
-//! The README's table of the delay from a window's end to its frame's arrival on ROS 2.
+//! The document's table of the delay from a window's end to its frame's arrival on ROS 2.
 
 use std::fmt::Write as _;
 
 use eecvs_bench::marks::Marks;
 use serde::{Deserialize, Serialize};
 
-/// Markers of the lines in the README between which its table goes.
+/// Markers of the lines in the document between which its table goes.
 pub const MARKS: Marks = Marks {
     name: "ros delay",
-    command: "host-harness/record.sh ros-delay",
+    command: "cargo xtask record ros-delay",
 };
 
 /// Frames of one window duration over one transport, as measured by `eecvs-ros/delay.sh`.
@@ -44,7 +44,7 @@ impl Row {
     }
 }
 
-/// Formats the README's table, one line per transport and window.
+/// Formats the document's table, one line per transport and window.
 #[must_use]
 pub fn document(rows: &[Row]) -> String {
     let mut text = String::from(

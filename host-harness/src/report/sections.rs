@@ -14,10 +14,21 @@ use super::{
 use crate::cmd::report;
 use crate::study::Results;
 
+/// The documents that have sections of records, from the root.
+pub const DOCUMENTS: [&str; 7] = [
+    "README.md",
+    "METHODOLOGY.md",
+    "docs/results.md",
+    "docs/paper.md",
+    "crates/event-files/README.md",
+    "eecvs-ros/README.md",
+    "docs/hub.md",
+];
+
 /// A section of a document.
 #[derive(Debug)]
 pub struct Section {
-    /// `README.md` or `METHODOLOGY.md`.
+    /// Its name, one of [`DOCUMENTS`].
     pub document: &'static str,
     /// Markers of the lines between which the section goes.
     pub marks: Marks,
@@ -47,7 +58,7 @@ pub fn of_records(folder: &Path) -> Result<Vec<Section>> {
     let RecordFile { rows: skips, .. } = read(folder, "skips")?;
     let mut times = read(folder, "exact-times-scenes")?.rows;
     times.extend(read(folder, "exact-times-recordings")?.rows);
-    let (readme, methodology) = ("README.md", "METHODOLOGY.md");
+    let [readme, methodology, measured, paper, files, ros, hub] = DOCUMENTS;
     Ok(vec![
         section(
             readme,
@@ -55,7 +66,7 @@ pub fn of_records(folder: &Path) -> Result<Vec<Section>> {
             demo::document(&read(folder, "demo")?.rows),
         ),
         section(
-            readme,
+            measured,
             kernel_table::MARKS,
             whole(kernel_table::document(&kernels), "kernels")?,
         ),
@@ -75,36 +86,36 @@ pub fn of_records(folder: &Path) -> Result<Vec<Section>> {
             whole(skip_table::document(&skips), "skips")?,
         ),
         section(
-            readme,
+            measured,
             rate_control::MARKS,
             rate_control::document(&read(folder, "rate-control")?.rows),
         ),
         section(
-            readme,
+            measured,
             keep_order::MARKS,
             keep_order::document(&read(folder, "keep-order")?.rows),
         ),
         section(
-            readme,
+            paper,
             exact_times::MARKS,
             whole(exact_times::document(&times), "exact-times-*")?,
         ),
         section(
-            readme,
+            files,
             read_speed_table::MARKS,
             read_speed_table::document(&read(folder, "read-speed")?.rows),
         ),
         section(
-            readme,
+            ros,
             ros_delay_table::MARKS,
             ros_delay_table::document(&read(folder, "ros-delay")?.rows),
         ),
         section(
-            readme,
+            hub,
             hub_load_table::MARKS,
             hub_load_table::document(&read(folder, "hub-load")?.rows),
         ),
-        section(readme, report::MARKS, tables::document(&results)),
+        section(paper, report::MARKS, tables::document(&results)),
     ])
 }
 
@@ -142,12 +153,12 @@ mod tests {
             assert_eq!(
                 section.marks.content(&text).unwrap().trim(),
                 section.text.trim(),
-                "{}: {name} is not of its record: host-harness/record.sh writes both",
+                "{}: {name} is not of its record: cargo xtask record writes both",
                 section.document
             );
         }
         // The documents have no other sections.
-        for document in ["README.md", "METHODOLOGY.md"] {
+        for document in DOCUMENTS {
             let text = of_project(document);
             let begins = text
                 .lines()
@@ -165,16 +176,16 @@ mod tests {
         }
     }
 
-    /// Checks the README's sentences on rates.
+    /// Checks the sentences on rates in docs/results.md.
     #[test]
     fn the_sentences_about_rates_are_of_their_record() {
         let rows: Vec<rate::Row> = read(&folder(), "rates").unwrap().rows;
-        let readme = of_project("README.md");
+        let document = of_project("docs/results.md");
         let says = |words: &str| {
-            let readme: Vec<&str> = readme.split_whitespace().collect();
+            let document: Vec<&str> = document.split_whitespace().collect();
             assert!(
-                readme.join(" ").contains(words),
-                "the README no longer says: {words}"
+                document.join(" ").contains(words),
+                "docs/results.md no longer says: {words}"
             );
         };
         let find = |recording: &str, codec: &str| {
@@ -216,13 +227,13 @@ mod tests {
         assert_eq!([percent(least), percent(most)], [1.0, 15.0]);
     }
 
-    /// Checks the README's sentence on delays.
+    /// Checks the sentence on delays in eecvs-ros/README.md.
     #[test]
     fn the_sentence_about_delays_is_of_its_record() {
         let rows: Vec<ros_delay_table::Row> = read(&folder(), "ros-delay").unwrap().rows;
-        let readme = of_project("README.md");
-        let readme: Vec<&str> = readme.split_whitespace().collect();
-        assert!(readme.join(" ").contains(
+        let document = of_project("eecvs-ros/README.md");
+        let document: Vec<&str> = document.split_whitespace().collect();
+        assert!(document.join(" ").contains(
             "With these windows the median is below 2 ms and the 99th percentile below 5 ms; \
              those of 32,768 us take more than 2 and 5 ms"
         ));
@@ -251,17 +262,17 @@ mod tests {
         assert_eq!((rows.len(), hub_load_table::failures(&rows)), (3, 0));
     }
 
-    /// Checks the README's sentence on reading.
+    /// Checks the sentence on reading in crates/event-files/README.md.
     #[test]
     fn the_sentence_about_reading_is_of_its_record() {
         let rows: Vec<read_speed_table::Row> = read(&folder(), "read-speed").unwrap().rows;
-        let readme = of_project("README.md");
-        assert!(readme.contains("No other library reads one of these files more quickly"));
+        let document = of_project("crates/event-files/README.md");
+        assert!(document.contains("No other library reads one of these files more quickly"));
         assert!(rows.len() > 13);
         assert_eq!(read_speed_table::slower(&rows), []);
     }
 
-    /// Checks the README's sentences on kernels.
+    /// Checks the sentences on kernels in docs/results.md.
     #[test]
     fn the_sentences_about_kernels_are_of_their_records() {
         let rows: Vec<Row> = read(&folder(), "kernels").unwrap().rows;
@@ -286,8 +297,10 @@ mod tests {
                 }
             }
         }
-        let readme = of_project("README.md");
-        assert!(readme.contains("crowded pixels of the DCT with M = 24 on a microcontroller"));
+        let document = of_project("docs/results.md");
+        let words: Vec<&str> = document.split_whitespace().collect();
+        let words = words.join(" ");
+        assert!(words.contains("crowded pixels of the DCT with M = 24 on a microcontroller"));
         let counts = mcu::saved().unwrap();
         let mut faster = BTreeSet::new();
         let per_event = |count: &Count, part: fn(&Count) -> Part| {

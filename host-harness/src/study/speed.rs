@@ -1,7 +1,7 @@
 //! Table III: time per window and events per second, on a host and on a microcontroller.
 //!
 //! The host encodes a window with as many events as the paper's, repeatedly, on one thread. The microcontroller's
-//! rows are instructions per event of its image in QEMU, as saved by `firmware/instructions.sh`. Its events per
+//! rows are instructions per event of its image in QEMU, as saved by `cargo xtask instructions`. Its events per
 //! second assume 168 million *instructions* per second; a real Cortex-M4 at 168 MHz is somewhat slower, as some
 //! instructions take several cycles.
 

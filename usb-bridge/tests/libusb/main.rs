@@ -3,7 +3,7 @@
 //!
 //! Most tests run twice: once as the device, and once more in a process that sees its USB.
 
-#[path = "../usb_class/application.rs"]
+#[path = "../cameras/usb_class/application.rs"]
 #[allow(dead_code, reason = "shared with the tests on the bus in memory")]
 mod application;
 mod attached;

@@ -9,7 +9,7 @@ use crate::marks::Marks;
 /// Where the README has its table.
 pub const MARKS: Marks = Marks {
     name: "exact times",
-    command: "host-harness/record.sh exact-times",
+    command: "cargo xtask record exact-times",
 };
 /// What the rows of emulated scenes are of.
 pub const SCENES: &str = "scenes";

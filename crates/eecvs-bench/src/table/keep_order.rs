@@ -9,7 +9,7 @@ use crate::marks::Marks;
 /// Where the README has its table.
 pub const MARKS: Marks = Marks {
     name: "keep order",
-    command: "host-harness/record.sh keep-order",
+    command: "cargo xtask record keep-order",
 };
 
 /// What a recording's order costs.

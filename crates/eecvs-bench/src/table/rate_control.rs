@@ -9,7 +9,7 @@ use crate::marks::Marks;
 /// Where the README has its table.
 pub const MARKS: Marks = Marks {
     name: "rate control",
-    command: "host-harness/record.sh rate-control",
+    command: "cargo xtask record rate-control",
 };
 
 /// What became of a flood's events under a budget.

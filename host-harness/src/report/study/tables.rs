@@ -493,7 +493,7 @@ pub fn sources(results: &Results) -> Table {
     table
 }
 
-/// Formats the README's part: the answer, and medians of Table I.
+/// Formats the part of docs/paper.md: the answer, and medians of Table I.
 #[must_use]
 pub fn document(results: &Results) -> String {
     let mut text = String::new();
@@ -566,14 +566,14 @@ mod tests {
     }
 
     #[test]
-    fn the_readme_is_of_the_committed_record() {
+    fn the_document_is_of_the_committed_record() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("record/results.json");
         let text = std::fs::read_to_string(path).unwrap();
         let results: Results = serde_json::from_str(&text).unwrap();
-        let readme = of_project("README.md");
+        let paper = of_project("docs/paper.md");
         let lines = |text: &str| text.trim().lines().map(str::to_owned).collect::<Vec<_>>();
         assert_eq!(
-            lines(MARKS.content(&readme).unwrap()),
+            lines(MARKS.content(&paper).unwrap()),
             lines(&document(&results))
         );
         assert_eq!(results.record.effort, "full");

@@ -1,0 +1,26 @@
+//! The command line end to end, and what it is compared with.
+
+mod bench;
+#[path = "../browser/mod.rs"]
+mod browser;
+mod decode;
+mod formats_peers;
+mod frames;
+mod hybrid;
+mod kernel;
+mod mcu;
+mod mcu_peer;
+mod metrics_reference;
+#[cfg(feature = "onnx")]
+mod onnx;
+mod outputs;
+mod rate;
+mod recordings;
+mod report_page;
+mod save;
+mod status;
+mod streams;
+mod support;
+mod view;
+mod volume;
+mod volumes_reference;

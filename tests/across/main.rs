@@ -1,0 +1,24 @@
+//! Properties and recordings, across the crates.
+
+mod coefficients;
+mod documents;
+mod exact_times;
+mod firmware_image;
+mod fixed_vs_float;
+mod hostile;
+mod hybrid;
+mod ingest;
+mod keep_order;
+mod kernels;
+mod link_faults;
+mod memory_budget;
+mod rate_control;
+mod rates;
+mod recordings;
+mod roundtrip;
+mod runs;
+mod stress;
+mod structure;
+mod threads;
+mod walks;
+mod windows;

@@ -1,0 +1,189 @@
+//! Frozen vectors: input, coefficients and bytes, so that a failure names its stage.
+//!
+//! `EECVS_BLESS=1 cargo test -p eecvs-tests --test frames golden` writes them anew; review the diff, and
+//! raise the wire version where bytes changed.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use eecvs_nostd::event_link::Setup;
+use eecvs_nostd::{
+    Coded, Coder, Event, Fidelity, Hybrid, Level, Mode, OUTPUT_BYTES_MIN, Polarity, Sensor,
+    Transform,
+};
+use serde::{Deserialize, Serialize};
+use strategies::{encode, parse, plain_config};
+
+/// (x, y, on, off, what tells the coefficients).
+type GoldenPixel = (u16, u16, u32, u32, GoldenCoded);
+
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+enum GoldenCoded {
+    /// A single event's.
+    Cell(u32),
+    /// [(k, re, im)], levels as on the link.
+    Levels(Vec<(u16, i32, i32)>),
+}
+
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
+struct Golden {
+    width: u16,
+    height: u16,
+    transform: String,
+    m: u8,
+    /// Mode and fidelity's value, as in a setup of the event link.
+    #[serde(default)]
+    mode: u8,
+    #[serde(default)]
+    fidelity: u32,
+    /// (t_us, x, y, p)
+    events: Vec<(u64, u16, u16, u8)>,
+    pixels: Vec<GoldenPixel>,
+    /// Frames in hexadecimal.
+    frames: Vec<String>,
+}
+
+/// Two windows: single events, a pair, a burst of mixed polarity, a crowded pixel beyond one
+/// chunk, the last column and row.
+fn events() -> Vec<Event> {
+    let mut events = Vec::new();
+    let mut put = |t_us: u64, x, y, on| {
+        events.push(Event {
+            t_us: 1_700_000_000_000_000 + t_us,
+            x,
+            y,
+            polarity: Polarity::from_bool(on),
+        });
+    };
+    put(0, 3, 1, true);
+    put(16_384, 3, 1, false);
+    put(100, 39, 2, true);
+    for i in 0..9 {
+        put(200 + i * 3_001, 33, 0, i % 3 != 0);
+    }
+    for i in 0..300 {
+        put(500 + i * 97, 0, 2, i % 5 != 0);
+    }
+    put(32_767, 39, 2, false);
+    put(40_000, 12, 1, false);
+    events
+}
+
+#[test]
+fn hybrid_frames_are_those_of_the_golden_vectors() {
+    let sensor = Sensor {
+        width: 40,
+        height: 3,
+    };
+    // Twice, in a window each: the dense coder's second frame goes on from the first.
+    let mut events = events();
+    let later = events.clone().into_iter().map(|event| Event {
+        t_us: event.t_us + 65_536,
+        ..event
+    });
+    events.extend(later);
+    for (name, coder, fidelity) in [
+        ("fast", Coder::Fast, Fidelity::Lossless),
+        ("dense", Coder::Dense, Fidelity::Lossless),
+        ("fast_tolerance", Coder::Fast, Fidelity::ToleranceUs(20)),
+        ("dense_bins", Coder::Dense, Fidelity::Bins(8)),
+    ] {
+        let mut config = plain_config(sensor, Transform::Dct, 16);
+        config.mode = Mode::Hybrid(Hybrid { coder, fidelity });
+        let setup = Setup::new(&config, 0);
+        let frames = encode(config, &events, 1000, OUTPUT_BYTES_MIN);
+        let golden = Golden {
+            width: sensor.width,
+            height: sensor.height,
+            transform: "dct".into(),
+            m: 16,
+            mode: setup.mode,
+            fidelity: setup.fidelity,
+            events: listed(&events),
+            pixels: vec![],
+            frames: frames.iter().map(|bytes| hex(bytes)).collect(),
+        };
+        let frozen = frozen(&format!("v2_hybrid_{name}.json"), &golden);
+        assert_eq!(golden.events, frozen.events, "{name}: events");
+        assert_eq!(golden.frames, frozen.frames, "{name}: bytes");
+    }
+}
+
+fn listed(events: &[Event]) -> Vec<(u64, u16, u16, u8)> {
+    let plain = |e: &Event| (e.t_us, e.x, e.y, e.polarity as u8);
+    events.iter().map(plain).collect()
+}
+
+/// The vector of a file, which is written anew where that is asked for.
+fn frozen(name: &str, golden: &Golden) -> Golden {
+    // Another folder than the committed one.
+    let folder = std::env::var_os("EECVS_GOLDEN").map(PathBuf::from);
+    let folder = folder.unwrap_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("golden"));
+    let path = folder.join(name);
+    if std::env::var_os("EECVS_BLESS").is_some() {
+        let text = serde_json::to_string(golden).expect("plain data") + "\n";
+        std::fs::write(&path, text).expect("the golden folder is writable");
+    }
+    let text = std::fs::read_to_string(&path).expect("a golden vector");
+    serde_json::from_str(&text).expect("a golden vector's JSON")
+}
+
+#[test]
+fn frames_are_those_of_the_golden_vectors() {
+    let sensor = Sensor {
+        width: 40,
+        height: 3,
+    };
+    let events = events();
+    for transform in Transform::ALL {
+        for m in [8, 16] {
+            let frames = encode(
+                plain_config(sensor, transform, m),
+                &events,
+                1000,
+                OUTPUT_BYTES_MIN,
+            );
+            let golden = Golden {
+                width: sensor.width,
+                height: sensor.height,
+                transform: transform.name().into(),
+                m,
+                mode: 0,
+                fidelity: 0,
+                events: listed(&events),
+                pixels: frames.iter().flat_map(|bytes| pixels(bytes)).collect(),
+                frames: frames.iter().map(|bytes| hex(bytes)).collect(),
+            };
+            let name = format!("v2_{}_{m}.json", transform.name());
+            let frozen = frozen(&name, &golden);
+            assert_eq!(golden.events, frozen.events, "{transform:?} {m}: events");
+            assert_eq!(golden.pixels, frozen.pixels, "{transform:?} {m}: levels");
+            assert_eq!(golden.frames, frozen.frames, "{transform:?} {m}: bytes");
+        }
+    }
+}
+
+fn pixels(bytes: &[u8]) -> Vec<GoldenPixel> {
+    parse(bytes)
+        .descriptors()
+        .map(|descriptor| {
+            let d = descriptor.expect("the encoder's own payload");
+            let coded = match d.coded {
+                Coded::Cell(cell) => GoldenCoded::Cell(cell),
+                Coded::Levels(levels) => {
+                    let level = |level: &Level| (level.k, level.re, level.im);
+                    GoldenCoded::Levels(levels.iter().map(level).collect())
+                }
+            };
+            (d.x, d.y, d.on, d.off, coded)
+        })
+        .collect()
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::new(), |mut text, byte| {
+        write!(text, "{byte:02x}").expect("a string");
+        text
+    })
+}

@@ -1,0 +1,18 @@
+//! Cameras and encoders on USB: what devices send, what is made of it, and the command.
+
+mod consumers;
+mod inivation;
+mod kills;
+mod list;
+mod mcu;
+mod order;
+mod prophesee_cameras;
+mod prophesee_streams;
+mod simulate;
+mod stream;
+mod support;
+mod trace;
+mod usb_class;
+mod usbip;
+#[cfg(unix)]
+mod usbredir;

@@ -1,0 +1,102 @@
+//! The image's frames against those of the same cut on this host: bit for bit the same.
+
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context, bail, ensure};
+use eecvs::encode::HostStorage;
+use eecvs_bench::cut::EVENTS;
+use eecvs_nostd::coder::dense::words;
+use eecvs_nostd::evt2::{Evt2Decoder, Word};
+use eecvs_nostd::{
+    Coder, Config, Encoder, Fidelity, Hybrid, Mode, Push, Sensor, Thresholds, Transform,
+    WindowConfig,
+};
+
+use super::counts::Run;
+
+/// Output of the image: a larger one would give other frames.
+const OUT_BYTES: usize = 8192;
+
+/// Of the image: its memory for the dense coder is for this one without the window before.
+const SENSOR_MAX: Sensor = Sensor {
+    width: 640,
+    height: 480,
+};
+
+const DENSE_WORDS: usize = words(SENSOR_MAX, false);
+
+/// Encodes the run's cut anew.
+pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
+    let path = cuts
+        .join(&run.origin)
+        .join(&run.cut)
+        .with_extension("words");
+    let name = path.display();
+    let bytes = fs::read(&path).with_context(|| format!("{name}: cannot be read"))?;
+    let (words, _) = bytes.as_chunks::<4>();
+    let words: Vec<u32> = words.iter().map(|word| u32::from_le_bytes(*word)).collect();
+    let [width, height, window_us, _, words @ ..] = &words[..] else {
+        bail!("{name}: no cut");
+    };
+    let sensor = Sensor::new(u16::try_from(*width)?, u16::try_from(*height)?);
+    let sensor = sensor.with_context(|| format!("{name}: no sensor"))?;
+    let hybrid = |coder| {
+        let fidelity = Fidelity::Lossless;
+        Mode::Hybrid(Hybrid { coder, fidelity })
+    };
+    let (transform, mode) = match run.transform.as_str() {
+        "fast" => (Some(Transform::Dct), hybrid(Coder::Fast)),
+        "dense" => (Some(Transform::Dct), hybrid(Coder::Dense)),
+        name => {
+            let transform = Transform::ALL.into_iter().find(|t| t.name() == name);
+            (transform, Mode::Transform)
+        }
+    };
+    let mut storage = HostStorage::new(sensor, EVENTS).with_dense_words(DENSE_WORDS);
+    let mut encoder = storage.encoder(Config {
+        transform: Some(transform.context("an unknown transform")?),
+        m: run.m.max(8),
+        ..Config::new(
+            WindowConfig::new(sensor, *window_us),
+            Thresholds::new(0, 0).context("zero is a threshold")?,
+            mode,
+        )
+    })?;
+    let mut output = Output::default();
+    let mut decoder = Evt2Decoder::new(0);
+    for word in words {
+        if let Word::Event(event) = decoder.decode(*word) {
+            while encoder.push(event) == Push::Closed {
+                output.take(&mut encoder);
+            }
+        }
+    }
+    encoder.flush();
+    output.take(&mut encoder);
+    ensure!(
+        (output.bytes, output.check) == (run.bytes, run.check),
+        "{name}: {} M={}: the image's frames are not this host's",
+        run.transform,
+        run.m
+    );
+    Ok(())
+}
+
+#[derive(Debug, Default)]
+struct Output {
+    bytes: u64,
+    /// Of the frames' CRCs, as the image adds them up.
+    check: u32,
+}
+
+impl Output {
+    fn take(&mut self, encoder: &mut Encoder<'_>) {
+        let mut out = [0; OUT_BYTES];
+        while let Ok(Some(frame)) = encoder.next_frame(&mut out) {
+            self.bytes += frame.range.len() as u64;
+            let crc = out[frame.range].last_chunk().copied();
+            self.check = self.check.rotate_left(1) ^ crc.map_or(0, u32::from_le_bytes);
+        }
+    }
+}

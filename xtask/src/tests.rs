@@ -1,0 +1,32 @@
+//! Tests, with the features of `./test.sh`, so that nothing is built a second time.
+
+use std::process::ExitCode;
+
+use anyhow::Result;
+
+use crate::tree;
+
+/// Every test but those of documentation. With fewer, `--test NAME` say, the dependencies have other features, and are
+/// built again.
+const ALL: [&str; 6] = [
+    "--workspace",
+    "--features",
+    "host-harness/onnx",
+    "--lib",
+    "--bins",
+    "--tests",
+];
+
+/// Every test of the workspace whose name contains one of the filters.
+pub fn run(filters: &[String]) -> Result<ExitCode> {
+    let mut test = tree::cargo();
+    test.args(["test", "--quiet"]).args(ALL);
+    tree::status(test.arg("--").args(filters))
+}
+
+/// The golden vectors, written again.
+pub fn bless() -> Result<ExitCode> {
+    let mut test = tree::cargo();
+    test.args(["test", "--quiet"]).args(ALL);
+    tree::status(test.arg("golden::").env("EECVS_BLESS", "1"))
+}
