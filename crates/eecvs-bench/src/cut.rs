@@ -1,4 +1,4 @@
-//! The windows that things are measured on: cut from recordings, or from emulated scenes.
+//! The cuts on which the kernels are measured: events taken from recordings or from emulated scenes.
 
 use std::path::Path;
 
@@ -7,34 +7,34 @@ use eecvs_nostd::{Event, Sensor};
 use event_emulator::{Preset, SceneConfig};
 use event_files::EventReader;
 
-/// Most events of a cut: a microcontroller's window holds them all.
+/// Maximum number of events in a cut, so that a microcontroller's window holds them all.
 pub const EVENTS: usize = 8192;
-/// Window of the cuts that have several.
+/// T of the cuts with several windows, in us.
 const WINDOW_US: u32 = 32_768;
 
 /// Events of one window or of several, aligned to the first event.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cut {
-    /// Its name among those of its origin.
+    /// Name, unique among the cuts of the same origin.
     pub name: &'static str,
-    /// Every event is inside.
+    /// The sensor's size; every event lies inside.
     pub sensor: Sensor,
-    /// T.
+    /// T in us.
     pub window_us: u32,
-    /// At most [`EVENTS`], in order of arrival.
+    /// One to [`EVENTS`] events, in order of arrival.
     pub events: Vec<Event>,
 }
 
 /// Which events a cut takes.
 #[derive(Debug, Clone, Copy)]
 enum Take {
-    /// [`EVENTS`] in one window, after so many others.
+    /// One window of the [`EVENTS`] events that follow the first `skip`. Its T is their time span.
     OneWindow { skip: usize },
-    /// As many whole windows as hold at most [`EVENTS`].
+    /// The whole windows of [`WINDOW_US`] from the start that together hold at most [`EVENTS`].
     Windows,
 }
 
-/// Name, file, sensor, what to take.
+/// Name, file below the folder of recordings, sensor, and what to take.
 const RECORDINGS: [(&str, &str, [u16; 2], Take); 3] = [
     (
         "davis346",
@@ -56,7 +56,7 @@ const RECORDINGS: [(&str, &str, [u16; 2], Take); 3] = [
     ),
 ];
 
-/// Name, scene, sensor, what to take.
+/// Name, scene, sensor, and what to take.
 const SCENES: [(&str, Preset, [u16; 2], Take); 3] = [
     (
         "moderate",
@@ -73,25 +73,25 @@ const SCENES: [(&str, Preset, [u16; 2], Take); 3] = [
     ),
 ];
 
-/// Name and file, below a folder of recordings, of every cut of them.
+/// Returns the name of every cut of a recording, with the recording's file below the folder of recordings.
 pub fn recordings() -> impl Iterator<Item = (&'static str, &'static str)> {
     RECORDINGS.iter().map(|(name, file, ..)| (*name, *file))
 }
 
-/// The cuts of the recordings in a folder.
+/// Reads the recordings in `folder` and returns all their cuts.
 ///
 /// # Errors
-/// A recording that is absent, cannot be read, or has no whole window.
+/// Fails if a recording is missing, cannot be read, or has no whole window of at most [`EVENTS`] events.
 pub fn of_recordings(folder: &Path) -> Result<Vec<Cut>> {
     recordings()
         .map(|(name, _)| of_recording(folder, name))
         .collect()
 }
 
-/// One of them.
+/// Reads the cut `name` from its recording in `folder`.
 ///
 /// # Errors
-/// As [`of_recordings`], or another name.
+/// As for [`of_recordings`]; also fails if no cut of [`recordings`] has this name.
 pub fn of_recording(folder: &Path, name: &str) -> Result<Cut> {
     let (name, file, [width, height], take) = RECORDINGS
         .into_iter()
@@ -103,10 +103,10 @@ pub fn of_recording(folder: &Path, name: &str) -> Result<Cut> {
     cut(name, reader.as_mut(), sensor, take).with_context(|| path.display().to_string())
 }
 
-/// The cuts of emulated scenes.
+/// Emulates the scenes and returns their cuts.
 ///
 /// # Errors
-/// A scene without a whole window.
+/// Fails if a scene has no whole window of at most [`EVENTS`] events.
 pub fn of_scenes() -> Result<Vec<Cut>> {
     SCENES
         .into_iter()
@@ -132,7 +132,7 @@ fn cut(
         Take::Windows => 0,
     };
     let mut events: Vec<Event> = Vec::new();
-    // One event more than fits shows where the last whole window ends.
+    // One event more than a cut holds shows where the last whole window ends.
     while events.len() <= skip + EVENTS && reader.read(&mut events)? > 0 {
         events.retain(|event| sensor.contains(event.x, event.y));
     }

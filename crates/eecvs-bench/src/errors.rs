@@ -1,12 +1,12 @@
-//! Error of every kernel against f64 as three curves: over k, over n events in a pixel, over T.
+//! Measures the error of every kernel against f64 as three curves: over k, over n events in a pixel, and over T.
 //!
 //! ```text
-//! places (T, u) -> one event, K = 1,024 -> error by k and by T
-//!               -> the worst of them, n times -> error by n
+//! places (T, u) -> one event, K = 1,024   -> error by k and by T
+//!               -> n events, K for M = 64 -> error by n
 //! ```
 //!
-//! The error of n events is at most n times that of one, so it is the error per event that is
-//! compared with the documented bound.
+//! The error of n events is at most n times that of one event, so the error per event is compared with the
+//! documented bound.
 
 use std::collections::BTreeMap;
 
@@ -22,10 +22,10 @@ use serde::Serialize;
 use super::window::{Pixel, Window};
 use super::{Contender, kernel, oracle_of};
 
-/// Curves by what they run over: the coefficient, the events of a pixel, the window in us.
+/// The axes of the curves: the index of the coefficient, the number of events in a pixel, and T in us.
 pub const AXES: [&str; 3] = ["k", "n", "T"];
 
-/// Windows in us: decades up to an hour, powers of two, their neighbours, primes, and the longest.
+/// Values of T in us: decades up to an hour, powers of two and their neighbours, primes, and the longest T.
 const DURATIONS_US: [u32; 45] = [
     1,
     2,
@@ -74,29 +74,29 @@ const DURATIONS_US: [u32; 45] = [
     u32::MAX,
 ];
 
-/// Most events of a pixel that are tried.
+/// Maximum number of events in a pixel.
 const EVENTS_MAX: usize = 65_535;
 const SEED: u64 = 1;
 
-/// How much is tried.
+/// How much is measured.
 #[derive(Debug, Clone, Copy)]
 pub struct Effort {
-    /// Random places in each window, beside the edges.
+    /// Number of random places in each window, in addition to the fixed ones.
     pub random: usize,
-    /// Largest denominator b of the places a / b.
+    /// Largest denominator b of the places u = a / b.
     pub denominators: u32,
-    /// Events of a pixel at the most.
+    /// Maximum number of events in a pixel.
     pub events: usize,
 }
 
 impl Effort {
-    /// For figures.
+    /// The effort for published figures.
     pub const FULL: Self = Self {
         random: 700,
         denominators: 12,
         events: EVENTS_MAX,
     };
-    /// For a look whether everything works.
+    /// The effort that suffices to see whether everything works.
     pub const QUICK: Self = Self {
         random: 8,
         denominators: 2,
@@ -109,21 +109,22 @@ impl Effort {
 pub struct Row {
     /// Name of the kernel.
     pub kernel: &'static str,
-    /// `dct`, `dtft`, `dwt`.
+    /// `dct`, `dtft` or `dwt`.
     pub transform: &'static str,
     /// One of [`AXES`].
     pub axis: &'static str,
-    /// Where on the axis; for k the last of the coefficients since the row before.
+    /// Position on the axis. On the axis k, the row covers the coefficients after those of the row before, up to and
+    /// including this one.
     pub value: u32,
-    /// Largest |c_k - c_ref| / n of any pixel and k.
+    /// Largest |c_k - c_ref| / n over all pixels and all k.
     pub max_error_per_event: f64,
-    /// Root of the mean square of the same; over n, of the pixels whose events are apart.
+    /// Root mean square of the same. On the axis n it leaves out the pixel whose events are all at one time.
     pub rms_error_per_event: f64,
-    /// What is documented, per event.
+    /// Documented bound on the error per event.
     pub bound: f64,
 }
 
-/// Errors of a point.
+/// Accumulates the errors of one point of a curve.
 #[derive(Debug, Clone, Copy, Default)]
 struct Tally {
     max: f64,
@@ -138,7 +139,7 @@ impl Tally {
         self.count += 1;
     }
 
-    /// Counts in the maximum alone; what is no number counts as infinite.
+    /// Takes the error into the maximum, but not into the mean square. NaN counts as infinite.
     fn add_max(&mut self, error: f64) {
         let error = if error.is_nan() { f64::INFINITY } else { error };
         self.max = self.max.max(error);
@@ -163,15 +164,18 @@ impl Tally {
     }
 }
 
-/// The documented bound per event.
+/// Returns the documented bound on the error per event of a coefficient of `kernel`, which [`check`] enforces; 0 for
+/// an exact kernel.
 #[must_use]
 pub fn bound(kernel: Kernel) -> f64 {
     let log2 = kernel.error_log2();
     log2.map_or(0.0, |log2| f64::from(log2).exp2())
 }
 
-/// Offsets in a window: its ends, every a / b of it with b up to `denominators`, each with its
-/// neighbours, and `random` others.
+/// Returns offsets in us, ascending, without duplicates and below `duration_us`, that test a window of that length.
+///
+/// They are the eight offsets at each end of the window, the fractions a / b of the window with b up to
+/// `denominators`, each with its two neighbours, and `random` random offsets, which are the same in every call.
 #[must_use]
 pub fn offsets(duration_us: u32, denominators: u32, random: usize) -> Vec<u32> {
     let mut generator = Xoshiro256PlusPlus::seed_from_u64(SEED ^ u64::from(duration_us));
@@ -191,14 +195,15 @@ pub fn offsets(duration_us: u32, denominators: u32, random: usize) -> Vec<u32> {
     offsets
 }
 
-/// Times that [`measure`] calls `progress`.
+/// Returns how many times [`measure`] calls `progress`.
 #[must_use]
 pub fn steps() -> usize {
     Transform::ALL.len() * (DURATIONS_US.len() + 1)
 }
 
-/// The curves of every kernel of every transform; `progress` is called after each window and each
-/// transform's pixels.
+/// Measures the curves of every kernel of every transform.
+///
+/// `progress` is called for each transform: after each T, and at the end of the curve over n.
 #[must_use]
 pub fn measure(effort: Effort, progress: &mut dyn FnMut()) -> Vec<Row> {
     let mut rows = Vec::new();
@@ -210,10 +215,10 @@ pub fn measure(effort: Effort, progress: &mut dyn FnMut()) -> Vec<Row> {
     rows
 }
 
-/// Whether every point is within its documented bound.
+/// Checks that every point is within its documented bound.
 ///
 /// # Errors
-/// The kernel and where it is not.
+/// Fails at the first point that is not; the message names the kernel and the position on the axis.
 pub fn check(rows: &[Row]) -> Result<()> {
     for row in rows {
         ensure!(
@@ -230,7 +235,7 @@ pub fn check(rows: &[Row]) -> Result<()> {
     Ok(())
 }
 
-/// The core's kernels of a transform, each with what is gathered of it.
+/// Returns the core's kernels of a transform, each with an empty `T` in which its results are gathered.
 fn contenders<T: Default>(
     transform: Transform,
     grid: usize,
@@ -241,7 +246,7 @@ fn contenders<T: Default>(
         .collect()
 }
 
-/// |c_k - c_ref| of k = 1, 2, ... of a pixel.
+/// Returns |c_k - c_ref| of a pixel for k = 1, 2, ...
 fn errors<'e>(
     contender: &mut dyn Contender,
     pixel: Pixel<'_>,
@@ -254,7 +259,7 @@ fn errors<'e>(
         .map(|(found, expected)| (found - expected).norm())
 }
 
-/// What a single event anywhere in windows of any length gives.
+/// Measures the curves over k and over T, with a single event at many offsets in windows of every length.
 fn over_k_and_t(transform: Transform, effort: Effort, progress: &mut dyn FnMut()) -> Vec<Row> {
     let mut contenders = contenders::<(Vec<Tally>, Vec<Tally>)>(transform, GRID_MAX);
     for (_, _, (by_k, by_t)) in &mut contenders {
@@ -296,7 +301,7 @@ fn over_k_and_t(transform: Transform, effort: Effort, progress: &mut dyn FnMut()
     rows
 }
 
-/// Last coefficients of the rows over k: each up to 12, and then about eight in an octave.
+/// Returns the last coefficient of each row over k: every coefficient up to 23, then about eight rows per octave.
 fn bands() -> impl Iterator<Item = usize> {
     let mut last = 0;
     std::iter::from_fn(move || {
@@ -311,7 +316,7 @@ fn bands() -> impl Iterator<Item = usize> {
     })
 }
 
-/// An event whose polarity changes with its time.
+/// Returns an event whose polarity depends on its offset.
 fn single(offset_us: u32) -> Impulse {
     Impulse {
         offset_us,
@@ -323,8 +328,8 @@ fn single(offset_us: u32) -> Impulse {
     }
 }
 
-/// What n events in a pixel give, M = 64: all of them at the kernel's own worst place, evenly
-/// apart, and at random.
+/// Measures the curve over n for M = 64, with the n events all at the kernel's own worst place, evenly spaced, and
+/// at random.
 fn over_n(transform: Transform, effort: Effort) -> Vec<Row> {
     let grid = usize::from(transform.grid_size(M_MAX as u8, None));
     let mut rows = Vec::new();
@@ -380,7 +385,7 @@ fn over_n(transform: Transform, effort: Effort) -> Vec<Row> {
             rows.push(tally.row(*kernel, transform, "n", n as u32));
         }
     }
-    // By kernel, as the other axes.
+    // Sorted by kernel, as the rows of the other axes are.
     let order = |row: &Row| {
         contenders
             .iter()
@@ -390,7 +395,7 @@ fn over_n(transform: Transform, effort: Effort) -> Vec<Row> {
     rows
 }
 
-/// Where one event's error is the largest.
+/// The place at which the error of a single event is largest.
 #[derive(Debug, Clone, Copy)]
 struct Worst {
     error: f64,
@@ -408,13 +413,14 @@ impl Default for Worst {
     }
 }
 
-/// 1, 2, 4, ... and `most`.
+/// Returns 1, 2, 4, ..., and finally `most`.
 fn counts(most: usize) -> impl Iterator<Item = usize> {
     let powers = (0..usize::BITS).map(|log2| 1_usize << log2);
     powers.take_while(move |n| *n < most).chain([most])
 }
 
-/// Pixels of n events that are not at one time: evenly over the window and all ON, and random.
+/// Returns T and events of four pixels with n events at different times: two with ON events evenly spaced over the
+/// window, and two with random events.
 fn apart(n: usize, generator: &mut Xoshiro256PlusPlus) -> Vec<(u32, Vec<Impulse>)> {
     let even = |duration_us: u32| {
         let at = |i: usize| (i as u64 * u64::from(duration_us) / n as u64) as u32;
@@ -437,7 +443,7 @@ fn apart(n: usize, generator: &mut Xoshiro256PlusPlus) -> Vec<(u32, Vec<Impulse>
     vec![even(32_768), even(999_983), random(32_768), random(33_333)]
 }
 
-/// One impulse for each time, its p the sum: the same coefficients.
+/// Merges the events of each time into one impulse whose p is their sum. The coefficients stay the same.
 fn merged(events: &[Impulse]) -> Vec<Impulse> {
     let mut by_time = BTreeMap::new();
     for event in events {
@@ -517,7 +523,7 @@ mod tests {
         for part in ["table", "dct", "T = 1000"] {
             assert!(message.contains(part), "{message}");
         }
-        // What is no number is no small error.
+        // NaN does not pass as a small error.
         tally.add_max(f64::NAN);
         let row = tally.row(Kernel::Table, Transform::Dct, "k", 1);
         assert!(check(&[row]).is_err());

@@ -1,8 +1,8 @@
-//! The Pareto front: what nothing else beats in both cost and error.
+//! Finds the Pareto front: the rows that no other row beats in cost and error.
 
 use super::Row;
 
-/// Sets [`Row::pareto`]. A row without an error takes no part.
+/// Sets [`Row::pareto`] of every row. A row without an error is never on the front and beats no other.
 pub fn mark(rows: &mut [Row]) {
     let is_on: Vec<bool> = rows
         .iter()
@@ -13,7 +13,8 @@ pub fn mark(rows: &mut [Row]) {
     }
 }
 
-/// Whether `other`, of the same transform, M, target and window, is as good and better in one.
+/// Returns whether `other` has the same transform, M, target and window, is at least as good in cost and maximum
+/// error, and is better in one of them.
 fn is_beaten(row: &Row, other: &Row) -> bool {
     let is_same = |a: &Row, b: &Row| {
         (a.transform, a.m, a.target, &a.window) == (b.transform, b.m, b.target, &b.window)
@@ -60,7 +61,7 @@ mod tests {
             row(8, 3.0, Some(0.5)),
             row(8, 9.0, Some(0.0)),
             row(8, 0.5, None),
-            // Another M, and equals of each other.
+            // Two equal rows of another M.
             row(16, 5.0, Some(5.0)),
             row(16, 5.0, Some(5.0)),
         ];

@@ -1,4 +1,4 @@
-//! The core's kernels, as they are measured.
+//! The core's kernels as contenders of the measurement.
 
 use std::hint::black_box;
 
@@ -15,12 +15,12 @@ use num_complex::Complex64;
 use super::Contender;
 use super::window::{Pixel, Windows};
 
-/// A kernel's sum as a number.
+/// A number type of a kernel's sums.
 pub trait Number: Copy {
-    /// Its value, exact.
+    /// Returns the exact value.
     fn to_f64(self) -> f64;
 
-    /// Its bits, of which a shorter one has the lower.
+    /// Returns the bits of the number; a type of 32 bits fills the lower half, and the upper half is 0.
     fn bits(self) -> u64;
 }
 
@@ -58,13 +58,13 @@ impl Number for f32 {
 struct Core<A: Accumulate<B>, B: Basis> {
     grid: usize,
     work: Box<A::Work>,
-    /// Of a chunk.
+    /// Sums of a chunk.
     sums: Vec<A::Sum>,
-    /// Of a pixel of several chunks.
+    /// Sums of a pixel with several chunks.
     totals: Vec<f64>,
 }
 
-/// The kernels of a transform, for K = `grid`.
+/// Returns all kernels of a transform, for K = `grid`.
 #[must_use]
 pub fn kernels(transform: Transform, grid: usize) -> Vec<Box<dyn Contender>> {
     match transform {
@@ -104,14 +104,15 @@ impl<A: Accumulate<B>, B: Basis> Core<A, B>
 where
     A::Sum: Number,
 {
-    /// A chunk into `sums`. Not inlined: the same code is timed as is verified.
+    /// Accumulates a chunk into `sums`. Not inlined, so that the code that is timed is the code that is verified.
     #[inline(never)]
     fn chunk(&mut self, impulses: &[Impulse], scale: PhaseScale) {
         let impulses = impulses.iter().copied();
         A::accumulate(impulses, scale, self.grid, &mut self.work, &mut self.sums);
     }
 
-    /// A pixel's sums: in `sums`, or in `totals` where it has several chunks.
+    /// Accumulates a pixel. Returns whether the result is in `totals`, as for a pixel with several chunks, and not
+    /// in `sums`.
     fn pixel(&mut self, pixel: Pixel<'_>) -> bool {
         let scale = pixel.window.scale;
         if pixel.impulses.len() <= CHUNK_EVENTS {

@@ -1,5 +1,5 @@
-//! The image that counts the instructions of every kernel (`firmware/src/bin/kernels.rs`): built,
-//! given a cut, run in QEMU, its sums compared with this host's.
+//! Builds the image that counts the instructions of every kernel (`firmware/src/bin/kernels.rs`), gives it a cut,
+//! runs it in QEMU and compares its sums with this host's.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -15,33 +15,33 @@ use super::Origin;
 use super::mcu::{Check, Count, Part, TARGETS, checks};
 use super::window::Windows;
 
-/// What the image reads, in the folder that QEMU runs in.
+/// The file that the image reads, in the folder in which QEMU runs.
 const FILE: &str = "cut.words";
-/// How long an image may take with a cut.
+/// Maximum time that an image may take for a cut.
 const PATIENCE: Duration = Duration::from_secs(300);
 
-/// The image of every target.
+/// The built images, one for each of [`TARGETS`].
 #[derive(Debug)]
 pub struct Images(Vec<(&'static str, Machine, PathBuf)>);
 
-/// What the image prints for a kernel, a transform and an M.
+/// The line that the image prints for a kernel, a transform and an M.
 #[derive(Debug, Deserialize)]
 struct Line {
     kernel: String,
     transform: String,
     m: u8,
-    /// Instructions of pixels of a few events.
+    /// Number of instructions for the pixels that are not crowded.
     few: u64,
-    /// Of the crowded ones.
+    /// Number of instructions for the crowded pixels.
     crowded: u64,
     check: u32,
 }
 
 impl Images {
-    /// Builds them.
+    /// Builds the image of every target.
     ///
     /// # Errors
-    /// No QEMU, no sources of the firmware, a build that fails.
+    /// Fails if QEMU or the sources of the firmware are not found, or if a build fails.
     pub fn build() -> Result<Self> {
         qemu::find()?;
         let build = |(target, machine)| Ok((target, machine, image::build(machine, "kernels")?));
@@ -52,10 +52,10 @@ impl Images {
             .map(Self)
     }
 
-    /// Counts every kernel on every target and window, several at a time.
+    /// Counts the instructions of every kernel on every target and cut, running several images at a time.
     ///
     /// # Errors
-    /// An image that fails, or sums that are not this host's.
+    /// Fails if an image fails, or if its sums differ from this host's.
     pub fn count(&self, windows: &[Windows], origin: Origin) -> Result<Vec<Count>> {
         let checks = checks(windows);
         let runs: Vec<_> = self
@@ -88,8 +88,11 @@ fn run(machine: Machine, image: &Path, windows: &Windows) -> Result<Vec<Line>> {
         .collect()
 }
 
-/// The file: twice, for pixels of a few events and for crowded ones, the number of windows, and of
-/// each its T, its pixels, and of each of these its events, then `offset << 1 | is_on` of each.
+/// Returns the content of the file as 32-bit words, which are written in little-endian order.
+///
+/// The file has two parts, first the pixels with few events, then the crowded ones. A part is the number of
+/// windows, then for each window its T in us and its number of pixels, and for each of these pixels its number of
+/// events and a word `offset << 1 | is_on` for each event.
 fn words(windows: &Windows) -> Result<Vec<u32>> {
     let mut words = Vec::new();
     for part in windows.parts() {

@@ -1,13 +1,16 @@
-//! Run time against error: every kernel of the accumulate stage, and its peers.
+//! Measures run time against error for every kernel of the accumulate stage and for its peers.
 //!
 //! ```text
 //! cut -> window -> kernel | peers -> error against the oracle -> time -> row -> front
 //!               -> image in QEMU -> sums against the host's -> instructions -> row
 //! ```
 //!
-//! Each answer is compared with the f64 reference before anything is timed. What is timed is the
-//! accumulate stage alone, over all pixels of a window, from impulses that lie grouped in memory to
-//! coefficients, on one thread.
+//! All coefficients are compared with the f64 reference before anything is timed. Only the accumulate stage is
+//! timed: on one thread, over all pixels of a window, from impulses grouped by pixel in memory to coefficients.
+//!
+//! The crate also holds the other studies: [`errors`] (error curves of the kernels), [`scaling`] (time over the
+//! sensor's area and the number of events) and [`skips`] (what skipping saves); and what all records of
+//! measurements share: [`record_file`] (JSON files of rows) and [`marks`] (tables in documents).
 
 pub mod cut;
 pub mod errors;
@@ -39,34 +42,35 @@ use crate::record_file::{Name, name};
 use cut::Cut;
 use window::{Pixel, Windows};
 
-/// M of the measurements.
+/// The values of M that are measured.
 pub const M: [u8; 4] = [8, 16, 24, 64];
 
-/// What takes part in the measurement.
+/// A kernel or a peer that takes part in the measurement.
 pub trait Contender {
-    /// Its name in rows and charts.
+    /// Returns the name used in rows and charts.
     fn name(&self) -> &'static str;
 
-    /// The core's kernel that it is, whose documented error is checked.
+    /// Returns the core's kernel, whose documented error bound is checked; `None` for a peer, which has no bound.
     fn kernel(&self) -> Option<Kernel> {
         None
     }
 
-    /// The stage over every pixel: what is timed.
+    /// Runs the accumulate stage over every pixel of `windows`. This is what is timed.
     fn pass(&mut self, windows: &Windows);
 
-    /// Of the sums of all chunks, as an image makes it; `None` for what is in no image.
+    /// Returns the checksum of the sums of all chunks, computed as the firmware image computes it, or `None` for a
+    /// contender that is not in the image. The image receives the pixels as the two [`Windows::parts`].
     fn checksum(&mut self, parts: &[Windows]) -> Option<u32> {
         let _ = parts;
         None
     }
 
-    /// c_0 to c_(K-1) of a pixel as [`Self::pass`] computes them; `None` where it has no such
-    /// thing.
+    /// Returns c_0 to c_(K-1) of a pixel as [`Self::pass`] computes them, or `None` for a contender that computes
+    /// no coefficients.
     fn coefficients(&mut self, pixel: Pixel<'_>) -> Option<Vec<Complex64>>;
 }
 
-/// Where windows come from.
+/// The kind of source from which windows are cut.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Origin {
     /// Recordings of real sensors.
@@ -76,7 +80,7 @@ pub enum Origin {
 }
 
 impl Origin {
-    /// As the saved counts have it.
+    /// Returns the name used in the saved counts.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -89,22 +93,22 @@ impl Origin {
 /// How much is measured.
 #[derive(Debug, Clone, Copy)]
 pub struct Effort {
-    /// Events of a window at the most.
+    /// Maximum number of events taken from a cut.
     pub events: usize,
-    /// Repetitions, of which median and quartiles are reported; 1 or more.
+    /// Number of repetitions, 1 or more. Their median and quartiles are reported.
     pub repetitions: usize,
-    /// Time of a repetition at the least: as many passes as it takes.
+    /// Minimum time of a repetition: the pass is repeated to fill it, up to 10,000 times.
     pub least: Duration,
 }
 
 impl Effort {
-    /// For figures.
+    /// The effort for published figures.
     pub const FULL: Self = Self {
         events: usize::MAX,
         repetitions: 15,
         least: Duration::from_millis(3),
     };
-    /// For a look whether everything works.
+    /// The effort that suffices to see whether everything works.
     pub const QUICK: Self = Self {
         events: 1024,
         repetitions: 3,
@@ -112,50 +116,51 @@ impl Effort {
     };
 }
 
-/// One point; the fields are its JSON keys.
+/// Cost and error of one contender at one M on one window; the fields are its JSON keys.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// `table`, `recurrence`, `precise`, `micromath`, `libm`, `haar`, or a peer's name.
     #[serde(deserialize_with = "name")]
     pub kernel: Name,
-    /// `dct`, `dtft`, `dwt`; `none` for a voxel grid.
+    /// `dct`, `dtft` or `dwt`; `none` for a voxel grid.
     #[serde(deserialize_with = "name")]
     pub transform: Name,
-    /// M; the number of bins of a voxel grid.
+    /// M, or the number of bins of a voxel grid.
     pub m: u8,
     /// `host`, `cortex-m4` or `cortex-m7`.
     #[serde(deserialize_with = "name")]
     pub target: Name,
-    /// Name of the cut, or `all`; with `-crowded` after it, the pixels of
-    /// [`window::CROWDED_EVENTS`] and more events alone.
+    /// Name of the cut, or `all`. The suffix `-crowded` means that only the pixels with at least
+    /// [`window::CROWDED_EVENTS`] events were measured.
     pub window: Cow<'static, str>,
-    /// Median.
+    /// Median cost, in [`Self::unit`].
     pub cost: f64,
     /// `ns/event` or `instructions/event`.
     #[serde(deserialize_with = "name")]
     pub unit: Name,
-    /// First quartile.
+    /// First quartile of the cost; an instruction count is exact and is given as all three.
     pub cost_low: f64,
-    /// Third quartile.
+    /// Third quartile of the cost.
     pub cost_high: f64,
-    /// Largest |c_k - c_ref| of any pixel and k; `None` where there are no coefficients.
+    /// Largest |c_k - c_ref| over all pixels and all k >= 1; `None` if there are no coefficients.
     pub max_error: Option<f64>,
-    /// Root of the mean square over all k >= 1 of all pixels.
+    /// Root mean square of |c_k - c_ref| over all pixels and all k >= 1.
     pub rms_error: Option<f64>,
-    /// No other row of this transform, M, target and window is as good in both and better in one.
+    /// Whether the row is on the Pareto front: no other row of the same transform, M, target and window is at least
+    /// as good in cost and maximum error and better in one of them.
     pub pareto: bool,
     /// Whether only crowded pixels were measured.
     #[serde(skip)]
     pub is_crowded: bool,
-    /// Events measured.
+    /// Number of events measured.
     #[serde(skip)]
     pub events: usize,
-    /// Coefficients compared.
+    /// Number of coefficients compared.
     #[serde(skip)]
     pub coefficients: usize,
 }
 
-/// The oracle's name of a transform.
+/// Returns the oracle's value for a transform of the core.
 #[must_use]
 pub const fn oracle_of(transform: Transform) -> oracle::Transform {
     match transform {
@@ -165,20 +170,22 @@ pub const fn oracle_of(transform: Transform) -> oracle::Transform {
     }
 }
 
-/// What is measured of the cuts.
+/// Returns the windows of each cut, limited to the events of `effort`.
 ///
 /// # Errors
-/// As [`Windows::new`].
+/// As for [`Windows::new`].
 pub fn windows(cuts: &[Cut], effort: Effort) -> Result<Vec<Windows>> {
     let of = |cut| Windows::new(cut, effort.events);
     cuts.iter().map(of).collect()
 }
 
-/// Measures everything on `windows`; `progress` is called after each of [`steps`]. Rows of the host
-/// by transform, M and window, then a voxel grid's, then those of `counts`.
+/// Measures all kernels and peers on `windows`, and calls `progress` after each of [`steps`].
+///
+/// Returns the host's rows, ordered by transform, M and window, then those of the voxel grid, then the
+/// microcontrollers' rows made from `counts`.
 ///
 /// # Errors
-/// A kernel that is not within its documented error; the message names it.
+/// Fails if a kernel exceeds its documented error, which the message names.
 pub fn measure(
     windows: &[Windows],
     counts: &[mcu::Count],
@@ -219,22 +226,22 @@ pub fn measure(
     Ok(rows)
 }
 
-/// Times that [`measure`] calls `progress` for so many windows.
+/// Returns how many times [`measure`] calls `progress` if it is given `windows` windows.
 #[must_use]
 pub fn steps(windows: usize) -> usize {
     Transform::ALL.len() * M.len() * windows
 }
 
-/// What some contenders are measured at.
+/// The transform, M and windows at which contenders are measured.
 struct Point<'w> {
-    /// `None` for what knows no coefficients.
+    /// `None` for contenders without coefficients.
     transform: Option<Transform>,
     m: u8,
     windows: &'w Windows,
     effort: Effort,
 }
 
-/// Error of a contender.
+/// Error of a contender over all pixels and all k >= 1.
 #[derive(Debug, Clone, Copy)]
 struct Error {
     max: f64,
@@ -243,7 +250,7 @@ struct Error {
 }
 
 impl<'w> Point<'w> {
-    /// For errors alone.
+    /// Returns a point at which only errors are measured.
     fn of(transform: Transform, m: u8, windows: &'w Windows) -> Self {
         Self {
             transform: Some(transform),
@@ -253,7 +260,7 @@ impl<'w> Point<'w> {
         }
     }
 
-    /// Of each contender; `None` where it knows no coefficients.
+    /// Returns the error of each contender, or `None` for one without coefficients.
     fn errors(&self, contenders: &mut [Box<dyn Contender>]) -> Result<Vec<Option<Error>>> {
         let expected = self.expected();
         contenders
@@ -289,7 +296,7 @@ impl<'w> Point<'w> {
             .collect())
     }
 
-    /// The oracle's coefficients by pixel.
+    /// Returns the oracle's coefficients of each pixel.
     fn expected(&self) -> Vec<Vec<Complex64>> {
         let Some(transform) = self.transform else {
             return Vec::new();
@@ -302,7 +309,8 @@ impl<'w> Point<'w> {
         self.windows.pixels().map(of).collect()
     }
 
-    /// Compares every pixel with the oracle.
+    /// Compares every pixel with the oracle. A kernel's bound on the error of a coefficient is its documented error
+    /// per event times the number of events in the pixel.
     fn verify(
         &self,
         contender: &mut dyn Contender,
@@ -348,8 +356,8 @@ impl<'w> Point<'w> {
         }))
     }
 
-    /// First quartile, median and third quartile of each in ns per event. They take turns, so that
-    /// what else the machine does hits all of them.
+    /// Returns the first quartile, median and third quartile of each contender's time, in ns per event. The
+    /// contenders take turns, so that any other load on the machine affects all of them.
     fn time(&self, contenders: &mut [Box<dyn Contender>]) -> Vec<[f64; 3]> {
         let events = self.windows.events.max(1) as f64;
         let passes: Vec<u32> = contenders
@@ -379,15 +387,16 @@ fn time(contender: &mut dyn Contender, windows: &Windows, passes: u32) -> Durati
     started.elapsed()
 }
 
-/// First quartile, median, third quartile: order statistics, no interpolation.
+/// Returns the first quartile, the median and the third quartile as order statistics, without interpolation.
 fn quartiles(values: &mut [f64]) -> [f64; 3] {
     values.sort_by(f64::total_cmp);
     let last = values.len().saturating_sub(1);
     [last / 4, last / 2, last - last / 4].map(|i| values.get(i).copied().unwrap_or(f64::NAN))
 }
 
-/// One row over all windows for each kernel, transform, M and target, and one over their crowded
-/// pixels: costs weighted by events, the largest error, and the mean square over all coefficients.
+/// Merges the rows of all windows into one for each kernel, transform, M and target, and one for their crowded
+/// pixels. Costs are averaged, weighted by events; the errors are the largest error and the root mean square over
+/// all coefficients.
 #[must_use]
 pub fn over_windows(rows: &[Row]) -> Vec<Row> {
     let mut merged: Vec<Row> = Vec::new();

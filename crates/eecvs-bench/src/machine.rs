@@ -1,11 +1,13 @@
-//! Where and when something is measured.
+//! Describes where and when something is measured.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// Seed of the emulated scenes that measurements have.
+/// Seed of the emulated scenes in measurements.
 pub const SEED: u64 = 1;
 
-/// Processor and threads, as the system tells them.
+/// Returns the processor's name, the number of threads and the operating system, as the system reports them.
+///
+/// The architecture stands in for the name where `/proc/cpuinfo` does not contain one.
 #[must_use]
 pub fn machine() -> String {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
@@ -18,7 +20,7 @@ pub fn machine() -> String {
     format!("{model}, {threads} threads, {}", std::env::consts::OS)
 }
 
-/// Today's, as `2026-11-22`.
+/// Returns today's date (UTC), as `2026-11-22`.
 #[must_use]
 pub fn date() -> String {
     let since = SystemTime::now()
@@ -28,7 +30,7 @@ pub fn date() -> String {
     format!("{year:04}-{month:02}-{day:02}")
 }
 
-/// Year, month and day of a day since 1970-01-01, year by year.
+/// Returns the year, month and day of the day that is `days` after 1970-01-01.
 fn civil(days: u64) -> (u64, u64, u64) {
     let mut rest = days;
     let mut year = 1970;

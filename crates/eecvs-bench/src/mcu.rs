@@ -1,6 +1,6 @@
-//! Instructions of every kernel on microcontrollers: counts, saved or made anew, and their rows.
+//! Instruction counts of every kernel on microcontrollers, saved or newly made, and the rows made from them.
 //!
-//! [`super::kernel_image`] counts them in QEMU; `cargo xtask kernels` saves them with the project.
+//! [`super::kernel_image`] counts the instructions in QEMU; `cargo xtask kernels` saves the counts with the project.
 
 use anyhow::{Context, Result};
 use eecvs_nostd::Transform;
@@ -13,27 +13,27 @@ use super::{Origin, Point, Row};
 
 const SAVED: &str = include_str!("../../../firmware/kernels.json");
 
-/// Names of the cores, as rows have them, and the machines that stand for them.
+/// Names of the processor cores as in [`Row::target`], each with the QEMU machine that emulates it.
 pub const TARGETS: [(&str, Machine); 2] = [
     ("cortex-m4", Machine::NetduinoPlus2),
     ("cortex-m7", Machine::Mps2An500),
 ];
 
-/// What some pixels took.
+/// Number of instructions for a group of pixels.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Part {
-    /// Events in them.
+    /// Number of events in the pixels.
     pub events: u64,
-    /// How many there are.
+    /// Number of pixels.
     pub pixels: u64,
-    /// Instructions for all of them.
+    /// Number of instructions for all of the pixels.
     pub instructions: u64,
 }
 
-/// A kernel at an M on a cut and a core: a line of JSON, whose keys the fields are.
+/// Instructions of a kernel at one M, on one cut and one processor core. Saved as a line of JSON with these keys.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Count {
-    /// Of [`TARGETS`].
+    /// Name of the processor core, one of [`TARGETS`].
     pub target: String,
     /// `recordings` or `emulator`.
     pub origin: String,
@@ -41,20 +41,20 @@ pub struct Count {
     pub cut: String,
     /// Name of the kernel.
     pub kernel: String,
-    /// Lower-case name.
+    /// Lower-case name of the transform.
     pub transform: String,
     /// M.
     pub m: u8,
-    /// Every pixel.
+    /// All pixels.
     pub all: Part,
-    /// Those of [`super::window::CROWDED_EVENTS`] and more.
+    /// The pixels with at least [`super::window::CROWDED_EVENTS`] events.
     pub crowded: Part,
-    /// Checksum of all sums: those of a host.
+    /// Checksum of all sums, which must equal the host's.
     pub check: u32,
 }
 
 impl Part {
-    /// Instructions per event; 0 without any.
+    /// Returns the number of instructions per event; no events are counted as one.
     #[must_use]
     pub fn per_event(&self) -> f64 {
         self.instructions as f64 / self.events.max(1) as f64
@@ -62,7 +62,7 @@ impl Part {
 }
 
 impl Count {
-    /// What makes two counts comparable.
+    /// Returns the target, origin, cut, kernel, transform and M. Two counts are comparable if these are equal.
     #[must_use]
     pub fn key(&self) -> (&str, &str, &str, &str, &str, u8) {
         let Self {
@@ -78,10 +78,10 @@ impl Count {
     }
 }
 
-/// Counts of a text of one a line.
+/// Parses a text with one count per line.
 ///
 /// # Errors
-/// A line that is none.
+/// Fails at a line that is not a count; the message names its number.
 pub fn parse(text: &str) -> Result<Vec<Count>> {
     text.lines()
         .enumerate()
@@ -91,19 +91,19 @@ pub fn parse(text: &str) -> Result<Vec<Count>> {
         .collect()
 }
 
-/// The counts saved with the project.
+/// Returns the counts saved with the project.
 ///
 /// # Errors
-/// A file that this program does not understand.
+/// Fails if the saved file is not in the format of this version.
 pub fn saved() -> Result<Vec<Count>> {
     parse(SAVED).context("firmware/kernels.json: save it anew")
 }
 
-/// The saved counts of some windows, and how many were left out because their sums are not those
-/// of this program.
+/// Returns the saved counts of `windows`, and the number of counts left out because their checksums differ from
+/// those of this program.
 ///
 /// # Errors
-/// As [`saved`].
+/// As for [`saved`].
 pub fn saved_of(windows: &[Windows], origin: Origin) -> Result<(Vec<Count>, usize)> {
     let checks = checks(windows);
     let counts = saved()?.into_iter().filter(|count| {
@@ -114,23 +114,23 @@ pub fn saved_of(windows: &[Windows], origin: Origin) -> Result<(Vec<Count>, usiz
     Ok((kept, other.len()))
 }
 
-/// The checksum that a count of these sums has.
+/// The checksum that the count of a kernel at one M on one cut must have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Check {
     /// Name of the cut.
     pub cut: &'static str,
     /// Name of the kernel.
     pub kernel: &'static str,
-    /// Lower-case name.
+    /// Lower-case name of the transform.
     pub transform: &'static str,
     /// M.
     pub m: u8,
-    /// Of the sums on this host.
+    /// Checksum of the sums computed on this host.
     pub check: u32,
 }
 
 impl Check {
-    /// Whether the sums of a count are these.
+    /// Returns whether `count` is of the same cut, kernel, transform and M and has this checksum.
     #[must_use]
     pub fn is_of(&self, count: &Count) -> bool {
         (self.cut, self.kernel, self.transform, self.m, self.check)
@@ -144,7 +144,7 @@ impl Check {
     }
 }
 
-/// The checksums of every kernel's sums, by cut, transform and M.
+/// Computes the checksum of every kernel's sums on this host, for every cut, transform and M.
 #[must_use]
 pub fn checks(windows: &[Windows]) -> Vec<Check> {
     let mut checks = Vec::new();
@@ -170,11 +170,11 @@ pub fn checks(windows: &[Windows]) -> Vec<Check> {
     checks
 }
 
-/// The rows of counts. Their error is that of the same bits on the host: all pixels have it in
-/// `host`, the crowded ones are compared with the oracle here.
+/// Makes rows from counts. As the sums are the host's bit by bit, so are the errors: those over all pixels are taken
+/// from `host`, and those over the crowded pixels are measured here on the host.
 ///
 /// # Errors
-/// A kernel that is not within its documented error.
+/// Fails if a kernel exceeds its documented error.
 pub(super) fn rows(host: &[Row], windows: &[Windows], counts: &[Count]) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for windows in windows {

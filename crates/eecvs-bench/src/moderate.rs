@@ -1,6 +1,7 @@
-//! The events and the window that a whole encoder is measured on, by time and by instructions.
+//! The events and the window on which the whole encoder is measured, in time and in instructions.
 //!
-//! A moderate 346 x 260 scene; the window holds as many events as those of the paper's Table III.
+//! The scene is a moderate one of 346 x 260 pixels. The window holds as many events as the windows of the paper's
+//! Table III.
 
 use anyhow::{Result, ensure};
 use eecvs_nostd::{
@@ -10,19 +11,19 @@ use event_emulator::{Preset, SceneConfig, emulate};
 use event_files::EventReader;
 
 const PRESET: Preset = Preset::OutdoorWellLitBlur;
-/// Sensor of the scene.
+/// The scene's sensor.
 pub const SENSOR: Sensor = PRESET.sensor();
-/// Events of the window.
+/// Number of events in the window.
 pub const EVENTS: usize = 3200;
-/// T: no event of the window comes later.
+/// T in us. The events span less than this.
 pub const WINDOW_US: u32 = 32_768;
-/// The window lies some way into the scene.
+/// Time in us from which on the window's events are taken.
 const START_US: u64 = 100_000;
 
-/// All events of the scene.
+/// Emulates the scene and returns all its events.
 ///
 /// # Errors
-/// None: the scene is fixed.
+/// Passes on the emulator's errors, which this fixed scene does not cause.
 pub fn scene() -> Result<Vec<Event>> {
     let mut emulator = emulate(SceneConfig::new(PRESET, 1))?;
     let mut events = Vec::new();
@@ -30,10 +31,10 @@ pub fn scene() -> Result<Vec<Event>> {
     Ok(events)
 }
 
-/// The window's events of those of [`scene`].
+/// Returns the [`EVENTS`] events of the window, which are part of the events of [`scene`].
 ///
 /// # Errors
-/// Other events than those.
+/// Fails if `scene` does not contain as many events within one [`WINDOW_US`], and so is not that scene.
 pub fn window(scene: &[Event]) -> Result<&[Event]> {
     let first = scene.partition_point(|event| event.t_us < START_US);
     let events = scene.get(first..first + EVENTS).unwrap_or_default();
@@ -49,7 +50,7 @@ pub fn window(scene: &[Event]) -> Result<&[Event]> {
     Ok(events)
 }
 
-/// The encoder of the window.
+/// Returns the configuration of an encoder of the window, in mode transform.
 #[must_use]
 pub const fn config(transform: Transform, m: u8) -> Config {
     Config {
@@ -57,17 +58,17 @@ pub const fn config(transform: Transform, m: u8) -> Config {
         m,
         ..Config::new(
             WindowConfig::new(SENSOR, WINDOW_US),
-            // Unused, since the transform is given.
+            // Unused, because the transform is fixed.
             Thresholds::new(0, 0).unwrap(),
             Mode::Transform,
         )
     }
 }
 
-/// Pushes and encodes the window: what is measured. Returns the frame.
+/// Pushes the events of one window, encodes them and returns the frame. This is what is measured.
 ///
 /// # Panics
-/// Where the events are not one window, or `out` has no room for its frame.
+/// Panics if the events do not form one window, or if `out` has no room for its frame.
 pub fn encode<'o>(encoder: &mut Encoder<'_>, events: &[Event], out: &'o mut [u8]) -> &'o [u8] {
     for event in events {
         assert_eq!(encoder.push(*event), Push::Stored);

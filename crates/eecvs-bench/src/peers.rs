@@ -1,4 +1,4 @@
-//! What the kernels are compared with: the oracle, binning before an FFT, and a voxel grid.
+//! The peers with which the kernels are compared: the oracle, binning followed by an FFT, and a voxel grid.
 
 use std::f64::consts::PI;
 use std::hint::black_box;
@@ -12,33 +12,35 @@ use rustfft::{Fft, FftPlanner};
 use super::window::{Pixel, Windows};
 use super::{Contender, oracle_of};
 
-/// The f64 reference as it is: a cosine for every event and coefficient.
+/// The f64 reference itself, which evaluates an atom for every event and coefficient.
 struct Oracle {
     transform: oracle::Transform,
     grid: usize,
 }
 
-/// Time bins of a pixel before the FFT.
+/// Number of time bins of a pixel before the FFT.
 pub const BINS: usize = 1024;
 
-/// Events to the nearest of [`BINS`] times, then an FFT of f32; what is lost is the time within a
-/// bin.
+/// Moves each event to the middle of its bin, one of [`BINS`], then applies an FFT of f32. The position of an event
+/// within its bin is lost.
 struct BinningFft {
     transform: Transform,
     fft: Arc<dyn Fft<f32>>,
     bins: Vec<Complex32>,
     scratch: Vec<Complex32>,
-    /// exp(-i pi k / BINS) or half of the angle: from a bin's start to its middle.
+    /// exp(-i pi k / BINS), for the DCT with half of the angle, which moves the bins' starts to their middles.
     to_middle: Vec<Complex32>,
     coefficients: Vec<Complex32>,
 }
 
-/// B time bins of every pixel with bilinear weights: what many networks take.
+/// A voxel grid with B time bins per pixel and bilinear weights, the input of many networks.
 struct Voxel {
     bins: Vec<f32>,
 }
 
-/// The peers of a transform, for K = `grid`.
+/// Returns the peers of a transform, for K = `grid`: the oracle and, except for the DWT, binning with an FFT.
+///
+/// The FFT gives the coefficients of the events' binned times, in f32. `grid` must not exceed [`BINS`].
 #[must_use]
 pub fn peers(transform: Transform, grid: usize) -> Vec<Box<dyn Contender>> {
     let oracle = Oracle {
@@ -69,7 +71,7 @@ pub fn peers(transform: Transform, grid: usize) -> Vec<Box<dyn Contender>> {
     vec![Box::new(oracle), Box::new(binning)]
 }
 
-/// A voxel grid of `bins` bins, 1 or more.
+/// Returns a voxel grid of `bins` time bins; 0 is taken as 1. It has no coefficients.
 #[must_use]
 pub fn voxel(bins: usize) -> Box<dyn Contender> {
     Box::new(Voxel {
@@ -101,13 +103,14 @@ impl BinningFft {
     fn pixel(&mut self, pixel: Pixel<'_>) {
         self.bins.fill(Complex32::ZERO);
         for impulse in pixel.impulses {
-            // Always there: the offset is below T.
+            // Always present: the offset is below T.
             let bin = pixel
                 .window
                 .scale
                 .bin(impulse.offset_us, BINS.trailing_zeros()) as usize;
             let at = match self.transform {
-                // Even bins, then odd ones backwards: the FFT of these is the DCT of all.
+                // In the order of the even bins, then the odd bins backwards, their FFT turned by `to_middle` is
+                // the DCT of all bins.
                 Transform::Dct if bin.is_multiple_of(2) => bin / 2,
                 Transform::Dct => BINS - 1 - bin / 2,
                 Transform::Dtft | Transform::Dwt => bin,
@@ -186,7 +189,7 @@ mod tests {
     use super::*;
     use crate::cut::Cut;
 
-    /// One event in the middle of each of some bins: nothing is lost by binning.
+    /// Nothing is lost by binning if every event lies in the middle of its bin.
     #[test]
     fn binning_is_exact_in_the_middle_of_bins() {
         let events: Vec<Event> = [0, 1, 2, 511, 700, 1023]
@@ -205,7 +208,7 @@ mod tests {
                 height: 8,
             },
             window_us: 2 * BINS as u32,
-            // Aligned to the first event, which stands at the window's start.
+            // The window is aligned to its first event, so an event of another pixel comes first, at time 0.
             events: [Event {
                 t_us: 0,
                 x: 0,

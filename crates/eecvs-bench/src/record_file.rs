@@ -1,6 +1,6 @@
-//! Records: measured rows as JSON files that are committed, of which the documents' tables are made.
+//! Reads and writes records: measured rows in committed JSON files, from which the documents' tables are made.
 //!
-//! A file is one object, a row a line, so that a change of it can be read:
+//! A file is one object with one row per line, which keeps its diffs readable:
 //!
 //! ```text
 //! {"version":"0.1.0","machine":"...","date":"2026-11-22","rows":[
@@ -21,31 +21,33 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::machine::{SEED, date, machine};
 
-/// Rows, and of what program, scenes, machine and day they are.
+/// Rows, with the version, seed, machine and date of their measurement.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct RecordFile<R> {
-    /// Of the program.
+    /// Version of the program that measured the rows.
     pub version: String,
-    /// Of emulated scenes, where the rows may be of such.
+    /// Seed of the emulated scenes, [`SEED`]; `None` if the file does not contain it.
     pub seed: Option<u64>,
-    /// Processor, its threads and system: what times of a clock depend on.
+    /// Processor, number of threads and operating system, on which measured times depend.
     pub machine: String,
-    /// UTC.
+    /// Date of the measurement (UTC), as `2026-11-22`.
     pub date: String,
-    /// In the order in which they were measured.
+    /// The rows, in the order in which they were written.
     pub rows: Vec<R>,
 }
 
-/// Where the record of that name is in a folder of records.
+/// Returns the path of the record `name` in a folder of records.
 #[must_use]
 pub fn path(folder: &Path, name: &str) -> PathBuf {
     folder.join(format!("{name}.json"))
 }
 
-/// Writes rows that were measured now as the record of that name; the folder is made where there is none.
+/// Writes rows that were measured just now as the record `name`, and creates the folder if necessary.
+///
+/// The record gets the version of this program, [`SEED`], this machine and today's date.
 ///
 /// # Errors
-/// A folder or file that cannot be written; the message names it.
+/// Fails if the folder or the file cannot be written; the message names it.
 pub fn write<R: Serialize>(folder: &Path, name: &str, rows: &[R]) -> Result<()> {
     fs::create_dir_all(folder)
         .with_context(|| format!("{}: cannot create the folder", folder.display()))?;
@@ -53,10 +55,10 @@ pub fn write<R: Serialize>(folder: &Path, name: &str, rows: &[R]) -> Result<()> 
     Ok(output::write(&path, text(rows)?)?)
 }
 
-/// Reads a record.
+/// Reads the record `name` from a folder of records.
 ///
 /// # Errors
-/// A file that cannot be read or is no record of such rows; the message names it.
+/// Fails if the file cannot be read or is not a record of rows of the type `R`; the message names the file.
 pub fn read<R: DeserializeOwned>(folder: &Path, name: &str) -> Result<RecordFile<R>> {
     let path = path(folder, name);
     let text =
@@ -77,18 +79,18 @@ fn text<R: Serialize>(rows: &[R]) -> Result<String> {
         .iter()
         .map(serde_json::to_string)
         .collect::<Result<_, _>>()?;
-    // The object is left open for its rows.
+    // The object stays open for its rows.
     let head = head.trim_end_matches('}');
     Ok(format!("{head},\"rows\":[\n{}\n]}}\n", rows.join(",\n")))
 }
 
-/// A name that the program knows: of a kernel, a codec, a transform.
+/// A name in a row, for example of a kernel, a codec or a transform.
 pub type Name = &'static str;
 
-/// Reads a [`Name`]. Every name is kept once, as long as the program runs: there are few.
+/// Deserialises a [`Name`]. Each different name is leaked once and kept until the program ends; there are few.
 ///
 /// # Errors
-/// What is no string.
+/// Fails if the value is not a string.
 pub fn name<'de, D: Deserializer<'de>>(input: D) -> Result<Name, D::Error> {
     static KNOWN: Mutex<BTreeSet<Name>> = Mutex::new(BTreeSet::new());
     let text = String::deserialize(input)?;

@@ -1,4 +1,4 @@
-//! Time of the whole encoder over the sensor's area, and over the number of events.
+//! Measures the time of the whole encoder over the sensor's area and over the number of events.
 
 use std::io::sink;
 use std::num::NonZeroUsize;
@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use super::quartiles;
 
-/// Sensors that the same events are spread over.
+/// Width and height of the sensors over which the same events are spread.
 const SENSORS: [[u16; 2]; 5] = [
     [128, 128],
     [346, 260],
@@ -20,13 +20,13 @@ const SENSORS: [[u16; 2]; 5] = [
     [1280, 720],
     [2048, 2048],
 ];
-/// Events on each of them.
+/// Number of events on each of [`SENSORS`].
 const AREA_EVENTS: u64 = 3000;
-/// Events on one sensor.
+/// Numbers of events on one sensor, [`SENSOR`].
 const COUNTS: [u64; 5] = [1000, 10_000, 100_000, 1_000_000, 10_000_000];
-/// Those of [`COUNTS`] that a quick run leaves out.
+/// Largest of [`COUNTS`] that a quick run measures; larger counts get fewer repetitions in a full run.
 const QUICK_MOST: u64 = 100_000;
-/// Sensor of [`COUNTS`].
+/// Sensor on which [`COUNTS`] are measured.
 const SENSOR: Sensor = Sensor {
     width: 346,
     height: 260,
@@ -34,45 +34,47 @@ const SENSOR: Sensor = Sensor {
 const PRESET: Preset = Preset::IndoorFlying;
 const SEED: u64 = 1;
 const WINDOW_US: u32 = 32_768;
-/// Events that are emulated; more are these again, later.
+/// Number of emulated events. For larger counts they are repeated, each time later.
 const EMULATED: usize = 200_000;
-/// Events that a window's buffer holds; its size is not in the times.
+/// Number of events that a window's buffer holds. Its allocation is not part of the measured times.
 const WINDOW_EVENTS: usize = 1 << 16;
-/// Unused, since the transform is given.
+/// Unused, because the transform is fixed.
 const THRESHOLDS: Thresholds = Thresholds::new(0, 0).unwrap();
-/// M: that of the paper's times.
+/// M of the times in the paper.
 const PARAMETER_M: u8 = 8;
 
 /// One measurement; the fields are its JSON keys.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
-    /// What grows: `sensor` or `events`.
+    /// The quantity that varies: `sensor` or `events`.
     pub axis: &'static str,
-    /// Columns.
+    /// Number of columns of the sensor.
     pub width: u16,
-    /// Rows.
+    /// Number of rows of the sensor.
     pub height: u16,
-    /// Events encoded.
+    /// Number of events encoded.
     pub events: u64,
-    /// Windows with events.
+    /// Number of windows with events.
     pub windows: u64,
-    /// Bytes of the frames.
+    /// Size of all frames in bytes.
     pub bytes_out: u64,
-    /// Median of the time from the first event to the last frame.
+    /// Median encoding time in seconds, from events to frames, without reading and writing.
     pub encode_s: f64,
-    /// First quartile.
+    /// First quartile of the time in seconds.
     pub encode_s_low: f64,
-    /// Third quartile.
+    /// Third quartile of the time in seconds.
     pub encode_s_high: f64,
-    /// `encode_s` over `events`.
+    /// `encode_s` divided by `events`, in ns.
     pub ns_per_event: f64,
 }
 
-/// Both series: DCT, M = 8, windows of 32,768 us, one thread; the memory of the encoder is there
-/// before the time begins. `progress` gets the events encoded so far.
+/// Measures both series: first over the sensor's area, then over the number of events.
+///
+/// The encoder runs with the DCT, M = 8 and windows of 32,768 us on one thread, and allocates its memory before
+/// the time begins. `progress` receives the number of events encoded so far.
 ///
 /// # Errors
-/// An encoder that does not account for every event.
+/// Fails if the encoder does not account for every event, or if a scene has no events.
 pub fn measure(is_quick: bool, progress: &mut dyn FnMut(u64)) -> Result<Vec<Row>> {
     let mut encoded = 0;
     let mut advance = |events: u64| {
@@ -130,7 +132,7 @@ pub fn measure(is_quick: bool, progress: &mut dyn FnMut(u64)) -> Result<Vec<Row>
     Ok(rows)
 }
 
-/// The first events of the scene.
+/// Returns the first `count` events of the scene, or all if it has fewer.
 fn events(sensor: Sensor, count: usize) -> Result<Vec<Event>> {
     let mut scene = emulate(SceneConfig {
         sensor,
@@ -144,7 +146,7 @@ fn events(sensor: Sensor, count: usize) -> Result<Vec<Event>> {
     Ok(events)
 }
 
-/// Encodes `count` events, `base` again and again.
+/// Measures the encoder on `count` events, which are `base` repeated.
 fn run(
     axis: &'static str,
     sensor: Sensor,
@@ -168,7 +170,7 @@ fn run(
     };
     let mut times = Vec::new();
     let mut last = None;
-    // The first warms up.
+    // Repetition 0 warms up and is not counted.
     for repetition in 0..=repetitions {
         let mut reader = Repeated::new(base, count, sensor);
         let summary = encode(
@@ -201,7 +203,7 @@ fn run(
     })
 }
 
-/// Events again and again, each time later.
+/// A reader that repeats `base` until it has read `left` events, each time shifted to after the last event.
 struct Repeated<'e> {
     base: &'e [Event],
     sensor: Sensor,

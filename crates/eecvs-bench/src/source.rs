@@ -1,4 +1,4 @@
-//! Recordings, whole and in memory, that studies are made of: read from files, or emulated scenes.
+//! The recordings used by the studies, held whole in memory: read from files, or emulated scenes.
 
 use std::sync::Arc;
 
@@ -7,33 +7,33 @@ use eecvs_nostd::{Event, Sensor};
 use event_emulator::{Preset, SceneConfig};
 use event_files::{BATCH_EVENTS, EventReader, Skipped};
 
-/// T of every study, in us.
+/// T in us, the same in every study.
 pub const WINDOW_US: u32 = 32_768;
 
-/// In their place where no recording is there: name, scene.
+/// Name and preset of the scenes that replace the recordings if none is present.
 const SCENES: [(&str, Preset); 3] = [
     ("emulated_moderate", Preset::IndoorFlying),
     ("emulated_sparse", Preset::OutdoorDark),
     ("emulated_dense", Preset::Motorcycle),
 ];
 
-/// A recording.
+/// A recording or an emulated scene, whole in memory.
 #[derive(Debug, Clone)]
 pub struct Source {
-    /// Its name.
+    /// Name of the recording or scene.
     pub name: String,
-    /// Every event is inside.
+    /// The sensor's size; every event lies inside.
     pub sensor: Sensor,
-    /// One or more, in order of time; those of one time as the file has them.
+    /// One or more events in order of time. Events of equal time keep their order in the file.
     pub events: Arc<[Event]>,
 }
 
 impl Source {
-    /// Every event of `reader` inside of the sensor. Readers of windows take events that are late for
-    /// theirs as lost, so all are sorted by time first.
+    /// Reads all events of `reader` that lie inside its sensor, and sorts them by time. Without sorting, an event
+    /// that came too late for its window would be lost.
     ///
     /// # Errors
-    /// A recording that cannot be read, or has no events.
+    /// Fails if `reader` fails or has no events inside the sensor.
     pub fn new(name: &str, reader: &mut dyn EventReader) -> Result<Self> {
         let sensor = reader.sensor();
         let mut events = Vec::new();
@@ -48,10 +48,10 @@ impl Source {
         })
     }
 
-    /// An emulated scene of `duration_us`, named as its preset.
+    /// Emulates a scene of `duration_us`, which is named after its preset.
     ///
     /// # Errors
-    /// A scene without events.
+    /// Fails if the scene cannot be emulated or has no events.
     pub fn scene(preset: Preset, seed: u64, duration_us: u64) -> Result<Self> {
         let mut scene = event_emulator::emulate(SceneConfig {
             duration_us,
@@ -60,23 +60,23 @@ impl Source {
         Self::new(preset.name(), &mut scene).with_context(|| format!("the scene {}", preset.name()))
     }
 
-    /// Its time of 0: where the first window begins.
+    /// Returns the time of the first event, at which the first window begins.
     #[must_use]
     pub fn start_us(&self) -> u64 {
         self.events.first().map_or(0, |event| event.t_us)
     }
 
-    /// Reads it from its first event.
+    /// Returns a reader of all events, from the first on.
     #[must_use]
     pub fn reader(&self) -> Memory {
         Memory::new(self.sensor, Arc::clone(&self.events))
     }
 }
 
-/// Emulated scenes of `duration_us`.
+/// Emulates the scenes that replace missing recordings, each `duration_us` long.
 ///
 /// # Errors
-/// None: they are fixed.
+/// Fails if a scene has no events within `duration_us`.
 pub fn scenes(duration_us: u64) -> Result<Vec<Source>> {
     SCENES
         .into_iter()
@@ -90,7 +90,7 @@ pub fn scenes(duration_us: u64) -> Result<Vec<Source>> {
         .collect()
 }
 
-/// Events in memory as a recording.
+/// Reads events from memory as if from a recording.
 pub struct Memory {
     sensor: Sensor,
     events: Arc<[Event]>,
@@ -99,7 +99,7 @@ pub struct Memory {
 }
 
 impl Memory {
-    /// Reads `events` from the first.
+    /// Creates a reader of `events`, from the first on.
     #[must_use]
     pub fn new(sensor: Sensor, events: Arc<[Event]>) -> Self {
         Self {

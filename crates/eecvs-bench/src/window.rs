@@ -1,4 +1,4 @@
-//! A cut as the accumulate stage meets it: impulses by pixel.
+//! A cut in the form in which the accumulate stage receives it: impulses grouped by pixel.
 
 use std::num::NonZeroU32;
 
@@ -10,46 +10,47 @@ use eecvs_oracle::window::{HOST_CAPACITY, windows};
 
 use super::cut::Cut;
 
-/// Events of a crowded pixel at the least.
+/// Minimum number of events in a crowded pixel.
 pub const CROWDED_EVENTS: usize = 16;
 
-/// One window's pixels, in raster order.
+/// The events of one window, grouped by pixel.
 #[derive(Debug, Clone)]
 pub struct Window {
-    /// T.
+    /// T in us.
     pub duration_us: u32,
-    /// T's.
+    /// The scale that turns offsets into phases, for this T.
     pub scale: PhaseScale,
     impulses: Vec<Impulse>,
     oracles: Vec<oracle::Impulse>,
-    /// By pixel, where its impulses end.
+    /// The index at which each pixel's impulses end.
     ends: Vec<usize>,
 }
 
 /// The windows of a cut.
 #[derive(Debug, Clone)]
 pub struct Windows {
-    /// The cut's name.
+    /// Name of the cut.
     pub name: &'static str,
-    /// One or more.
+    /// The windows, one or more, in order of time.
     pub windows: Vec<Window>,
-    /// Events in all of them.
+    /// Number of events in all windows.
     pub events: usize,
 }
 
-/// A pixel's events, oldest first: the core's, and the oracle's.
+/// The events of one pixel, once in the core's type and once in the oracle's. Those of a cut are in order of arrival.
 #[derive(Debug, Clone, Copy)]
 pub struct Pixel<'w> {
-    /// The window it is of.
+    /// The window that contains the pixel.
     pub window: &'w Window,
-    /// For the core.
+    /// The events as the core takes them.
     pub impulses: &'w [Impulse],
-    /// The same for the oracle.
+    /// The same events as the oracle takes them.
     pub oracles: &'w [oracle::Impulse],
 }
 
 impl Window {
-    /// A window of some pixels' events, whose offsets are below `duration_us`.
+    /// Creates a window of T = `duration_us`, 1 or more, from the events of its pixels. Their offsets must be below
+    /// T. The core's impulses keep only the sign of p.
     #[must_use]
     pub fn new(duration_us: u32, pixels: impl IntoIterator<Item = Vec<oracle::Impulse>>) -> Self {
         let (mut oracles, mut ends) = (Vec::new(), Vec::new());
@@ -70,7 +71,7 @@ impl Window {
         }
     }
 
-    /// Its pixels with events.
+    /// Returns the pixels that have events, in the order in which they were given.
     pub fn pixels(&self) -> impl Iterator<Item = Pixel<'_>> {
         let mut start = 0;
         self.ends.iter().map(move |end| {
@@ -86,10 +87,10 @@ impl Window {
 }
 
 impl Windows {
-    /// The windows of a cut's first `most` events.
+    /// Divides the first `most` events of a cut into windows, with the pixels of each in raster order.
     ///
     /// # Errors
-    /// A cut of a window of 0 us.
+    /// Fails if the cut's T is 0 us.
     pub fn new(cut: &Cut, most: usize) -> Result<Self> {
         let window_us = NonZeroU32::new(cut.window_us).context("a window of 0 us")?;
         let events = &cut.events[..most.min(cut.events.len())];
@@ -108,7 +109,8 @@ impl Windows {
         })
     }
 
-    /// The pixels of less than [`CROWDED_EVENTS`], and the crowded ones, in order.
+    /// Returns all windows twice: with only the pixels of fewer than [`CROWDED_EVENTS`] events, and with only the
+    /// crowded pixels. The order of the pixels is kept.
     #[must_use]
     pub fn parts(&self) -> [Self; 2] {
         [false, true].map(|crowded| {
@@ -137,7 +139,7 @@ impl Windows {
         })
     }
 
-    /// The pixels of all windows.
+    /// Returns the pixels of all windows, one window after the other.
     pub fn pixels(&self) -> impl Iterator<Item = Pixel<'_>> {
         self.windows.iter().flat_map(Window::pixels)
     }

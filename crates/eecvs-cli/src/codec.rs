@@ -1,4 +1,4 @@
-//! The flags of the codec, which `eecvs encode`, the microcontroller's commands, the ROS nodes and the hub share.
+//! The codec flags shared by `eecvs encode`, the microcontroller commands, the ROS nodes and the hub.
 
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
@@ -17,59 +17,59 @@ use event_files::EventReader;
 use crate::options::ThresholdOptions;
 use crate::order::OrderOptions;
 
-/// How windows are encoded.
+/// Flags that control how windows are encoded.
 #[derive(Debug, Clone, Args)]
 pub struct CodecOptions {
-    /// What frames hold
+    /// Content of the frames
     #[arg(long, value_enum, default_value = "hybrid")]
     mode: ModeName,
 
-    /// hybrid: no decoded time is off by more than D microseconds [default: 0, lossless]
+    /// hybrid: largest error of a decoded time in microseconds [default: 0, lossless]
     #[arg(long, value_name = "D", conflicts_with = "bins")]
     time_tolerance_us: Option<u32>,
 
-    /// hybrid: only the volume of B bins in time is exact
+    /// hybrid: keep only the volume of B time bins exact
     #[arg(long, value_name = "B", value_parser = clap::value_parser!(u16).range(1..))]
     bins: Option<u16>,
 
-    /// How events or coefficients become bits [default: fast in mode hybrid, plain in mode transform]
+    /// Entropy coder of events or coefficients [default: fast in mode hybrid, plain in mode transform]
     #[arg(long, value_enum)]
     coder: Option<CoderName>,
 
-    /// dense: windows after which a frame can be decoded without those before it
+    /// dense: send a key frame, which decodes without the frames before it, every N windows
     #[arg(long, value_name = "N", default_value_t = KEY_WINDOWS,
           value_parser = clap::value_parser!(u16).range(1..=256))]
     key_windows: u16,
 
-    /// hybrid, dense: for sensors that scan, such as DVXplorers, tell times by their scans; auto finds
-    /// out from the first events how
+    /// hybrid, dense: encode times by scans, for sensors that scan, such as the DVXplorer; auto detects from the
+    /// first events how the sensor scans
     #[arg(long, value_enum, default_value = "auto")]
     scans: ScanName,
 
-    /// Send only the pixels of a rectangle: first column and row, columns, rows
+    /// Send only the events inside a rectangle: first column, first row, columns, rows
     #[arg(long, value_name = "X,Y,W,H", value_parser = region)]
     region: Option<Region>,
 
-    /// Never send the pixels of a text file of lines x,y
+    /// Text file of hot pixels, one x,y per line; their events are never sent
     #[arg(long, value_name = "FILE")]
     hot_pixels: Option<PathBuf>,
 
-    /// Leave out events that are alone: no other in their pixel and its eight neighbours in the window
+    /// Leave out isolated events: those with no other event in their pixel or its eight neighbours in the window
     #[arg(long)]
     isolated: bool,
 
-    /// hybrid: decode events of equal time in the order of the input, for 0.01 to 1.5 bits per event more.
-    /// With a tolerance or bins, equal is what is decoded as equal; with a budget, where there is room
+    /// hybrid: keep the input order of events of equal time, for 0.01 to 1.5 bits per event more. With a tolerance or
+    /// bins, times that decode as equal count as equal; with a budget, the order is kept where there is room
     #[arg(long)]
     keep_order: bool,
 
-    /// hybrid: no second of frames takes more than B bytes. What does not fit is degraded step by step
-    /// (tolerances, then bins, then events that are alone, then every second, fourth, ... event), and
-    /// each frame says how; one thread encodes
+    /// hybrid: limit the frames of any second to B bytes. What does not fit is degraded step by step (tolerances,
+    /// then bins, then removal of isolated events, then every second, fourth, ... event), and each frame states how;
+    /// uses one encoding thread
     #[arg(long, value_name = "B")]
     bytes_per_second: Option<NonZeroU32>,
 
-    /// Transform of every window; auto takes the one of its density's regime
+    /// Transform of every window; auto selects it by the regime of the window's density
     #[arg(long, value_enum, default_value = "auto")]
     transform: TransformName,
 
@@ -78,8 +78,8 @@ pub struct CodecOptions {
           value_parser = clap::value_parser!(u8).range(1..=64))]
     m: u8,
 
-    /// Size of the transform's grid [default: M for the DCT, 2M for the others]; the DWT rounds it
-    /// up to a power of two
+    /// Size of the transform's grid [default: M for the DCT, 2M for the others]; the DWT rounds it up to a power of
+    /// two
     #[arg(long, value_name = "K", value_parser = clap::value_parser!(u16).range(1..=1024))]
     grid: Option<u16>,
 
@@ -88,22 +88,22 @@ pub struct CodecOptions {
           value_parser = clap::value_parser!(i8).range(-15..=8))]
     step_log2: i8,
 
-    /// Largest error of a kept coefficient, of re and im each: takes the largest step that keeps it. The
+    /// Largest quantisation error of a kept coefficient, for re and im each; selects the largest step within it. The
     /// kernel's own error, up to 2^-14 per event in the pixel, comes on top
     #[arg(long, value_name = "E", conflicts_with = "step_log2")]
     max_error: Option<f64>,
 
-    /// Duration of a window in microseconds
+    /// Window duration in microseconds
     #[arg(long, value_name = "T", default_value = "32768")]
     window_us: NonZeroU32,
 
-    /// Begin windows at T + i window-us microseconds, for whole i, so that those of several sensors match
+    /// Begin windows at T + i window-us microseconds, for integer i, so that the windows of several sensors match
     /// [default: with the first event]
     #[arg(long, value_name = "T")]
     origin_us: Option<u64>,
 
-    /// Send a frame for a window without events too, up to 65,536 in a row: 20 to 40 bytes that say that the sensor
-    /// is there
+    /// Also send a frame for a window without events, up to 65,536 in a row: 20 to 40 bytes that show that the sensor
+    /// is present
     #[arg(long)]
     every_window: bool,
 
@@ -111,59 +111,58 @@ pub struct CodecOptions {
     thresholds: ThresholdOptions,
 }
 
-/// How large windows and frames may be.
+/// Limits on the size of windows and frames.
 #[derive(Debug, Clone, Copy, Args)]
 pub struct LimitOptions {
-    /// Events that a window holds before it closes early
+    /// Largest number of events in a window; a full window closes early
     #[arg(long, value_name = "N", default_value_t = eecvs::encode::WINDOW_EVENTS as u32,
           value_parser = clap::value_parser!(u32).range(1..=eecvs_nostd::window::EVENTS_MAX as i64))]
     window_events: u32,
 
-    /// Largest frame in bytes; a window that needs more takes several frames
+    /// Largest frame in bytes; a window that needs more is split into several frames
     #[arg(long, value_name = "BYTES", default_value_t = eecvs_nostd::FRAME_BYTES_MAX as u32,
           value_parser = clap::value_parser!(u32)
               .range(OUTPUT_BYTES_MIN as i64..=eecvs_nostd::FRAME_BYTES_MAX as i64))]
     frame_bytes: u32,
 
-    /// What is done about times that run back.
+    /// How times that run backwards are handled.
     #[command(flatten)]
     pub order: OrderOptions,
 }
 
-/// A mode on the command line.
+/// Name of a mode on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum ModeName {
-    /// The events, as exactly as is asked; --transform, -m and --grid are then those of the volume
-    /// that is decoded from them
+    /// The events, as exact as requested; --transform, -m and --grid then apply to the volume decoded from them
     Hybrid,
-    /// Every active pixel as its kept coefficients
+    /// The kept coefficients of every active pixel
     Transform,
 }
 
-/// A coder of events or coefficients on the command line.
+/// Name of a coder of events or coefficients on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum CoderName {
-    /// transform: codes that do not adapt, as a microcontroller sends coefficients
+    /// transform: non-adaptive codes, as a microcontroller uses for coefficients
     Plain,
-    /// For speed; every frame decodes by itself
+    /// For speed; every frame decodes on its own
     Fast,
-    /// For size; frames go on from those before, up to the next key frame
+    /// For size; a frame depends on those before it, back to the last key frame
     Dense,
 }
 
-/// Whether times are told by scans, on the command line.
+/// Whether times are encoded by scans, on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum ScanName {
-    /// Where they lie on a grid
+    /// If the times lie on a grid
     Auto,
     /// Never
     Off,
 }
 
-/// A transform on the command line.
+/// Name of a transform on the command line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum TransformName {
-    /// By the window's density
+    /// Selected by the window's density
     Auto,
     /// Cosine transform
     Dct,
@@ -173,22 +172,22 @@ enum TransformName {
     Dwt,
 }
 
-/// A kernel on the command line, with its error of a coefficient per event in the pixel.
+/// Name of a kernel on the command line; the help gives its coefficient error per event in the pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum KernelName {
     /// The encoder's own and the fastest: within 2^-14 per event in the pixel
     Table,
     /// Chebyshev recurrence in fixed point: 2^-16
     Recurrence,
-    /// An atom at a time in fixed point: 2^-26
+    /// One atom at a time in fixed point: 2^-26
     Precise,
-    /// An atom at a time by micromath's f32: 2^-9
+    /// One atom at a time in micromath's f32: 2^-9
     Micromath,
-    /// Chebyshev recurrence in f32, seeds by libm: 2^-14
+    /// Chebyshev recurrence in f32, seeded by libm: 2^-14
     Libm,
 }
 
-/// A rectangle from the command line.
+/// Parses a rectangle `X,Y,W,H`.
 fn region(text: &str) -> Result<Region, String> {
     let numbers: Option<Vec<u16>> = text
         .split(',')
@@ -206,7 +205,7 @@ fn region(text: &str) -> Result<Region, String> {
 }
 
 impl KernelName {
-    /// The core's kernel of that name.
+    /// Returns the core's kernel of this name.
     #[must_use]
     pub const fn kernel(self) -> Kernel {
         match self {
@@ -220,10 +219,11 @@ impl KernelName {
 }
 
 impl CodecOptions {
-    /// Configuration of the encoder for a sensor.
+    /// Returns the configuration of the encoder for a sensor.
     ///
     /// # Errors
-    /// A thresholds file that cannot be read, a region outside of the sensor, flags that exclude each other.
+    /// A thresholds file that cannot be read, a region outside the sensor, a `--max-error` that no step meets, or
+    /// flags that exclude each other.
     pub fn config(&self, sensor: Sensor) -> Result<Config> {
         let fidelity = match (self.time_tolerance_us, self.bins) {
             (None | Some(0), None) => Fidelity::Lossless,
@@ -308,10 +308,10 @@ impl CodecOptions {
         })
     }
 
-    /// Configuration of an encoder on a microcontroller.
+    /// Returns the configuration of an encoder on a microcontroller.
     ///
     /// # Errors
-    /// As [`CodecOptions::config`]; what its image cannot do.
+    /// As for [`CodecOptions::config`], and flags that the firmware image does not support.
     pub fn config_of_image(&self, sensor: Sensor) -> Result<Config> {
         let config = self.config(sensor)?;
         ensure!(
@@ -326,8 +326,8 @@ impl CodecOptions {
         Ok(config)
     }
 
-    /// The reader, and the configuration with the readout that its first events show, where it is
-    /// looked for.
+    /// Returns the reader, and the configuration with the readout detected from its first events, unless `--scans` is
+    /// off.
     #[must_use]
     pub fn look(
         &self,
@@ -340,16 +340,16 @@ impl CodecOptions {
         }
     }
 
-    /// Files that it reads.
+    /// Returns the files to be read: hot pixels and thresholds.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
         let hot = self.hot_pixels.iter().map(PathBuf::as_path);
         hot.chain(self.thresholds.files())
     }
 
-    /// The pixels that are never sent.
+    /// Returns the hot pixels as (column, row); empty if no file was given.
     ///
     /// # Errors
-    /// A file that cannot be read.
+    /// A file that cannot be read, or an invalid file.
     pub fn hot_pixels(&self, sensor: Sensor) -> Result<Vec<(u16, u16)>> {
         match &self.hot_pixels {
             Some(path) => Ok(hot_pixels::read(path, sensor)?),
@@ -359,7 +359,7 @@ impl CodecOptions {
 }
 
 impl LimitOptions {
-    /// Sizes of windows and frames.
+    /// Returns the limits for the encoder.
     #[must_use]
     pub const fn limits(self) -> Limits {
         Limits {

@@ -1,4 +1,4 @@
-//! A recording through an encoder: the flags and the report that `eecvs mcu` and `eecvs-usb mcu` share.
+//! Sending a recording through an encoder: the flags and the report shared by `eecvs mcu` and `eecvs-usb mcu`.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -19,7 +19,7 @@ use crate::options::{OutputOptions, ReadingOptions};
 use crate::output::Place;
 use crate::progress::Progress;
 
-/// What is encoded unless a recording is given: a few windows of a small sensor, of every regime.
+/// Scene encoded if no recording is given: a few windows of a small sensor, covering every regime.
 const SCENE: SceneConfig = SceneConfig {
     preset: Preset::OutdoorWellLitBlur,
     sensor: Sensor {
@@ -31,14 +31,14 @@ const SCENE: SceneConfig = SceneConfig {
     seed: 3,
 };
 
-/// Which recording, and how it is encoded.
+/// The recording and how it is encoded.
 #[derive(Debug, Args)]
 pub struct JobOptions {
     /// Recording to encode [default: a small seeded scene]
     #[arg(value_name = "IN")]
     input: Option<PathBuf>,
 
-    /// Keep the frames that came back in a file
+    /// File for the frames received from the encoder
     #[arg(short, long, value_name = "OUT.eecvs")]
     pub output: Option<PathBuf>,
 
@@ -48,16 +48,16 @@ pub struct JobOptions {
     #[command(flatten)]
     reading: ReadingOptions,
 
-    /// Encode the first N events alone
+    /// Encode only the first N events
     #[arg(long, value_name = "N")]
     events: Option<u64>,
 
-    /// Let the encoder drop and count events while it has no room, rather than hold the link; then
-    /// frames are unpacked and events accounted for, but not compared
+    /// Let the encoder drop and count events while it has no room, instead of blocking the link; frames are then
+    /// unpacked and events accounted for, but not compared
     #[arg(long)]
     drop_when_full: bool,
 
-    /// Whether it may replace a file.
+    /// Whether an existing output may be replaced.
     #[command(flatten)]
     pub overwrite: OutputOptions,
 
@@ -66,7 +66,7 @@ pub struct JobOptions {
     pub json: bool,
 }
 
-/// The first events of a recording.
+/// A reader limited to the first events of a recording.
 struct First {
     reader: Box<dyn EventReader>,
     left: u64,
@@ -98,7 +98,7 @@ impl EventReader for First {
     }
 }
 
-/// A recording that was looked at.
+/// A recording that has been opened and checked, with the configuration for it.
 pub struct Prepared<'o> {
     options: &'o JobOptions,
     recording: Option<Rereadable>,
@@ -107,10 +107,11 @@ pub struct Prepared<'o> {
 }
 
 impl JobOptions {
-    /// Looks at the recording, before any encoder is asked for.
+    /// Opens the recording and derives the configuration, before any encoder is started.
     ///
     /// # Errors
-    /// A recording that cannot be read, options that no microcontroller's encoder has.
+    /// A recording that cannot be read, an output that cannot be written, or options that an encoder on a
+    /// microcontroller does not support.
     pub fn prepare(&self) -> Result<Prepared<'_>> {
         if let Some(output) = &self.output {
             let input = self.input.iter().map(PathBuf::as_path);
@@ -133,7 +134,7 @@ impl JobOptions {
         })
     }
 
-    /// What messages call the recording.
+    /// Returns the name of the recording for messages.
     #[must_use]
     pub fn name(&self) -> String {
         self.input.as_ref().map_or_else(
@@ -142,7 +143,7 @@ impl JobOptions {
         )
     }
 
-    /// Where to say what was done.
+    /// Returns where to print the report.
     #[must_use]
     pub fn place(&self) -> Place {
         Place::beside(self.output.iter().map(PathBuf::as_path))
@@ -161,12 +162,11 @@ impl JobOptions {
 }
 
 impl Prepared<'_> {
-    /// Sends the recording to an encoder, takes its frames, and keeps them where that is asked for.
+    /// Sends the recording to an encoder, receives its frames, and saves them if an output was given.
     ///
     /// # Errors
-    /// A recording that cannot be read or sent, an encoder that refuses or stalls, a link that fails, a
-    /// file that cannot be written. Frames that differ and events that are lost are not:
-    /// [`Outcome::verdict`].
+    /// A recording that cannot be read or sent, an encoder that refuses or stalls, a link that fails, or a file that
+    /// cannot be written. Frames that differ and events that are lost are not errors here, see [`Outcome::verdict`].
     pub fn run(&self, connection: &mut Connection) -> Result<Outcome> {
         let options = self.options;
         let open = || options.open(self.recording.as_ref());
@@ -188,7 +188,7 @@ impl Prepared<'_> {
     }
 }
 
-/// What became of the events; the fields are JSON keys, one for every row of the table.
+/// Counts of events and frames; the fields are the JSON keys, one for each row of the table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Account {
     hot_pixels: u32,
@@ -201,13 +201,13 @@ pub struct Account {
     windows: u64,
     window_events: u32,
     frames: u64,
-    /// Nothing where the host has no frames to compare with.
+    /// `None` if the host has no frames to compare with.
     frames_identical: Option<u64>,
     frames_different: Option<u64>,
 }
 
 impl Account {
-    /// Of what an encoder has done.
+    /// Creates the account of an encoder's run.
     #[must_use]
     pub fn new(outcome: &Outcome) -> Self {
         let compared = |frames: u64| outcome.compared.then_some(frames);
@@ -227,7 +227,7 @@ impl Account {
         }
     }
 
-    /// For people.
+    /// Returns the rows of the printed table.
     #[must_use]
     pub fn rows(&self) -> Vec<(&'static str, String)> {
         let compared = |frames: Option<u64>| {
@@ -253,7 +253,7 @@ impl Account {
     }
 }
 
-/// The time of the encoder's clock for an event, under `title`, for people.
+/// Returns the rows of the encoder's time per event in ns, with the sum under `title`, for the printed table.
 #[must_use]
 pub fn times(title: &'static str, outcome: &Outcome) -> Vec<(&'static str, String)> {
     let [receive, encode, send] = outcome.ns_per_event();

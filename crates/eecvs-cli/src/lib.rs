@@ -1,7 +1,7 @@
-//! What the commands of EECVS share: flags, the tables and JSON that they print, progress, and how they end.
+//! Code shared by the commands of EECVS: flags, printed tables and JSON, progress, signals and exit status.
 //!
-//! `eecvs`, `eecvs-usb`, `eecvs-ros` and `eecvs-hub` have the same flags for the same things, which are here; a library
-//! has no place for them.
+//! `eecvs`, `eecvs-usb`, `eecvs-ros` and `eecvs-hub` use the same flags for the same purposes. The flags are defined
+//! here because the libraries know nothing of a command line.
 
 pub mod codec;
 pub mod job;

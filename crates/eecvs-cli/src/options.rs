@@ -1,4 +1,4 @@
-//! Flags that several subcommands share.
+//! Flags shared by several subcommands.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -15,12 +15,12 @@ use event_files::{BadEvents, Columns, FORMATS, Format, Reading, TimeUnit};
 
 use crate::stop::stop_on_signals;
 
-/// Parses a width or a height.
+/// Returns the parser of a sensor width or height.
 fn side() -> RangedU64ValueParser<u16> {
     RangedU64ValueParser::new().range(1..=u64::from(Sensor::SIDE_MAX))
 }
 
-/// What a recording does not say of itself.
+/// Properties of a recording that its file may not state.
 #[derive(Debug, Clone, Default, Args)]
 pub struct ReadingOptions {
     /// Sensor width in pixels, for formats that do not store it
@@ -35,7 +35,7 @@ pub struct ReadingOptions {
     #[arg(long, value_name = "UNIT", value_parser = time_unit)]
     pub time_unit: Option<TimeUnit>,
 
-    /// Microseconds to add to every time of the recording, such as for times before 0
+    /// Microseconds to add to every time of the recording, for example if it has times before 0
     #[arg(
         long,
         value_name = "D",
@@ -44,31 +44,31 @@ pub struct ReadingOptions {
     )]
     pub time_offset_us: i64,
 
-    /// Columns of a table: a letter for each, t, x, y, p and - for one to leave out, as in -xytp; or their
-    /// names, as in t=time,x=col,y=row,p=on
+    /// Columns of a table: one letter each (t, x, y, p, or - to skip a column), as in -xytp; or their names, as in
+    /// t=time,x=col,y=row,p=on
     #[arg(long, value_name = "COLUMNS", value_parser = Columns::parse)]
     pub columns: Option<Columns>,
 
-    /// Leave out, and count, events that cannot be ones (outside of the sensor, values missing) instead of
-    /// ending with an error at the first
+    /// Leave out and count invalid events (outside the sensor, values missing) instead of ending with an error at the
+    /// first
     #[arg(long)]
     pub leave_out_bad_events: bool,
 }
 
-/// Whether a file that is there already may be replaced.
+/// Whether an existing file may be replaced.
 #[derive(Debug, Clone, Copy, Default, Args)]
 pub struct OutputOptions {
-    /// Replace a file that is there already, when the new one is complete; of a damaged recording what comes before the
-    /// damage is left in incomplete-NAME
+    /// Replace an existing file once the new one is complete; if the recording is damaged, the part before the damage
+    /// goes to incomplete-NAME instead
     #[arg(long)]
     pub overwrite: bool,
 }
 
 impl OutputOptions {
-    /// Refuses an output before anything is done, as [`event_files::output::check`].
+    /// Checks an output before any work is done, see [`event_files::output::check`].
     ///
     /// # Errors
-    /// As there.
+    /// As for [`event_files::output::check`].
     pub fn check<'p>(
         self,
         output: &Path,
@@ -85,15 +85,15 @@ impl OutputOptions {
     }
 }
 
-/// The format of a recording that is written.
+/// Format of the recording to write.
 #[derive(Debug, Clone, Copy, Default, Args)]
 pub struct FormatOptions {
-    /// Format of the recording that is written, for an output without an extension, such as - for stdout
+    /// Format of the recording to write, for an output without an extension, such as - for stdout
     #[arg(long, value_name = "NAME", value_parser = written_format)]
     pub format: Option<&'static Format>,
 }
 
-/// Parses the name of a format that is written.
+/// Parses the name, or the extension without its dot, of a format that can be written.
 fn written_format(name: &str) -> Result<&'static Format, String> {
     let written = || FORMATS.iter().filter(|format| format.create.is_some());
     let ending = format!(".{name}");
@@ -107,7 +107,7 @@ fn written_format(name: &str) -> Result<&'static Format, String> {
 }
 
 impl FormatOptions {
-    /// What the output is, whose name need not tell where a format was asked for.
+    /// Returns the kind of the output; if a format was given, the file name need not imply one.
     #[must_use]
     pub const fn kind(self) -> Kind {
         match self.format {
@@ -116,17 +116,18 @@ impl FormatOptions {
         }
     }
 
-    /// The format that was asked for, or that of the output's extension.
+    /// Returns the format that was given, or else that of the output's extension.
     ///
     /// # Errors
-    /// An extension of no format or of another one, and no extension where no format was asked for.
+    /// An extension of another format than the one given; with no format given, an extension that is missing or
+    /// unknown.
     pub fn of(self, output: &Path) -> Result<&'static Format> {
         let by_name = event_files::writable(output).map(|(format, _)| format);
         let Some(format) = self.format else {
             return Ok(by_name?);
         };
         if let Ok(other) = by_name {
-            // Such as .raw, of several formats.
+            // Several formats may share an extension, such as .raw.
             let ending = output.extension().unwrap_or_default().to_string_lossy();
             let ending = format!(".{}", ending.to_ascii_lowercase());
             let shares = format.endings.iter().any(|long| long.ends_with(&ending));
@@ -150,7 +151,7 @@ fn time_unit(text: &str) -> Result<TimeUnit, String> {
 }
 
 impl ReadingOptions {
-    /// The size, where it was given.
+    /// Returns the sensor size, if it was given.
     #[must_use]
     pub fn sensor(&self) -> Option<Sensor> {
         self.width
@@ -158,7 +159,7 @@ impl ReadingOptions {
             .and_then(|(width, height)| Sensor::new(width, height))
     }
 
-    /// How a recording is read.
+    /// Returns how the recording is to be read.
     #[must_use]
     pub fn reading(&self) -> Reading {
         Reading {
@@ -175,23 +176,24 @@ impl ReadingOptions {
     }
 }
 
-/// Following of a recording that is still being written.
+/// Following a recording that is still being written.
 #[derive(Debug, Clone, Copy, Default, Args)]
 pub struct FollowOptions {
-    /// Wait for what is appended to the recording, until Ctrl-C
+    /// Wait for data appended to the recording, until Ctrl-C
     #[arg(long)]
     follow: bool,
 
-    /// With --follow: take a recording that has not grown for so many seconds as ended
+    /// With --follow: consider a recording ended if it has not grown for S seconds
     #[arg(long, value_name = "S", requires = "follow", value_parser = RangedU64ValueParser::<u32>::new().range(1..))]
     idle_s: Option<u32>,
 }
 
 impl FollowOptions {
-    /// How long to follow, where that was asked for; from then on a signal ends it.
+    /// Returns how long to follow the recording, or `None` if --follow was not given. After the call, the first
+    /// signal ends the following instead of the process.
     ///
     /// # Errors
-    /// Signals that cannot be handled.
+    /// None at present.
     pub fn follow(self) -> Result<Option<Follow>> {
         if !self.follow {
             return Ok(None);
@@ -203,12 +205,13 @@ impl FollowOptions {
     }
 }
 
-/// What is said, as an error, of a recording that ended before its end; `output` is the file that has what was before
-/// it, and `wanted` the one that was to.
+/// Reports a recording that ended early because of damage.
+///
+/// `output` is the file that holds the data before the damage, and `wanted` the output that was requested.
 ///
 /// # Errors
-/// Always where there is damage, but where a recording was followed: then its end was chosen, and is
-/// told on stderr alone.
+/// Always if there is damage, except for a recording that was followed: its end was chosen by the user, so the damage
+/// is only reported on stderr.
 pub fn tell_damage(
     damage: Option<&str>,
     output: Option<&Path>,
@@ -234,10 +237,10 @@ pub fn tell_damage(
     Ok(())
 }
 
-/// Says what of frames was damaged or lost: an error where anything is missing, and else a line on stderr.
+/// Reports damaged or lost frames: as an error if any data is missing, otherwise as a line on stderr.
 ///
 /// # Errors
-/// Frames that are missing or damaged, all others of which were used.
+/// Frames are missing or damaged; all other frames were used.
 pub fn tell_link(name: &str, link: &LinkReport) -> Result<()> {
     if let Some(warning) = link.warning() {
         ensure!(!link.has_loss(), "{name}: {warning}");
@@ -249,21 +252,21 @@ pub fn tell_link(name: &str, link: &LinkReport) -> Result<()> {
 /// Density thresholds.
 #[derive(Debug, Clone, Default, Args)]
 pub struct ThresholdOptions {
-    /// Density thresholds, as `eecvs calibrate` writes them [default: those of the nine scenes]
+    /// Density thresholds, as written by `eecvs calibrate` [default: those of the nine scenes]
     #[arg(long, value_name = "FILE")]
     pub thresholds: Option<PathBuf>,
 }
 
 impl ThresholdOptions {
-    /// The file that it reads, where there is one.
+    /// Returns the thresholds file to be read, if one was given.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
         self.thresholds.iter().map(PathBuf::as_path)
     }
 
-    /// The thresholds of the file, or those that come with the program.
+    /// Loads the thresholds from the file, or the built-in thresholds if no file was given.
     ///
     /// # Errors
-    /// A file that cannot be read.
+    /// A file that cannot be read, or whose thresholds are invalid.
     pub fn load(&self) -> Result<Thresholds> {
         let file = match &self.thresholds {
             Some(path) => ThresholdsFile::read(path)?,

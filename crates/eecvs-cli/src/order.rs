@@ -1,4 +1,4 @@
-//! What commands do about times that run back.
+//! Handling of times that run backwards.
 
 use std::path::Path;
 
@@ -10,26 +10,26 @@ use event_files::sort::Sorted;
 
 use crate::progress::Progress;
 
-/// Whether a recording is sorted.
+/// Whether a recording is sorted first.
 #[derive(Debug, Clone, Copy, Default, Args)]
 pub struct SortOptions {
     /// Sort the events by time first, however far times run back; events of equal time keep their order. Uses
-    /// temporary files where they are many
+    /// temporary files for large recordings
     #[arg(long)]
     sort: bool,
 }
 
 impl SortOptions {
-    /// Whether it is.
+    /// Returns whether sorting was requested.
     #[must_use]
     pub const fn is_asked(self) -> bool {
         self.sort
     }
 
-    /// The reader, or one of its events in order.
+    /// Returns the reader, or if sorting was requested a reader of its events sorted by time.
     ///
     /// # Errors
-    /// A temporary file that cannot be written.
+    /// An error of the reader, or a temporary file that cannot be written.
     pub fn apply(self, reader: Box<dyn EventReader>) -> Result<Box<dyn EventReader>> {
         if !self.sort {
             return Ok(reader);
@@ -41,25 +41,26 @@ impl SortOptions {
     }
 }
 
-/// How much disorder is put right, and whether more of it is an error.
+/// How much disorder is corrected, and whether any more is an error.
 #[derive(Debug, Clone, Copy, Default, Args)]
 pub struct OrderOptions {
-    /// Put events in order that come up to N microseconds after later ones; a clock that falls back further
-    /// begins a new run of windows. 0: it always does [default: 5000, of a live source 1000]
+    /// Reorder events that arrive up to N microseconds after later ones; a clock that falls back further begins a new
+    /// run of windows, and with 0 any fall back does [default: 5000, for a live source 1000]
     #[arg(long, value_name = "N")]
     pub reorder_us: Option<u32>,
 
-    /// Exit with 0 also where events came too late and are in no frame
+    /// Exit with 0 even if events came too late and are in no frame
     #[arg(long)]
     pub allow_loss: bool,
 }
 
 impl OrderOptions {
-    /// An error where `late` of `events` events came too late, with what the user can do about it; where that is
-    /// allowed, `warn` gets the message.
+    /// Reports events that came too late: as an error that names a `remedy`, or through `warn` if loss is allowed.
+    ///
+    /// The pair is the number of late events and the number of all events; nothing is reported if none was late.
     ///
     /// # Errors
-    /// Events that are in no frame.
+    /// Events are in no frame, and loss is not allowed.
     pub fn refuse_late(
         self,
         name: &str,
@@ -81,10 +82,10 @@ impl OrderOptions {
     }
 }
 
-/// Says on stderr how often a clock fell back; an error where events are lost by it, unless that is allowed.
+/// Reports on stderr into how many runs a clock that fell back divided the recording, and refuses late events.
 ///
 /// # Errors
-/// Events that came too late, which are in no frame.
+/// Events came too late and are in no frame, unless loss is allowed.
 pub fn tell_disorder(input: &Path, summary: &EncodeSummary, order: OrderOptions) -> Result<()> {
     let name = input.display().to_string();
     if summary.runs > 1 {

@@ -1,4 +1,4 @@
-//! Results on stdout.
+//! Output of results, and exit status.
 
 use std::io::{ErrorKind, Write, stderr, stdout};
 use std::path::Path;
@@ -8,7 +8,7 @@ use anyhow::{Context, Error, Result};
 use event_files::output::{Output, is_stdout};
 use serde::Serialize;
 
-/// How a program ends: an error is one line on stderr, and exit status 1.
+/// Ends a program: an error is printed as one line on stderr and gives exit status 1; a closed pipe is a success.
 pub fn end(program: &str, result: Result<()>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
@@ -20,13 +20,13 @@ pub fn end(program: &str, result: Result<()>) -> ExitCode {
     }
 }
 
-/// Whether stdout's reader, such as `head`, has seen enough.
+/// Returns whether the error is a closed pipe: the reader of stdout, such as `head`, has stopped reading.
 #[must_use]
 pub fn is_closed_pipe(error: &Error) -> bool {
     io_causes(error).any(|io| io.kind() == ErrorKind::BrokenPipe)
 }
 
-/// The system's errors among the causes of `error`.
+/// Returns the I/O errors among the causes of `error`.
 pub fn io_causes(error: &Error) -> impl Iterator<Item = &std::io::Error> {
     error.chain().filter_map(|cause| {
         let of_events = || cause.downcast_ref().and_then(event_files::Error::io);
@@ -34,11 +34,10 @@ pub fn io_causes(error: &Error) -> impl Iterator<Item = &std::io::Error> {
     })
 }
 
-/// Prints text as it is.
+/// Prints text to stdout unchanged.
 ///
 /// # Errors
-/// Stdout that cannot be written; a closed pipe is found by [`end`], which takes it as the reader's
-/// wish to see no more.
+/// Stdout cannot be written; [`end`] treats a closed pipe as a success.
 pub fn print(text: &str) -> Result<()> {
     let mut out = stdout().lock();
     out.write_all(text.as_bytes())
@@ -46,30 +45,30 @@ pub fn print(text: &str) -> Result<()> {
         .context("stdout")
 }
 
-/// Prints one JSON value and a newline.
+/// Prints one JSON value and a newline to stdout.
 ///
 /// # Errors
-/// As [`print()`].
+/// As for [`print()`].
 pub fn print_json(value: &impl Serialize) -> Result<()> {
     print(&format!("{}\n", serde_json::to_string(value)?))
 }
 
-/// Where a command says what it did: on stdout, unless a stream of the command's own goes there.
+/// Where a command prints its report: stdout, unless the command writes a data stream there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Place {
-    /// stdout.
+    /// Standard output.
     Stdout,
-    /// stderr.
+    /// Standard error.
     Stderr,
 }
 
 impl Place {
-    /// Beside what is written to these outputs.
+    /// Returns the place for a report of a command that writes to these outputs.
     pub fn beside<'p>(outputs: impl IntoIterator<Item = &'p Path>) -> Self {
         Self::unless_taken(outputs.into_iter().any(is_stdout))
     }
 
-    /// Stdout, unless it is taken.
+    /// Returns stdout, or stderr if stdout is taken.
     #[must_use]
     pub const fn unless_taken(is_stdout_taken: bool) -> Self {
         if is_stdout_taken {
@@ -79,10 +78,10 @@ impl Place {
         }
     }
 
-    /// Prints a report, as one JSON object or as its table.
+    /// Prints a report as one JSON object, or as its table.
     ///
     /// # Errors
-    /// As [`print()`].
+    /// As for [`print()`].
     pub fn tell(
         self,
         json: bool,
@@ -95,14 +94,14 @@ impl Place {
         self.print(&table())
     }
 
-    /// Prints text as it is.
+    /// Prints text unchanged.
     ///
     /// # Errors
-    /// As [`print()`].
+    /// As for [`print()`]; errors of stderr are ignored.
     pub fn print(self, text: &str) -> Result<()> {
         match self {
             Self::Stdout => print(text),
-            // Nobody is left to be told that stderr is gone.
+            // If stderr is gone, nobody can be informed of it.
             Self::Stderr => {
                 let _ = stderr().write_all(text.as_bytes());
                 Ok(())
@@ -111,7 +110,7 @@ impl Place {
     }
 }
 
-/// Rows of a name and a value, aligned.
+/// Formats rows of names and values as an aligned table.
 #[must_use]
 pub fn rows<'a>(rows: impl IntoIterator<Item = (&'a str, String)>) -> String {
     let rows: Vec<_> = rows.into_iter().collect();
@@ -121,10 +120,11 @@ pub fn rows<'a>(rows: impl IntoIterator<Item = (&'a str, String)>) -> String {
         .collect()
 }
 
-/// Gives a live output its name where `outcome` is good; otherwise what came stays as it is, which the
-/// error says, and a file without a byte is removed.
+/// Completes a live output if `outcome` is good. Otherwise the data received so far is kept, which the error
+/// mentions, and an empty file is removed.
 ///
 /// # Errors
+/// The error of `outcome`, or the file cannot be renamed.
 /// That of `outcome`, or the file cannot be renamed.
 pub fn keep_or_mark<T>(output: Output, outcome: Result<T>) -> Result<T> {
     match outcome {

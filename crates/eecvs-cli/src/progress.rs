@@ -1,4 +1,4 @@
-//! A progress line on stderr, for work over a second when stderr is a terminal.
+//! A progress line on stderr, shown if stderr is a terminal and the work takes more than a second.
 
 use std::io::{IsTerminal, stderr};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
@@ -7,22 +7,23 @@ use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-/// Work that takes longer shows its progress.
+/// Duration after which work shows its progress.
 const PROGRESS_AFTER: Duration = Duration::from_secs(1);
 
-/// So often it is drawn, whether or not anything is counted meanwhile: a single step may take half a minute.
+/// Redraw interval; the line is redrawn even if nothing is counted, because a single step may take half a minute.
 const DRAW_EVERY: Duration = Duration::from_millis(100);
 
-/// How far the work has come; gone from the terminal when dropped.
+/// Progress of some work; the line is removed from the terminal when dropped.
 #[derive(Debug)]
 pub struct Progress {
     bar: ProgressBar,
-    /// Draws the line from [`PROGRESS_AFTER`] on, where stderr is a terminal; ends when its channel is closed.
+    /// Thread that starts drawing after [`PROGRESS_AFTER`], if stderr is a terminal; it ends when its channel is
+    /// closed.
     drawing: Option<(Sender<()>, JoinHandle<()>)>,
 }
 
 impl Progress {
-    /// Counts `unit`s, such as events.
+    /// Creates a counter of `unit`s, such as events, without a known total.
     #[must_use]
     pub fn new(unit: &str) -> Self {
         let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden());
@@ -45,7 +46,7 @@ impl Progress {
         Self { bar, drawing }
     }
 
-    /// Counts `unit`s of a number that [`Self::set_of`] tells.
+    /// Creates a progress bar of `unit`s, with the total set by [`Self::set_of`].
     #[must_use]
     pub fn bar(unit: &str) -> Self {
         let progress = Self::new(unit);
@@ -57,18 +58,18 @@ impl Progress {
         progress
     }
 
-    /// `count` units of `total` are done.
+    /// Reports that `count` of `total` units are done.
     pub fn set_of(&self, count: u64, total: u64) {
         self.bar.set_length(total);
         self.set(count);
     }
 
-    /// `count` units are done in all.
+    /// Reports that `count` units are done in all.
     pub fn set(&self, count: u64) {
         self.bar.set_position(count);
     }
 
-    /// `count` further units are done.
+    /// Reports that `count` further units are done.
     pub fn advance(&self, count: u64) {
         self.set(self.bar.position() + count);
     }
@@ -78,7 +79,7 @@ impl Drop for Progress {
     fn drop(&mut self) {
         if let Some((end, thread)) = self.drawing.take() {
             drop(end);
-            // It only draws.
+            // The thread only draws, so its result does not matter.
             let _ = thread.join();
         }
         self.bar.finish_and_clear();

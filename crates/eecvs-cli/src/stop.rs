@@ -1,4 +1,4 @@
-//! The wish to stop, of who runs a command.
+//! Requests by the user to stop a command, by Ctrl-C or a signal.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -6,17 +6,18 @@ use std::sync::{Arc, Mutex, PoisonError};
 use anyhow::{Context, Result};
 use event_files::output::remove_parts;
 
-/// Set by the first signal, where a command looks at it.
+/// Flag set by the first signal, if a command has asked for it.
 static WISH: Mutex<Option<Arc<AtomicBool>>> = Mutex::new(None);
 
-/// Status of a process that a signal ended.
+/// Exit status of a process that was ended by a signal.
 const ENDED: i32 = 130;
 
-/// Makes Ctrl-C and termination signals end the process without half a file left behind; a command that asks for
-/// [`stop_on_signals`] ends by itself at the first.
+/// Makes Ctrl-C and termination signals end the process without leaving incomplete files behind.
+///
+/// A command that has called [`stop_on_signals`] is only notified of the first signal, and ends by itself.
 ///
 /// # Errors
-/// Signals that cannot be handled.
+/// The signal handler cannot be installed.
 pub fn end_on_signals() -> Result<()> {
     ctrlc::set_handler(|| {
         let wish = WISH.lock().unwrap_or_else(PoisonError::into_inner).clone();
@@ -29,7 +30,7 @@ pub fn end_on_signals() -> Result<()> {
     .context("handling Ctrl-C")
 }
 
-/// Set by the first signal from here on; the second ends the process at once.
+/// Returns a flag that the first signal from here on sets; the second signal ends the process at once.
 pub fn stop_on_signals() -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
     *WISH.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::clone(&stop));

@@ -1,23 +1,23 @@
-//! Values of flags that are types of a library, which knows of no command line.
+//! Parsers for flags whose values are types of libraries that know nothing of a command line.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use eecvs::reconstruct::events::Finder;
 use event_emulator::{PRESETS, Preset};
 use mcu_link::qemu::Machine;
 
-/// Parses the name of a scene; the help has a line about each.
+/// Returns the parser of a scene name; the help describes each scene in one line.
 pub fn preset() -> impl TypedValueParser<Value = Preset> {
     let values = PRESETS.map(|preset| PossibleValue::new(preset.name()).help(preset.about()));
     named(values, Preset::from_name)
 }
 
-/// Parses the name of a way to find event times; the help has a line about each.
+/// Returns the parser for a method of finding event times; the help describes each method in one line.
 pub fn finder() -> impl TypedValueParser<Value = Finder> {
     let values = Finder::ALL.map(|finder| PossibleValue::new(finder.name()).help(finder.about()));
     named(values, Finder::from_name)
 }
 
-/// Parses the name of a machine that QEMU emulates; the help has a line about each.
+/// Returns the parser of the name of an emulated machine; the help describes each machine in one line.
 pub fn machine() -> impl TypedValueParser<Value = Machine> {
     let values =
         Machine::ALL.map(|machine| PossibleValue::new(machine.name()).help(machine.about()));

@@ -1,12 +1,12 @@
-//! Variables of the environment that a library reads once, at its first use.
+//! Environment variables that a library reads once, at its first use.
 
-/// Gives the runtime of Zenoh more threads for receiving and connecting than its two and one, unless its variable is set.
-/// It is called before anything else is done.
+/// Gives Zenoh's runtime more threads for receiving (default 2) and connecting (default 1), unless `ZENOH_RUNTIME` is
+/// set. It must be called before anything else is done.
 ///
-/// A link whose other end hangs is given up after some seconds. Zenoh closes its socket in one of these threads, and has
-/// what was not sent linger: with a full socket that thread waits for ten seconds more. With no thread left, nothing
-/// would be received from anyone, and publishers would drop messages. As many links may be closed at a time as there
-/// are threads of the kind, less one.
+/// A link whose other end hangs is given up after some seconds. Zenoh closes the link's socket in one of these
+/// threads and lets unsent data linger, so with a full socket that thread waits for ten more seconds. With no
+/// thread left, nothing would be received from anyone, and publishers would drop messages. The number of links that
+/// may be closed at the same time is one less than the number of threads of a kind.
 pub fn have_zenoh_threads() {
     set_from_the_start(
         "ZENOH_RUNTIME",
@@ -14,11 +14,12 @@ pub fn have_zenoh_threads() {
     );
 }
 
-/// Sees to it that a variable is set from this program's start on: where it is not, the program takes its own place with
-/// the variable set, under the same number of process. It is called before anything else is done. Where the system does
-/// not do that, nothing happens.
+/// Ensures that a variable is set from the start of this program: if it is not, the program replaces itself by a new
+/// instance with the variable set, under the same process id. It must be called before anything else is done. Nothing
+/// happens on systems without `exec`.
 ///
-/// Setting it in a running program would be undefined as soon as another thread reads any variable.
+/// Setting the variable in the running program would be undefined behaviour as soon as another thread reads any
+/// variable.
 fn set_from_the_start(name: &str, value: &str) {
     #[cfg(unix)]
     if std::env::var_os(name).is_none()
@@ -30,7 +31,7 @@ fn set_from_the_start(name: &str, value: &str) {
         if let Some(own_name) = line.next() {
             again.arg0(own_name);
         }
-        // It returns where it has failed, and the program goes on without.
+        // `exec` returns only if it fails; the program then continues without the variable.
         let _failed = again.args(line).env(name, value).exec();
     }
     #[cfg(not(unix))]

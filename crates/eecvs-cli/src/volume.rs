@@ -1,18 +1,18 @@
-//! The flags of dense volumes, which `eecvs decode` and the ROS node `decode` share.
+//! The flags of dense volumes, shared by `eecvs decode` and the ROS node `decode`.
 
 use anyhow::{Result, ensure};
 use clap::{Args, ValueEnum};
 use eecvs::reconstruct::volume::{Channels, Form, Weights};
 
-/// What a volume is.
+/// Form of a volume.
 #[derive(Debug, Clone, Copy, Default, Args)]
 pub struct VolumeOptions {
-    /// B bins in time in place of coefficients: where frames hold events, the exact sums of their polarities by pixel
-    /// and bin; where they hold coefficients, the inverse transform
+    /// Use B time bins instead of coefficients: from frames with events, the exact sums of polarities per pixel and
+    /// bin; from frames with coefficients, the inverse transform
     #[arg(long, value_name = "B", value_parser = clap::value_parser!(u16).range(1..=4096))]
     bins: Option<u16>,
 
-    /// With --bins: what an event adds to which bins
+    /// With --bins: how an event is distributed over the bins
     #[arg(
         long,
         value_enum,
@@ -22,7 +22,7 @@ pub struct VolumeOptions {
     )]
     voxel: Voxel,
 
-    /// With --bins: one channel a bin for ON minus OFF, or B channels of ON and then B of OFF events
+    /// With --bins: one channel per bin with ON minus OFF, or B channels for ON followed by B for OFF events
     #[arg(
         long,
         value_enum,
@@ -32,35 +32,35 @@ pub struct VolumeOptions {
     )]
     polarity: Polarity,
 
-    /// Scale what is not 0 in a volume
+    /// Scaling of the non-zero values of a volume
     #[arg(long, value_enum, value_name = "HOW", default_value = "none")]
     normalise: Normalise,
 }
 
-/// What an event adds to which bins, on the command line.
+/// How an event is distributed over the bins, on the command line.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 enum Voxel {
-    /// 1 to the bin that its time is in
+    /// 1 to the bin that contains its time
     #[default]
     Nearest,
-    /// Parts of 1 to the two bins that its time is between: max(0, 1 - |b - (B - 1) (t - t0) / T|)
+    /// Split between the two bins nearest to its time: max(0, 1 - |b - (B - 1) (t - t0) / T|)
     Bilinear,
 }
 
-/// What becomes of polarities, on the command line.
+/// How polarities are represented, on the command line.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 enum Polarity {
     /// ON counts 1, OFF -1
     #[default]
     Signed,
-    /// Channels of their own, both positive
+    /// Separate channels for ON and OFF, both positive
     Split,
 }
 
 /// How values are scaled, on the command line.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
 enum Normalise {
-    /// As they are
+    /// Unchanged
     #[default]
     None,
     /// To a mean of 0 and a standard deviation of 1
@@ -68,10 +68,10 @@ enum Normalise {
 }
 
 impl VolumeOptions {
-    /// Refuses flags of a volume where none is made.
+    /// Refuses volume flags where no volume is made.
     ///
     /// # Errors
-    /// A flag was given.
+    /// A flag has a value other than its default.
     pub fn refuse(&self) -> Result<()> {
         ensure!(
             self.form() == Self::default().form(),
@@ -80,7 +80,7 @@ impl VolumeOptions {
         Ok(())
     }
 
-    /// The volume's form.
+    /// Returns the form of the volume.
     #[must_use]
     pub fn form(self) -> Form {
         Form {

@@ -4,13 +4,13 @@ use std::f64::consts::PI;
 
 use super::transform::Impulse;
 
-/// `phi_k(u) = cos(pi k u)`, u in [0, 1).
+/// Returns the atom `phi_k(u) = cos(pi k u)` at normalised time u in [0, 1).
 #[must_use]
 pub fn atom(k: usize, u: f64) -> f64 {
     (PI * k as f64 * u).cos()
 }
 
-/// `c_k = sum_i p_i cos(pi k u_i)`, k = 0..grid, eq. (6): no normalisation.
+/// Returns `c_k = sum_i p_i cos(pi k u_i)` for k = 0..grid, eq. (6), without normalisation.
 ///
 /// Shape: `[Impulse; n] -> [f64; grid]`.
 #[must_use]
@@ -74,8 +74,8 @@ mod tests {
         );
     }
 
-    /// Sampled at the midpoints of K cells the atoms are orthogonal:
-    /// `(c_0^2 + 2 sum_(k>=1) c_k^2) / K` is the energy of the signal.
+    /// Sampled at the midpoints of K cells, the atoms are orthogonal: `(c_0^2 + 2 sum_(k>=1) c_k^2) / K` is the
+    /// energy of the signal.
     #[test]
     fn parseval_at_cell_midpoints() {
         let cells: [f64; 8] = [3.0, 0.0, -2.0, 1.0, 0.0, 5.0, -1.0, 4.0];

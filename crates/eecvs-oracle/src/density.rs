@@ -4,16 +4,16 @@ use event_types::Sensor;
 
 use super::window::Window;
 
-/// rho = N / (H W T), eq. (1), in events per pixel per second.
+/// Returns the density rho = N / (H W T), eq. (1), in events per pixel per second.
 ///
-/// `events` is N; `duration_us` is T in microseconds, at least 1.
+/// `events` is N, `duration_us` is T in microseconds, at least 1; H and W are the sides of `sensor`.
 #[must_use]
 pub fn density(events: u64, sensor: Sensor, duration_us: u32) -> f64 {
     let seconds = f64::from(duration_us) * 1e-6;
     events as f64 / (f64::from(sensor.height) * f64::from(sensor.width) * seconds)
 }
 
-/// [`density`] of a closed window over its own duration.
+/// Returns the [`density`] of a closed window over its own duration.
 #[must_use]
 pub fn window_density(window: &Window, sensor: Sensor) -> f64 {
     density(window.events.len() as u64, sensor, window.duration_us)

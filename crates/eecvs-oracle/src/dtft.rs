@@ -1,7 +1,6 @@
 //! DTFT atoms at event times: `phi_k(u) = exp(-i 2 pi k u)`, eq. (6).
 //!
-//! The signal is real, so the coefficient at -k is the conjugate of the one at k and only
-//! k >= 0 is held.
+//! The signal is real, so the coefficient at -k is the conjugate of that at k, and only k >= 0 is stored.
 
 use std::f64::consts::TAU;
 
@@ -9,13 +8,13 @@ use num_complex::Complex64;
 
 use super::transform::Impulse;
 
-/// `phi_k(u) = exp(-i 2 pi k u)`, u in [0, 1).
+/// Returns the atom `phi_k(u) = exp(-i 2 pi k u)` at normalised time u in [0, 1).
 #[must_use]
 pub fn atom(k: usize, u: f64) -> Complex64 {
     Complex64::cis(-TAU * k as f64 * u)
 }
 
-/// `c_k = sum_i p_i exp(-i 2 pi k u_i)`, k = 0..grid, eq. (6): no normalisation.
+/// Returns `c_k = sum_i p_i exp(-i 2 pi k u_i)` for k = 0..grid, eq. (6), without normalisation.
 ///
 /// Shape: `[Impulse; n] -> [Complex64; grid]`.
 #[must_use]
@@ -78,7 +77,7 @@ mod tests {
         }
     }
 
-    /// On a grid of K times the atoms k = 0..K are a discrete Fourier basis.
+    /// On a grid of K times, the atoms k = 0..K form a discrete Fourier basis.
     #[test]
     fn parseval_on_a_time_grid() {
         let impulses = [(0, 1.0), (3, -1.0), (3, -1.0), (6, 1.0)]

@@ -1,20 +1,22 @@
 //! Haar atoms at event times, eq. (6): `phi_0 = 1` and, for k = 2^j + m with 0 <= m < 2^j,
-//! `phi_k(u) = 2^(j/2) h(2^j u - m)`, where h is +1 on [0, 1/2), -1 on [1/2, 1), else 0.
+//! `phi_k(u) = 2^(j/2) h(2^j u - m)`, where h is +1 on [0, 1/2), -1 on [1/2, 1) and 0 elsewhere.
 //!
-//! Whether an event lies in a half is decided on integers: with u = t/T the half
-//! [m/2^j, (m + 1/2)/2^j) is `2m T <= 2^(j+1) t < (2m + 1) T`. A rounded quotient could put
-//! an event that stands exactly on an edge to the wrong side of it.
+//! Integers decide in which half an event lies: with u = t/T, the half [m/2^j, (m + 1/2)/2^j) is
+//! `2m T <= 2^(j+1) t < (2m + 1) T`. A rounded quotient could put an event exactly on an edge on the wrong side.
 
 use super::transform::Impulse;
 
-/// (j, m) of the atom k = 2^j + m, k >= 1: scale and shift.
+/// Returns (j, m), the scale and shift of the atom k = 2^j + m, k >= 1.
+///
+/// # Panics
+/// If k is 0.
 #[must_use]
 pub fn scale_and_shift(k: usize) -> (u32, usize) {
     let j = k.ilog2();
     (j, k - (1 << j))
 }
 
-/// 2^(j/2), the height of the atoms of scale j; 1 for k = 0.
+/// Returns 2^(j/2), the height of the atoms of scale j; 1 for k = 0.
 #[must_use]
 pub fn height(k: usize) -> f64 {
     if k == 0 {
@@ -24,7 +26,7 @@ pub fn height(k: usize) -> f64 {
     }
 }
 
-/// h(2^j u - m) of u = t/T, in {-1, 0, +1}; 1 for k = 0. `t_us < duration_us`.
+/// Returns h(2^j u - m) at u = t/T, one of -1, 0 and +1; 1 for k = 0. `t_us` must be less than `duration_us`.
 #[must_use]
 pub fn sign(k: usize, t_us: u32, duration_us: u32) -> i64 {
     if k == 0 {
@@ -42,13 +44,13 @@ pub fn sign(k: usize, t_us: u32, duration_us: u32) -> i64 {
     }
 }
 
-/// `phi_k(u)` of u = t/T.
+/// Returns the atom `phi_k(u)` at u = t/T.
 #[must_use]
 pub fn atom(k: usize, t_us: u32, duration_us: u32) -> f64 {
     height(k) * sign(k, t_us, duration_us) as f64
 }
 
-/// `c_k / 2^(j/2) = sum_i p_i h(2^j u_i - m)`, k = 0..grid: exact integers.
+/// Returns `c_k / 2^(j/2) = sum_i p_i h(2^j u_i - m)` for k = 0..grid, as exact integers.
 ///
 /// Shape: `[Impulse; n] -> [i64; grid]`.
 #[must_use]
@@ -63,7 +65,7 @@ pub fn unscaled(impulses: &[Impulse], duration_us: u32, grid: usize) -> Vec<i64>
         .collect()
 }
 
-/// `c_k = sum_i p_i phi_k(u_i)`, k = 0..grid, eq. (6): no normalisation by N, T or the grid.
+/// Returns `c_k = sum_i p_i phi_k(u_i)` for k = 0..grid, eq. (6), without normalisation by N, T or the grid.
 ///
 /// Shape: `[Impulse; n] -> [f64; grid]`.
 #[must_use]

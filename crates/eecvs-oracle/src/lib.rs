@@ -1,11 +1,10 @@
-//! The f64 oracle: the paper's formulas, written down once more and independently.
+//! The f64 oracle: an independent implementation of the paper's formulas.
 //!
-//! One file per stage, under the name of the core's stage, so that each stage can be compared
-//! with its fixed-point twin. Clear before fast; nothing here shares code with the core beyond
-//! the plain event types.
+//! There is one file per stage, named after the core's stage, so that each stage can be compared with its fixed-point
+//! counterpart. Clarity comes before speed. No code is shared with the core except the plain event types.
 //!
-//! events -> [`window`] -> [`density`] -> [`regime`] -> coefficients ([`dct`], [`dtft`],
-//! [`dwt`] through [`transform`]) -> [`prune`] -> [`quantise`] -> [`reconstruct`].
+//! events -> [`window`] -> [`density`] -> [`regime`] -> coefficients ([`dct`], [`dtft`], [`dwt`] through
+//! [`transform`]) -> [`prune`] -> [`quantise`] -> [`reconstruct`].
 //! [`percentile`] calibrates the thresholds of [`regime`].
 
 pub mod dct;
@@ -29,7 +28,7 @@ use num_complex::Complex64;
 use transform::{Impulse, Transform};
 use window::Window;
 
-/// Impulses of each active pixel of a window, keyed by (y, x), in order of arrival.
+/// Returns the impulses of each active pixel of a window, keyed by (y, x), in order of arrival.
 #[must_use]
 pub fn impulses(window: &Window) -> BTreeMap<(u16, u16), Vec<Impulse>> {
     let mut pixels: BTreeMap<(u16, u16), Vec<Impulse>> = BTreeMap::new();
@@ -43,10 +42,10 @@ pub fn impulses(window: &Window) -> BTreeMap<(u16, u16), Vec<Impulse>> {
     pixels
 }
 
-/// `c_k` of each active pixel of a window, eq. (6), keyed by (y, x) in row-major order.
+/// Returns the coefficients `c_k` of each active pixel of a window, eq. (6), keyed by (y, x) in row-major order.
 ///
-/// Shape: `Window -> {(y, x): [Complex64; grid]}`; the imaginary part is 0 for the DCT and the
-/// DWT. Pixels without events are absent: their coefficients are 0.
+/// Shape: `Window -> {(y, x): [Complex64; grid]}`; the imaginary part is 0 for the DCT and the DWT. Pixels without
+/// events are absent: their coefficients are 0.
 #[must_use]
 pub fn coefficients(
     window: &Window,

@@ -1,11 +1,10 @@
-//! Percentiles with linear interpolation between order statistics, as numpy's default.
+//! Percentiles with linear interpolation between order statistics, like numpy's default.
 
-/// The `q`-th percentile of `values`, `q` in 0..=100: with the values sorted and
-/// h = (n - 1) q / 100, it lies the fraction h - floor(h) of the way from value floor(h) to
-/// the one after it.
+/// Returns the `q`-th percentile of `values`, with `q` in 0..=100.
 ///
-/// Shape: `[f64; n]` in any order -> one value. `None` where `values` is empty, holds a NaN,
-/// or `q` is out of range.
+/// With the values sorted and h = (n - 1) q / 100, the percentile lies the fraction h - floor(h) of the way from
+/// value floor(h) to the next value. Shape: `[f64; n]` in any order -> one value. The result is `None` if `values`
+/// is empty or holds a NaN, or if `q` is out of range.
 #[must_use]
 pub fn percentile(values: &[f64], q: f64) -> Option<f64> {
     if values.is_empty() || values.iter().any(|v| v.is_nan()) || !(0.0..=100.0).contains(&q) {
@@ -17,8 +16,8 @@ pub fn percentile(values: &[f64], q: f64) -> Option<f64> {
     let below = h.floor() as usize;
     let above = (below + 1).min(sorted.len() - 1);
     let (a, b, fraction) = (sorted[below], sorted[above], h - h.floor());
-    // Interpolated from the nearer side, as numpy does: equal neighbours give their value
-    // and the results are monotonic in q.
+    // Interpolated from the nearer side, as numpy does: equal neighbours give exactly their value, and the results
+    // are monotonic in q.
     Some(if fraction < 0.5 {
         a + (b - a) * fraction
     } else {
@@ -26,8 +25,9 @@ pub fn percentile(values: &[f64], q: f64) -> Option<f64> {
     })
 }
 
-/// `(tau_low, tau_high)`: the 25th and 75th percentile of the densities of a calibration set,
-/// empty windows included as 0.
+/// Returns `(tau_low, tau_high)`: the 25th and 75th percentiles of the densities of a calibration set.
+///
+/// Empty windows must be included, with density 0. The result is `None` if `densities` is empty or holds a NaN.
 #[must_use]
 pub fn thresholds(densities: &[f64]) -> Option<(f64, f64)> {
     Some((percentile(densities, 25.0)?, percentile(densities, 75.0)?))

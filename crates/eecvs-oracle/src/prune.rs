@@ -1,20 +1,20 @@
-//! Which coefficients of a pixel are kept.
+//! Selection of the coefficients of a pixel that are kept.
 
 use num_complex::Complex64;
 
 use super::transform::{Transform, kept_count};
 
-/// Magnitudes closer than this share of the pixel's largest count as tied.
+/// Magnitudes that differ by less than this share of the pixel's largest magnitude count as tied.
 ///
-/// Ties are common and exact in the formulas: one event has |exp(i x)| = 1 at every
-/// frequency, and events that cancel leave exact zeros. In f64 both come out a few 1e-16 of
-/// the sum apart, and this rounding noise must not decide what is kept. Distinct values as
-/// close as 1e-12 do not differ in any use that the coefficients have.
+/// Ties are common and exact in the formulas: for a single event |exp(i x)| = 1 at every frequency, and events that
+/// cancel leave exact zeros. In f64, tied values differ by a few 1e-16 of the sum, and this rounding noise must not
+/// decide which coefficients are kept. Distinct values as close as 1e-12 are equivalent for every use of the
+/// coefficients.
 pub const TIE: f64 = 1e-12;
 
-/// Indices of the r = min(M, K) kept coefficients, ascending.
+/// Returns the indices of the r = min(M, K) kept coefficients, in ascending order.
 ///
-/// DCT: the first r. DTFT and DWT: the r of largest `|c_k|`, ties (see [`TIE`]) to the lower k.
+/// DCT: the first r. DTFT and DWT: the r with the largest `|c_k|`; ties (see [`TIE`]) go to the lower k.
 /// Shape: `[Complex64; K] -> [usize; r]`.
 #[must_use]
 pub fn kept(transform: Transform, coefficients: &[Complex64], m: usize) -> Vec<usize> {
@@ -25,7 +25,7 @@ pub fn kept(transform: Transform, coefficients: &[Complex64], m: usize) -> Vec<u
     }
 }
 
-/// The coefficients with those outside the kept set replaced by 0. Shape: `[K] -> [K]`.
+/// Returns the coefficients with all but the kept ones set to 0. Shape: `[Complex64; K] -> [Complex64; K]`.
 #[must_use]
 pub fn prune(transform: Transform, coefficients: &[Complex64], m: usize) -> Vec<Complex64> {
     let mut pruned = vec![Complex64::ZERO; coefficients.len()];
@@ -40,7 +40,7 @@ fn largest(coefficients: &[Complex64], r: usize) -> Vec<usize> {
     let tolerance = TIE * magnitude.iter().copied().fold(0.0, f64::max);
     let mut order: Vec<usize> = (0..magnitude.len()).collect();
     order.sort_by(|&a, &b| magnitude[b].total_cmp(&magnitude[a]));
-    // A run of magnitudes within the tolerance of its first is one tie, ordered by k.
+    // Magnitudes within the tolerance of the first of a run form one tie, ordered by k.
     let mut rest = order.as_mut_slice();
     while let Some(&first) = rest.first() {
         let tied = rest.partition_point(|&k| magnitude[first] - magnitude[k] <= tolerance);
@@ -102,7 +102,7 @@ mod tests {
     fn rounding_noise_does_not_order_ties() {
         let c = real(&[1.0 - 3e-16, 1.0, 1.0 - 1e-15, 1.0 + 1e-15]);
         assert_eq!(kept(Transform::Dtft, &c, 2), [0, 1]);
-        // One event: every magnitude is 1, whatever its time.
+        // For one event every magnitude is 1, whatever its time.
         for offset_us in [0, 1, 4_711, 20_000, 32_767] {
             let c = Transform::Dtft.coefficients(&[Impulse { offset_us, p: 1.0 }], 32_768, 64);
             assert_eq!(
@@ -111,7 +111,7 @@ mod tests {
                 "{offset_us}"
             );
         }
-        // On and off half a window apart: the even frequencies cancel, the odd ones are 2.
+        // ON and OFF half a window apart: the even frequencies cancel, the odd frequencies have magnitude 2.
         let pair = [(3, 1.0), (53, -1.0)].map(|(offset_us, p)| Impulse { offset_us, p });
         let c = Transform::Dtft.coefficients(&pair, 100, 8);
         assert_eq!(kept(Transform::Dtft, &c, 6), [0, 1, 2, 3, 5, 7]);

@@ -1,13 +1,14 @@
-//! Rounding of coefficients to multiples of a step, and back.
+//! Rounding of coefficients to multiples of a step, and its inverse.
 
 use num_complex::Complex64;
 
-/// Nearest multiple of `step` in steps: q = round(c / step), halves away from zero.
+/// Returns the nearest multiple of `step`, counted in steps: q = round(c / step), halves away from zero.
 ///
-/// The error |c - q step| is at most step / 2. Saturates at the range of `i64`.
+/// The error |c - q step| is at most step / 2 (test `error_is_at_most_half_a_step`). The result saturates at the
+/// range of `i64`.
 ///
 /// # Panics
-/// Where `step` is not a positive finite number.
+/// If `step` is not a positive finite number.
 #[must_use]
 pub fn quantise(c: f64, step: f64) -> i64 {
     assert!(
@@ -17,16 +18,16 @@ pub fn quantise(c: f64, step: f64) -> i64 {
     (c / step).round() as i64
 }
 
-/// q step.
+/// Returns the value `q * step` that the decoder reconstructs from level `q`.
 #[must_use]
 pub fn dequantise(q: i64, step: f64) -> f64 {
     q as f64 * step
 }
 
-/// [`dequantise`] of [`quantise`], real and imaginary part apart: what the decoder sees.
+/// Quantises and dequantises the real and imaginary parts separately: the coefficient as the decoder sees it.
 ///
 /// # Panics
-/// Where `step` is not a positive finite number.
+/// If `step` is not a positive finite number.
 #[must_use]
 pub fn quantised(c: Complex64, step: f64) -> Complex64 {
     let part = |v: f64| dequantise(quantise(v, step), step);

@@ -1,6 +1,6 @@
 //! Inverse transform, sampled as B equal time bins.
 //!
-//! The kept coefficients define a projection of the pixel's signal,
+//! The kept coefficients define a projection of the pixel's signal:
 //!
 //! ```text
 //! DCT    s_hat(u) = c_0 + 2 sum_(k>=1) c_k cos(pi k u)
@@ -8,8 +8,8 @@
 //! Haar   s_hat(u) = c_0 + sum_(j,m) c_(j,m) 2^(j/2) h(2^j u - m)
 //! ```
 //!
-//! and bin b holds its integral over [b/B, (b+1)/B): a signed event count, in the mean. The
-//! integrals are taken in closed form, so the bins sum to `c_0` for every transform and B.
+//! Bin b holds the integral of `s_hat` over [b/B, (b+1)/B), an approximation of the signed event count of the bin.
+//! The integrals are evaluated in closed form, so the bins sum to `c_0` for every transform and B.
 
 use std::f64::consts::{PI, TAU};
 
@@ -18,7 +18,7 @@ use num_complex::Complex64;
 use super::dwt;
 use super::transform::Transform;
 
-/// V\[b\] = integral of `s_hat(u)` over [b/B, (b+1)/B), b = 0..bins.
+/// Returns V\[b\], the integral of `s_hat(u)` over [b/B, (b+1)/B), for b = 0..bins, in signed events.
 ///
 /// `coefficients` holds `c_k` at index k, 0 where it was pruned.
 /// Shape: `[Complex64; K] -> [f64; B]`.
@@ -39,7 +39,7 @@ pub fn bins(transform: Transform, coefficients: &[Complex64], bins: usize) -> Ve
         .collect()
 }
 
-/// Integral of 2 cos(pi k u), or of 1 for k = 0, over bin b of B.
+/// Returns the integral of 2 cos(pi k u), or of 1 for k = 0, over bin b of B.
 fn dct_integral(k: usize, b: usize, bins: usize) -> f64 {
     let (from, to) = edges(b, bins);
     if k == 0 {
@@ -49,7 +49,7 @@ fn dct_integral(k: usize, b: usize, bins: usize) -> f64 {
     2.0 * ((frequency * to).sin() - (frequency * from).sin()) / frequency
 }
 
-/// Integral of 2 exp(i 2 pi k u), or of 1 for k = 0, over bin b of B.
+/// Returns the integral of 2 exp(i 2 pi k u), or of 1 for k = 0, over bin b of B.
 fn dtft_integral(k: usize, b: usize, bins: usize) -> Complex64 {
     let (from, to) = edges(b, bins);
     if k == 0 {
@@ -60,8 +60,8 @@ fn dtft_integral(k: usize, b: usize, bins: usize) -> Complex64 {
         / Complex64::new(0.0, frequency)
 }
 
-/// Integral of the Haar atom k over bin b of B: its height times the signed overlap, which is
-/// an integer in units of 1 / (2^(j+1) B).
+/// Returns the integral of the Haar atom k over bin b of B: its height times the signed overlap, which is an integer
+/// in units of 1 / (2^(j+1) B).
 fn dwt_integral(k: usize, b: usize, bins: usize) -> f64 {
     if k == 0 {
         return 1.0 / bins as f64;
@@ -76,7 +76,7 @@ fn dwt_integral(k: usize, b: usize, bins: usize) -> f64 {
     dwt::height(k) * (overlap(2 * m) - overlap(2 * m + 1)) / (halves * bins) as f64
 }
 
-/// Start and end of bin b of B as shares of the window.
+/// Returns the start and end of bin b of B as fractions of the window.
 fn edges(b: usize, bins: usize) -> (f64, f64) {
     (b as f64 / bins as f64, (b + 1) as f64 / bins as f64)
 }
@@ -93,7 +93,7 @@ mod tests {
         a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= tolerance)
     }
 
-    /// Signed events per bin, the edge decided on integers.
+    /// Counts the signed events per bin, with the bin edges decided on integers.
     fn counts(impulses: &[Impulse], duration_us: u32, bins: usize) -> Vec<f64> {
         let mut counts = vec![0.0; bins];
         for i in impulses {
@@ -133,10 +133,10 @@ mod tests {
             &[quarter, quarter, -quarter, -quarter],
             1e-15
         ));
-        // k = 3 is the second half's atom, sqrt 2 high: over quarters 0, 0, +, -.
+        // k = 3 is the atom of the second half, with height sqrt 2: over the quarters 0, 0, +, -.
         let q = 2.0_f64.sqrt() / 4.0;
         assert_eq!(bins(Transform::Dwt, &one(3), 4), [0.0, 0.0, q, -q]);
-        // Three bins cut it at 2/3: sqrt 2 * ((2/3 - 1/2)) and sqrt 2 * (1/12 - 1/4).
+        // Three bins cut it at 2/3: sqrt 2 * (2/3 - 1/2) and sqrt 2 * (1/12 - 1/4).
         let s = 2.0_f64.sqrt() / 6.0;
         assert!(close(
             &bins(Transform::Dwt, &one(3), 3),
@@ -181,11 +181,11 @@ mod tests {
             }
         }
 
-        /// The exact bin counts are what ever longer DCT and DTFT sums approach.
+        /// DCT and DTFT sums approach the exact bin counts as they grow longer.
         #[test]
         fn more_coefficients_come_closer(offset_us in 0u32..1000) {
             let a = [Impulse { offset_us, p: 1.0 }];
-            // An impulse near an edge of a bin shares its mass with the neighbour (Gibbs).
+            // An impulse near the edge of a bin shares its mass with the neighbouring bin (Gibbs).
             prop_assume!((20..230).contains(&(offset_us % 250)));
             for transform in [Transform::Dct, Transform::Dtft] {
                 let c = transform.coefficients(&a, 1000, 512);

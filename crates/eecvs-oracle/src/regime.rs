@@ -2,7 +2,7 @@
 
 use super::transform::Transform;
 
-/// How busy a window is.
+/// Density class of a window.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Regime {
     /// rho < `tau_low`.
@@ -14,8 +14,9 @@ pub enum Regime {
 }
 
 impl Regime {
-    /// Regime of the density `rho`, eq. (2); all three in events per pixel per second and
-    /// `tau_low <= tau_high`.
+    /// Returns the regime of density `rho`, eq. (2).
+    ///
+    /// All three arguments are in events per pixel per second, with `tau_low <= tau_high`.
     #[must_use]
     pub fn of(rho: f64, tau_low: f64, tau_high: f64) -> Self {
         if rho < tau_low {
@@ -27,7 +28,7 @@ impl Regime {
         }
     }
 
-    /// The regime's transform, eq. (3).
+    /// Returns the transform of this regime, eq. (3).
     #[must_use]
     pub fn transform(self) -> Transform {
         match self {

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::transform::Impulse;
 
-/// An On event of pixel (0, 0).
+/// Returns an ON event of pixel (0, 0).
 pub fn at(t_us: u64) -> Event {
     Event {
         t_us,
@@ -15,7 +15,7 @@ pub fn at(t_us: u64) -> Event {
     }
 }
 
-/// A duration and up to 40 impulses inside it.
+/// Generates a duration and up to 39 impulses within it.
 pub fn impulses() -> impl Strategy<Value = (u32, Vec<Impulse>)> {
     (1u32..100_000).prop_flat_map(|duration_us| {
         let impulse = (0..duration_us, prop::bool::ANY).prop_map(|(offset_us, on)| Impulse {

@@ -1,20 +1,20 @@
-//! What the three transforms have in common: grid size, kept count, coefficients of a pixel.
+//! Properties common to the three transforms: grid size, number of kept coefficients, coefficients of a pixel.
 
 use num_complex::Complex64;
 
 use super::{dct, dtft, dwt};
 
-/// One event of one pixel inside its window.
+/// One event of one pixel, relative to its window.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Impulse {
-    /// t - t0 in microseconds, below the window's duration.
+    /// t - t0 in microseconds, less than the window's duration.
     pub offset_us: u32,
     /// Polarity, +1 or -1.
     pub p: f64,
 }
 
 impl Impulse {
-    /// Normalised time u = (t - t0) / T, in [0, 1).
+    /// Returns the normalised time u = (t - t0) / T, in [0, 1).
     #[must_use]
     pub fn u(self, duration_us: u32) -> f64 {
         f64::from(self.offset_us) / f64::from(duration_us)
@@ -33,11 +33,11 @@ pub enum Transform {
 }
 
 impl Transform {
-    /// All of them.
+    /// All transforms.
     pub const ALL: [Self; 3] = [Self::Dct, Self::Dtft, Self::Dwt];
 
-    /// Default grid size K for M coefficients: M for the DCT, 2M for the DTFT, 2M rounded up
-    /// to a power of two for the DWT.
+    /// Returns the default grid size K for M coefficients: M for the DCT, 2M for the DTFT, and 2M rounded up to a
+    /// power of two for the DWT.
     #[must_use]
     pub fn default_grid(self, m: usize) -> usize {
         match self {
@@ -47,7 +47,7 @@ impl Transform {
         }
     }
 
-    /// `c_k`, k = 0..grid, eq. (6); the imaginary part is 0 for the DCT and the DWT.
+    /// Returns the coefficients `c_k` for k = 0..grid, eq. (6); the imaginary part is 0 for the DCT and the DWT.
     ///
     /// Shape: `[Impulse; n] -> [Complex64; grid]`.
     #[must_use]
@@ -66,7 +66,7 @@ impl Transform {
     }
 }
 
-/// r = min(M, K), the number of kept coefficients.
+/// Returns the number of kept coefficients, r = min(M, K).
 #[must_use]
 pub fn kept_count(m: usize, grid: usize) -> usize {
     m.min(grid)

@@ -1,21 +1,21 @@
 //! Windows of an event stream: which events belong together, and over which duration.
 //!
-//! Window w covers [t0, t0 + T): half-open, consecutive, the first one aligned to the first
-//! event. Three things shape the rest:
+//! Window w covers the half-open interval [t0, t0 + T). Windows are consecutive, and the first is aligned to the
+//! first event. Three rules complete the definition:
 //!
-//! * an event at or after t0 + T closes the window; the next one that holds an event starts a
-//!   whole number of T later, and the empty ones between them are skipped;
-//! * a window that is full when a further event of its interval arrives closes early. Its
-//!   duration reaches up to that event, and past the latest held one in any case, so that
-//!   every u = (t - t0) / duration stays below 1. The next window starts at that event;
-//! * an event older than the open window's start closes the window and begins a new run: the next
-//!   window starts at that event.
+//! * An event at or after t0 + T closes the window. The next window that holds an event starts a whole number of T
+//!   later; the empty windows in between are skipped.
+//! * A full window closes early when another event of its interval arrives. Its duration ends at that event, but in
+//!   any case after the latest event held, so that every u = (t - t0) / duration stays below 1. The next window
+//!   starts at that event.
+//! * An event older than the open window's start closes the window and begins a new run: the next window starts at
+//!   that event.
 
 use std::num::{NonZeroU32, NonZeroUsize};
 
 use event_types::Event;
 
-/// Events that the host holds in one window at the most: 2^20.
+/// Maximum number of events that the host holds in one window: 2^20.
 pub const HOST_CAPACITY: NonZeroUsize = NonZeroUsize::new(1 << 20).unwrap();
 
 /// One closed window; it holds at least one event.
@@ -23,28 +23,26 @@ pub const HOST_CAPACITY: NonZeroUsize = NonZeroUsize::new(1 << 20).unwrap();
 pub struct Window {
     /// Start in microseconds, inclusive.
     pub t0_us: u64,
-    /// T of the formulas in microseconds, at least 1: the configured T, or less for a window
-    /// that closed early.
+    /// T of the formulas in microseconds, at least 1: the configured T, or less for a window that closed early.
     pub duration_us: u32,
-    /// Events in order of arrival, `0 <= t - t0 < duration_us` for each of them.
+    /// Events in order of arrival, each with `0 <= t - t0 < duration_us`.
     pub events: Vec<Event>,
-    /// The clock fell back before the window.
+    /// Whether the clock jumped back before this window.
     pub begins_run: bool,
 }
 
 impl Window {
-    /// Time of a held event from the window's start, in microseconds: `0..duration_us`.
+    /// Returns the time of a held event since the window's start, in microseconds: `0..duration_us`.
     ///
     /// # Panics
-    /// Where `event` is older than the window or 2^32 us and more after its start: a
-    /// [`Windower`] holds no such event.
+    /// If `event` is older than the window, or 2^32 us or more after its start; a [`Windower`] holds no such event.
     #[must_use]
     pub fn offset_us(&self, event: &Event) -> u32 {
         offset_us(self.t0_us, event.t_us)
     }
 }
 
-/// Cuts a stream into windows, one event at a time; holds the open window only.
+/// Cuts a stream into windows, one event at a time; only the open window is held.
 #[derive(Debug, Clone)]
 pub struct Windower {
     window_us: NonZeroU32,
@@ -53,7 +51,7 @@ pub struct Windower {
 }
 
 impl Windower {
-    /// Windows of `window_us` microseconds and at most `capacity` events.
+    /// Creates a windower with windows of `window_us` microseconds and at most `capacity` events.
     #[must_use]
     pub fn new(window_us: NonZeroU32, capacity: NonZeroUsize) -> Self {
         Self {
@@ -63,7 +61,7 @@ impl Windower {
         }
     }
 
-    /// Takes the next event and returns the window that it closed, if it closed one.
+    /// Takes the next event and returns the window that it closed, if any.
     pub fn push(&mut self, event: Event) -> Option<Window> {
         let Some(open) = &mut self.open else {
             self.open = Some(self.start(event.t_us, event));
@@ -98,7 +96,7 @@ impl Windower {
         self.open.replace(next)
     }
 
-    /// Closes the open window at the end of the stream; its duration is the configured T.
+    /// Returns the open window at the end of the stream; its duration is the configured T.
     #[must_use]
     pub fn flush(self) -> Option<Window> {
         self.open
@@ -114,7 +112,7 @@ impl Windower {
     }
 }
 
-/// All windows of a stream that is in memory.
+/// Returns all windows of a stream that is in memory.
 #[must_use]
 pub fn windows(events: &[Event], window_us: NonZeroU32, capacity: NonZeroUsize) -> Vec<Window> {
     let mut windower = Windower::new(window_us, capacity);
@@ -123,7 +121,7 @@ pub fn windows(events: &[Event], window_us: NonZeroU32, capacity: NonZeroUsize) 
     closed
 }
 
-/// `t_us - t0_us` of a time inside a window, which is shorter than 2^32 us.
+/// Returns `t_us - t0_us` for a time inside a window, which is shorter than 2^32 us.
 fn offset_us(t0_us: u64, t_us: u64) -> u32 {
     let offset_us = t_us
         .checked_sub(t0_us)
@@ -209,7 +207,7 @@ mod tests {
 
     #[test]
     fn ties_at_the_closing_time_keep_u_below_one() {
-        // The third event is as old as the second: the interval is [0, 4), not [0, 3).
+        // The third event has the same time as the second: the interval is [0, 4), not [0, 3).
         assert_eq!(
             shape(&cut(&[0, 3, 3, 4], 10, 2)),
             [(0, 4, vec![0, 3], 0), (3, 10, vec![3, 4], 0)]
@@ -246,7 +244,7 @@ mod tests {
                 (20, 10, vec![21], 0)
             ]
         );
-        // Of a full window too: it ran its time.
+        // A full window closed by a backward jump keeps its duration as well.
         assert_eq!(
             shape(&cut(&[10, 9], 10, 1)),
             [(10, 10, vec![10], 0), (9, 10, vec![9], 1)]

@@ -1,15 +1,15 @@
-//! The seeded event emulator: scenes with known parameters, read like a recording.
+//! A seeded event-camera emulator: scenes with known parameters, read like a recording.
 //!
 //! ```text
 //! texture + camera + patterns -> log intensity -> pixels (low-pass, thresholds) -> events
 //!                                     noise, hot pixels ------------------------/
 //! ```
 //!
-//! The light is computed once per step (a millisecond) and taken to change linearly in between;
-//! events carry microseconds. The same configuration gives the same events on every machine:
-//! arithmetic is IEEE `f32` and `f64` in a fixed order, and transcendental functions come from
-//! `libm`. Memory is 24 bytes per pixel and the events of one step; blocks of pixels at rest
-//! cost nothing until leakage makes one of them fire.
+//! The light is computed once per step (1 ms) and assumed to change linearly in between; event times have a
+//! resolution of 1 us. The same configuration gives the same events on every machine: all arithmetic is IEEE `f32`
+//! and `f64` in a fixed order, and transcendental functions come from `libm`. Memory use is 24 bytes per pixel plus
+//! the events of one step. A block of pixels whose light has settled costs nothing until leakage makes one of its
+//! pixels fire.
 
 mod noise;
 mod pattern;
@@ -32,23 +32,23 @@ pub use preset::{PRESETS, Preset};
 use queue::Queue;
 use texture::Texture;
 
-/// A scene to emulate.
+/// Configuration of a scene to emulate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SceneConfig {
-    /// What is seen.
+    /// Scene type.
     pub preset: Preset,
-    /// Size, 1 x 1 to 2048 x 2048.
+    /// Sensor size, 1 x 1 to 2048 x 2048.
     pub sensor: Sensor,
-    /// Events lie in [`start_us`, `start_us + duration_us`); 0 gives none.
+    /// Duration in us: events lie in [`start_us`, `start_us + duration_us`); 0 gives no events.
     pub duration_us: u64,
-    /// Added to every time; the scene itself does not depend on it.
+    /// Offset in us added to every event time; the scene itself does not depend on it.
     pub start_us: u64,
-    /// Another seed gives another texture, other pixels and other noise.
+    /// Seed of the texture, the pixel mismatch and the noise.
     pub seed: u64,
 }
 
 impl SceneConfig {
-    /// A preset with its own sensor and duration, starting at 0.
+    /// Returns the configuration of a preset with its default sensor and duration, starting at 0.
     #[must_use]
     pub const fn new(preset: Preset, seed: u64) -> Self {
         Self {
@@ -61,16 +61,16 @@ impl SceneConfig {
     }
 }
 
-/// A scene being emulated; read its events through [`EventReader`].
+/// A running emulation of a scene; its events are read through [`EventReader`].
 ///
-/// Events come in order of time, then y, then x, OFF before ON.
+/// Events are ordered by time, then y, then x, then OFF before ON.
 #[derive(Debug, Clone)]
 pub struct Emulator {
     config: SceneConfig,
     script: Script,
     texture: Texture,
     pixels: Pixels,
-    /// Patterns at the end of the last step.
+    /// Patterns as placed at the end of the last step; `None` for a pattern out of sight.
     placed: Vec<Option<Placed>>,
     /// Blocks whose light may change in this step.
     lit: Vec<bool>,
@@ -78,15 +78,15 @@ pub struct Emulator {
     hot: Vec<HotPixel>,
     random: Random,
     queue: Queue,
-    /// End of the last step, from the start of the scene.
+    /// End of the last step, in us since the start of the scene.
     elapsed_us: u64,
     skipped: Skipped,
 }
 
-/// Starts a scene.
+/// Starts the emulation of a scene.
 ///
 /// # Errors
-/// A sensor side of 0 or above [`Sensor::SIDE_MAX`]; an end beyond 2^64 us.
+/// A sensor side of 0 or above [`Sensor::SIDE_MAX`]; a start plus duration beyond 2^64 us.
 pub fn emulate(config: SceneConfig) -> Result<Emulator> {
     let Sensor { width, height } = config.sensor;
     ensure!(
@@ -115,7 +115,8 @@ pub fn emulate(config: SceneConfig) -> Result<Emulator> {
     let mut random = Random::new(config.seed, 3);
     let count = config.sensor.pixels();
     let (lit_hz, dark_hz) = script.pixel.noise_hz;
-    // Candidates at the highest rate of any light; each is then kept by its pixel's light.
+    // Candidates arrive at the highest rate of any light; each is then kept with a probability set by its pixel's
+    // light.
     let arrivals = Arrivals::new(
         f64::from(count) * f64::from(lit_hz.max(dark_hz)),
         &mut random,
@@ -142,19 +143,19 @@ pub fn emulate(config: SceneConfig) -> Result<Emulator> {
 }
 
 impl Emulator {
-    /// What is emulated.
+    /// Returns the configuration of the scene.
     #[must_use]
     pub const fn config(&self) -> &SceneConfig {
         &self.config
     }
 
-    /// How much of the duration has been emulated, in us.
+    /// Returns how much of the duration has been emulated, in us.
     #[must_use]
     pub fn elapsed_us(&self) -> u64 {
         self.elapsed_us.min(self.config.duration_us)
     }
 
-    /// Appends at most `most` events; 0 only at the end (or where `most` is 0).
+    /// Appends at most `most` events and returns their number; 0 only at the end (or if `most` is 0).
     fn read_some(&mut self, most: usize, events: &mut Vec<Event>) -> usize {
         loop {
             let taken = self.queue.take(most, self.config.start_us, events);
@@ -165,14 +166,14 @@ impl Emulator {
         }
     }
 
-    /// Emulates one step; its events go to the queue.
+    /// Emulates one step and puts its events into the queue.
     fn step(&mut self) {
         let start_us = self.elapsed_us;
         let end_us = start_us.saturating_add(u64::from(self.script.step_us));
         let t = end_us as f64 * 1e-6;
         self.queue.begin(start_us);
         self.pixels.begin_step();
-        // A block is lit anew where a pattern was or is; a moving background lights all.
+        // A block's light is recomputed where a pattern was or is; a moving background lights all blocks.
         self.lit.fill(self.script.camera.moves());
         self.mark();
         self.place(t);
@@ -191,7 +192,7 @@ impl Emulator {
         self.elapsed_us = end_us;
     }
 
-    /// Puts the patterns where they are at `t` seconds.
+    /// Places the patterns where they are at `t` seconds.
     fn place(&mut self, t: f64) {
         let sensor = self.config.sensor;
         self.placed.clear();
@@ -199,7 +200,7 @@ impl Emulator {
         self.placed.extend(patterns.map(|p| p.place(t, sensor)));
     }
 
-    /// Marks the blocks under patterns that change.
+    /// Marks the blocks touched by patterns that change.
     fn mark(&mut self) {
         let blocks = self.pixels.blocks_per_row();
         for (pattern, placed) in self.script.patterns.iter().zip(&self.placed) {
@@ -246,7 +247,7 @@ impl Emulator {
         }
     }
 
-    /// Noise and hot pixels of a step.
+    /// Adds the noise events and hot-pixel events of a step.
     fn disturb(&mut self, start_us: u64) {
         let step_us = self.script.step_us;
         let count = self.config.sensor.pixels();
@@ -261,7 +262,7 @@ impl Emulator {
         }
         for hot in &mut self.hot {
             while let Some(at_us) = hot.arrivals.next(step_us, &mut self.random) {
-                // Hot pixels leak: nine of ten of their events are ON.
+                // Hot pixels leak: 9 of 10 of their events are ON.
                 let polarity = Polarity::from_bool(self.random.unit() < 0.9);
                 self.pixels
                     .disturb(hot.pixel, start_us, at_us, polarity, &mut self.queue);

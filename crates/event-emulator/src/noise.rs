@@ -1,18 +1,18 @@
 //! Seeded random numbers and the arrival times of noise.
 //!
-//! Only `+ - * /` and `libm` stand between the generator and an event, so that a seed gives the
-//! same numbers on every machine.
+//! Random numbers are turned into events with `+ - * /` and `libm` only, so that a seed gives the same numbers on
+//! every machine.
 
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
-/// A stream of random numbers; a scene has one per purpose, so that a change of one does not
-/// shift the others.
+/// A stream of random numbers. A scene uses one stream per purpose, so that a change to one purpose does not shift
+/// the numbers of the others.
 #[derive(Debug, Clone)]
 pub(super) struct Random(Xoshiro256PlusPlus);
 
 impl Random {
-    /// Stream number `stream` of `seed`.
+    /// Creates stream number `stream` of `seed`.
     pub(super) fn new(seed: u64, stream: u64) -> Self {
         // An odd multiplier keeps streams of neighbouring seeds apart; the generator's own
         // SplitMix64 then spreads the bits.
@@ -20,41 +20,41 @@ impl Random {
         Self(Xoshiro256PlusPlus::seed_from_u64(mixed))
     }
 
-    /// Uniform in [0, 1) in steps of 2^-24.
+    /// Returns a uniform value in [0, 1), in steps of 2^-24.
     pub(super) fn unit(&mut self) -> f32 {
         (self.0.next_u64() >> 40) as f32 * (1.0 / 16_777_216.0)
     }
 
-    /// Uniform in [low, high).
+    /// Returns a uniform value in [low, high).
     pub(super) fn within(&mut self, low: f32, high: f32) -> f32 {
         low + (high - low) * self.unit()
     }
 
-    /// Uniform in 0..n, or 0 where n is 0.
+    /// Returns a uniform integer in 0..n, or 0 if n is 0.
     pub(super) fn below(&mut self, n: u32) -> u32 {
-        // The bias of the multiplication is n / 2^32, below a thousandth for any sensor.
+        // The bias of the multiplication is n / 2^32, less than a thousandth for any sensor.
         (((self.0.next_u64() >> 32) * u64::from(n)) >> 32) as u32
     }
 
-    /// Close to a standard normal, within +-3.5: the sum of four uniforms, scaled to variance 1.
+    /// Returns a nearly standard normal value within +-3.5: the sum of four uniform values, scaled to variance 1.
     pub(super) fn normal(&mut self) -> f32 {
         let bits = self.0.next_u64();
         let sum: u64 = (0..4).map(|i| (bits >> (16 * i)) & 0xffff).sum();
-        // Mean 2 and variance 4/12 in units of 2^16.
+        // The sum has mean 2 and variance 4/12 in units of 2^16.
         (sum as f32 * (1.0 / 65_536.0) - 2.0) * 1.732_050_8
     }
 
-    /// Exponential with the given mean.
+    /// Returns an exponentially distributed value with the given mean.
     pub(super) fn exponential(&mut self, mean: f64) -> f64 {
         let uniform = ((self.0.next_u64() >> 11) as f64 + 1.0) * (1.0 / 9_007_199_254_740_992.0);
         -libm::log(uniform) * mean
     }
 }
 
-/// Poisson arrivals of a fixed rate, given out step by step.
+/// Poisson arrivals at a fixed rate, produced step by step.
 ///
-/// It holds the wait that is left, not an absolute time: precision does not fall with the
-/// length of the scene.
+/// It stores the remaining wait rather than an absolute time, so that precision does not fall with the length of the
+/// scene.
 #[derive(Debug, Clone)]
 pub(super) struct Arrivals {
     mean_us: f64,
@@ -62,7 +62,7 @@ pub(super) struct Arrivals {
 }
 
 impl Arrivals {
-    /// Arrivals at `rate_hz`; none at a rate of 0.
+    /// Creates arrivals at `rate_hz`; a rate of 0 gives none.
     pub(super) fn new(rate_hz: f64, random: &mut Random) -> Self {
         let mean_us = if rate_hz > 0.0 {
             1e6 / rate_hz
@@ -75,10 +75,10 @@ impl Arrivals {
         }
     }
 
-    /// The next arrival in this step, in us from the step's start; `None` ends the step.
+    /// Returns the next arrival in this step, in us from the step's start; `None` ends the step.
     pub(super) fn next(&mut self, step_us: u32, random: &mut Random) -> Option<u32> {
         let step = f64::from(step_us);
-        // The comparison also ends where the wait is infinite or not a number.
+        // The comparison is also false where the wait is infinite or NaN, which ends the step.
         if self.wait_us < step {
             let at = self.wait_us;
             self.wait_us += random.exponential(self.mean_us);
@@ -90,16 +90,16 @@ impl Arrivals {
     }
 }
 
-/// A pixel that fires by itself, mostly ON.
+/// A pixel that fires spontaneously, mostly ON.
 #[derive(Debug, Clone)]
 pub(super) struct HotPixel {
     /// Index of the pixel, row by row.
     pub(super) pixel: u32,
-    /// When it fires.
+    /// Arrival times of its events.
     pub(super) arrivals: Arrivals,
 }
 
-/// Hot pixels of a sensor: each pixel with probability `share`, at `low_hz` to ten times that.
+/// Draws the hot pixels of a sensor: on average `pixels * share` of them, each at `low_hz` to ten times that rate.
 pub(super) fn hot_pixels(
     pixels: u32,
     share: f32,
@@ -107,7 +107,7 @@ pub(super) fn hot_pixels(
     random: &mut Random,
 ) -> Vec<HotPixel> {
     let expected = f64::from(pixels) * f64::from(share);
-    // The fraction decides by chance, so that tiny sensors have a hot pixel now and then.
+    // The fractional part is rounded at random, so that a tiny sensor has a hot pixel now and then.
     let count = (expected + f64::from(random.unit())) as u32;
     (0..count.min(pixels))
         .map(|_| {

@@ -1,14 +1,14 @@
-//! What moves or flickers: the camera, boxes that travel or turn, lamps.
+//! Everything that moves or flickers: the camera, boxes that travel or turn, lamps.
 //!
-//! Positions and sizes are fractions of the sensor's width and height where they concern a
-//! single thing, so that a scene keeps its density on any sensor; the camera moves in pixels.
+//! Positions and sizes of single objects are fractions of the sensor's width and height, so that a scene keeps its
+//! event density on any sensor. The camera moves in pixels.
 
 use event_types::Sensor;
 
 /// One turn in radians.
 const TURN: f64 = core::f64::consts::TAU;
 
-/// Depths of the background, one below the other.
+/// Number of depth layers of the background, stacked from top to bottom.
 const LAYERS: u32 = 6;
 
 /// Movement of the camera, in pixels of the background.
@@ -16,14 +16,14 @@ const LAYERS: u32 = 6;
 pub(super) struct Camera {
     /// Mean velocity in pixels per second.
     pub(super) drift: (f64, f64),
-    /// How far the velocity swings about its mean: 0 steady, 1 down to rest.
+    /// Amplitude of the velocity's oscillation about its mean: 0 for a steady velocity, 1 to slow down to rest.
     pub(super) pulse: f64,
-    /// Swings per second.
+    /// Frequency of that oscillation in Hz.
     pub(super) pulse_hz: f64,
-    /// Sway: amplitudes in pixels and frequency.
+    /// Two sways, each with horizontal and vertical amplitude in pixels and a frequency in Hz.
     pub(super) sway: [(f64, f64, f64); 2],
-    /// Difference in horizontal speed from the upper to the lower edge, relative to the middle:
-    /// near ground passes faster than the sky.
+    /// Difference in horizontal speed between the lower and the upper edge, relative to the middle: near ground
+    /// passes faster than the sky.
     pub(super) parallax: f64,
 }
 
@@ -37,15 +37,15 @@ impl Camera {
         parallax: 0.0,
     };
 
-    /// Whether the background ever moves.
+    /// Returns whether the background ever moves.
     pub(super) fn moves(&self) -> bool {
         let sways = self.sway.iter().any(|(x, y, _)| *x != 0.0 || *y != 0.0);
         self.drift != (0.0, 0.0) || sways
     }
 
-    /// Place of the sensor's upper left corner on the background after `t` seconds.
+    /// Returns the position of the sensor's upper left corner on the background after `t` seconds.
     pub(super) fn offset(&self, t: f64) -> (f64, f64) {
-        // The integral of 1 + pulse * sin(turn * pulse_hz * t).
+        // Oscillating part of the integral of 1 + pulse * sin(turn * t).
         let swing = if self.pulse_hz > 0.0 {
             let turn = TURN * self.pulse_hz;
             self.pulse / turn * (1.0 - libm::cos(turn * t))
@@ -62,10 +62,10 @@ impl Camera {
         (x, y)
     }
 
-    /// Horizontal speed of a row relative to the middle.
+    /// Returns the horizontal speed of a row relative to the middle.
     ///
-    /// Rows move in [`LAYERS`] bands: within a band the picture stays whole however long the
-    /// scene, where a speed for each row would shear it more and more.
+    /// Rows move in [`LAYERS`] bands: within a band the picture stays rigid however long the scene lasts, whereas a
+    /// speed per row would shear it more and more.
     pub(super) fn row_speed(&self, y: u16, height: u16) -> f64 {
         let layer = u32::from(y) * LAYERS / u32::from(height.max(1));
         let middle = (f64::from(layer) + 0.5) / f64::from(LAYERS);
@@ -73,19 +73,19 @@ impl Camera {
     }
 }
 
-/// Something in front of the background; it adds to the log intensity.
+/// An object in front of the background; it adds to the log intensity.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Pattern {
     /// A box with soft edges that may travel and turn: a bar, a person, a drone, its rotor.
     Box {
-        /// Place of the centre at the start; fractions of width and height.
+        /// Position of the centre at the start, as fractions of width and height.
         start: (f64, f64),
         /// Velocity in widths and heights per second.
         velocity: (f64, f64),
-        /// After this many widths (and heights) of its way it comes again; above 1, it is out
-        /// of sight for a while.
+        /// Length of a lap in widths (and heights), after which the box reappears; if above 1, it is out of sight for
+        /// a while.
         lap: f64,
-        /// Half length and half width, fractions of the height.
+        /// Half length and half width, as fractions of the height.
         half: (f64, f64),
         /// Turns per second.
         spin_hz: f64,
@@ -98,11 +98,11 @@ pub(super) enum Pattern {
         area: (f64, f64, f64, f64),
         /// Cycles per second.
         hz: f64,
-        /// Log intensity between darkest and brightest.
+        /// Difference in log intensity between brightest and darkest.
         depth: f32,
-        /// A square wave (LED) instead of a sine (mains).
+        /// Square wave (LED) instead of a sine (mains).
         square: bool,
-        /// Off for this share of each second: lamps come and go.
+        /// Share of each second during which the modulation pauses.
         rest: f64,
     },
 }
@@ -110,7 +110,7 @@ pub(super) enum Pattern {
 /// A pattern at one moment, in pixels.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Placed {
-    /// Columns `x.0..x.1` and rows `y.0..y.1` that it touches.
+    /// Columns `x.0..x.1` and rows `y.0..y.1` that the pattern touches.
     x: (u16, u16),
     y: (u16, u16),
     shape: Shape,
@@ -128,7 +128,7 @@ enum Shape {
 }
 
 impl Pattern {
-    /// The pattern after `t` seconds; `None` where it is out of sight.
+    /// Returns the pattern after `t` seconds; `None` if it is out of sight.
     pub(super) fn place(&self, t: f64, sensor: Sensor) -> Option<Placed> {
         let (width, height) = (f64::from(sensor.width), f64::from(sensor.height));
         match *self {
@@ -147,7 +147,7 @@ impl Pattern {
                 let half = (half.0 * height, half.1 * height);
                 let turn = TURN * (spin_hz * t - libm::floor(spin_hz * t));
                 let direction = (libm::cos(turn), libm::sin(turn));
-                // A box with its soft edge lies within this much of its centre.
+                // Half extents of the bounding rectangle of the turned box with its soft edge.
                 let (c, s) = (libm::fabs(direction.0), libm::fabs(direction.1));
                 let reach_x = half.0 * c + half.1 * s + 2.0;
                 let reach_y = half.0 * s + half.1 * c + 2.0;
@@ -189,7 +189,7 @@ impl Pattern {
         }
     }
 
-    /// Whether its light may change from one step to the next.
+    /// Returns whether the light may change from one step to the next.
     pub(super) fn changes(&self) -> bool {
         match *self {
             Self::Box {
@@ -205,7 +205,7 @@ impl Placed {
         (self.x.0 < self.x.1 && self.y.0 < self.y.1).then_some(self)
     }
 
-    /// Blocks of `block` pixels that it touches: rows, and blocks in a row.
+    /// Returns the blocks of `block` pixels that the pattern touches: range of rows, and range of blocks in a row.
     pub(super) fn blocks(
         &self,
         block: usize,
@@ -215,7 +215,7 @@ impl Placed {
         (rows, across)
     }
 
-    /// Adds to the log intensity of the pixels (x + i, y).
+    /// Adds the pattern to the log intensity of the pixels (x + i, y).
     pub(super) fn add(&self, y: u16, x: u16, light: &mut [f32]) {
         if y < self.y.0 || y >= self.y.1 {
             return;
@@ -243,7 +243,7 @@ impl Placed {
                     let dx = dx0 + (first + i) as f32;
                     let length = (half.0 + 0.75 - (dx * c + dy * s).abs()).clamp(0.0, 1.5);
                     let width = (half.1 + 0.75 - (dy * c - dx * s).abs()).clamp(0.0, 1.5);
-                    // Edges take one and a half pixels, as behind a lens.
+                    // Edges are 1.5 pixels wide, as imaged by a lens.
                     *log += gain * (length * width) * (1.0 / 2.25);
                 }
             }
@@ -251,8 +251,8 @@ impl Placed {
     }
 }
 
-/// Coordinate of something that starts at `start` and comes again after a lap that is centred
-/// on the sensor.
+/// Returns the coordinate of an object that starts at `start` and reappears after each lap; laps are centred on the
+/// sensor.
 fn along(start: f64, velocity: f64, lap: f64, t: f64) -> f64 {
     if velocity == 0.0 {
         return start;
@@ -262,7 +262,7 @@ fn along(start: f64, velocity: f64, lap: f64, t: f64) -> f64 {
     way - libm::floor(way / lap) * lap - before
 }
 
-/// The whole pixels of an interval that lie in 0..side.
+/// Returns the range of whole pixels in 0..side that covers an interval.
 fn clip(from: f64, to: f64, side: u16) -> (u16, u16) {
     let side_f = f64::from(side);
     (
@@ -288,13 +288,13 @@ mod tests {
             pulse_hz: 2.0,
             ..Camera::STATIC
         };
-        // After whole swings only the mean velocity counts.
+        // After whole oscillations only the mean velocity counts.
         let (x, y) = camera.offset(1.5);
         assert!(
             (x - 60.0).abs() < 1e-9 && (y + 15.0).abs() < 1e-9,
             "{x} {y}"
         );
-        // The velocity is nothing three quarters into a swing.
+        // The velocity is 0 at three quarters of an oscillation.
         let slow = camera.offset(0.376).0 - camera.offset(0.374).0;
         assert!(slow.abs() < 1e-3, "{slow}");
         assert!(!Camera::STATIC.moves() && camera.moves());
@@ -330,12 +330,12 @@ mod tests {
                 let mut light = [0.0; 100];
                 placed.add(y, 0, &mut light);
                 sum += light.iter().sum::<f32>();
-                // A piece of the row gets the same light as the whole row does.
+                // A piece of the row gets the same light as the whole row.
                 let mut piece = [0.0; 30];
                 placed.add(y, 40, &mut piece);
                 assert_eq!(piece, light[40..70]);
             }
-            // 30 x 10 pixels of gain 2.
+            // 30 x 10 pixels with gain 2.
             assert!((sum - 600.0).abs() < 12.0, "spin {spin_hz}: {sum}");
         }
     }

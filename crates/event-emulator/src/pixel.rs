@@ -1,8 +1,8 @@
-//! The pixel: low-passed log intensity against two thresholds, as in ESIM and v2e.
+//! The pixel model: low-passed log intensity compared with two thresholds, as in ESIM and v2e.
 //!
-//! Each pixel holds the logarithm of its light after the photoreceptor's low-pass and the
-//! difference of that to the level of its last event. An event is a crossing of a threshold by
-//! the difference; its time is interpolated linearly within the step.
+//! Each pixel stores its log intensity after the photoreceptor's low-pass filter, and the difference from the level
+//! at its last event. An event is emitted when this difference crosses a threshold; its time is interpolated
+//! linearly within the step.
 
 use event_types::{Polarity, Sensor};
 
@@ -10,13 +10,13 @@ use super::noise::Random;
 use super::photoreceptor::{PixelModel, Tables};
 use super::queue::Queue;
 
-/// Pixels of a row that are looked at, or left asleep, together.
+/// Number of neighbouring pixels of a row that are computed, or left asleep, together.
 pub(super) const BLOCK: usize = 64;
 
-/// A difference between light and low-passed light too small to show: the block may sleep.
+/// A difference between light and low-passed light too small to matter: below it, the block may sleep.
 const SETTLED: f32 = 1e-3;
 
-/// Sleep of a block whose light rests.
+/// Sleep state of a block.
 #[derive(Debug, Clone, Copy, Default)]
 struct Sleep {
     /// Last step in which the block was computed, counted from 1.
@@ -25,7 +25,7 @@ struct Sleep {
     wake: u64,
 }
 
-/// State of all pixels: 24 bytes for each.
+/// State of all pixels, 24 bytes each.
 #[derive(Debug, Clone)]
 pub(super) struct Pixels {
     model: PixelModel,
@@ -41,14 +41,14 @@ pub(super) struct Pixels {
     /// End of the refractory period, in us since the scene began.
     ready_us: Vec<u64>,
     sleep: Vec<Sleep>,
-    /// Rise of `change` per step.
+    /// Increase of `change` per step caused by leakage.
     leak: f32,
     step: u64,
     random: Random,
 }
 
 impl Pixels {
-    /// Pixels that have long seen no light; [`Pixels::settle`] sets their first light.
+    /// Creates pixels with a level of 0; [`Pixels::settle`] sets their initial light.
     pub(super) fn new(sensor: Sensor, step_us: u32, model: PixelModel, mut random: Random) -> Self {
         let count = sensor.pixels() as usize;
         let mut threshold = |mean: f32| -> Vec<f32> {
@@ -58,7 +58,7 @@ impl Pixels {
         };
         let threshold_on = threshold(model.threshold_on);
         let threshold_off = threshold(model.threshold_off);
-        // Anywhere between the thresholds: leakage must not make all pixels fire together.
+        // Spread between the thresholds, so that leakage does not make all pixels fire together.
         let change = if model.leak_hz > 0.0 {
             threshold_on
                 .iter()
@@ -86,12 +86,12 @@ impl Pixels {
         }
     }
 
-    /// Blocks per row.
+    /// Returns the number of blocks per row.
     pub(super) fn blocks_per_row(&self) -> usize {
         usize::from(self.sensor.width).div_ceil(BLOCK)
     }
 
-    /// Sets the level of a block to the light, as if it had always been there.
+    /// Sets the level of a block to the light, as if the light had always been there.
     pub(super) fn settle(&mut self, y: u16, x: u16, light: &[f32]) {
         let first = usize::from(y) * usize::from(self.sensor.width) + usize::from(x);
         if let Some(level) = self.level.get_mut(first..first + light.len()) {
@@ -104,13 +104,13 @@ impl Pixels {
         self.step = self.step.saturating_add(1);
     }
 
-    /// Whether a block without new light must be computed in this step all the same.
+    /// Returns whether a block must be computed in this step even if its light is unchanged.
     pub(super) fn awake(&self, block: usize) -> bool {
         self.sleep.get(block).is_none_or(|s| s.wake <= self.step)
     }
 
-    /// Computes a block of a row to the end of the step, where its light is `light`, and queues
-    /// its events. `may_sleep` says that the light may rest after this step.
+    /// Computes a block of a row up to the end of the step, where its light is `light`, and queues its events.
+    /// `may_sleep` permits the block to sleep if its light has settled.
     pub(super) fn compute(
         &mut self,
         (y, x): (u16, u16),
@@ -132,7 +132,7 @@ impl Pixels {
         ) else {
             return;
         };
-        // What leaked while the block slept, all but this step's.
+        // Adds the leakage of the steps slept through; this step's own follows below.
         let slept = self.step.saturating_sub(sleep.computed).saturating_sub(1);
         if slept > 0 {
             let leaked = slept as f32 * self.leak;
@@ -143,7 +143,7 @@ impl Pixels {
         sleep.computed = self.step;
         sleep.wake = self.step + 1;
 
-        // Loops of one kind of work each run in vectors.
+        // Each loop does one kind of work, so that it vectorises.
         let mut alpha = [0_usize; BLOCK];
         for (alpha, light) in alpha.iter_mut().zip(light) {
             *alpha = Tables::index(*light);
@@ -183,7 +183,7 @@ impl Pixels {
                     .iter()
                     .zip(&*change)
                     .fold(f32::MAX, |least, (on, change)| least.min(on - change));
-                // The cast saturates: without leakage the block sleeps until its light changes.
+                // The cast saturates: without leakage, the block sleeps until its light changes.
                 let steps = (margin / self.leak) as u64;
                 sleep.wake = self.step.saturating_add(steps).max(self.step + 1);
             }
@@ -195,7 +195,7 @@ impl Pixels {
         }
     }
 
-    /// Emits an event for every threshold that a pixel crossed in this step.
+    /// Emits an event for every threshold crossing of a pixel in this step.
     fn cross(
         &mut self,
         pixel: usize,
@@ -209,7 +209,7 @@ impl Pixels {
         };
         let (mut change, dark) = (*change, self.tables.dark(*level));
         let step = self.step_us as f32;
-        // Where the step began, measured from the level of the last crossing.
+        // The difference at the start of the step, relative to the level of the last crossing.
         let mut begin = change - moved;
         loop {
             let (polarity, crossed) = if change >= self.threshold_on[pixel] {
@@ -234,7 +234,7 @@ impl Pixels {
         self.change[pixel] = change;
     }
 
-    /// A noise event of a pixel, `after_us` into the step; its level becomes the reference.
+    /// Emits a noise event of a pixel, `after_us` into the step; the pixel's level becomes its new reference.
     pub(super) fn disturb(
         &mut self,
         pixel: u32,
@@ -254,12 +254,12 @@ impl Pixels {
         let Some(change) = self.change.get_mut(pixel) else {
             return;
         };
-        // A sleeping block adds what leaked when it wakes; that must end at 0 here.
+        // When a sleeping block wakes it adds the leakage of its sleep; the sum must be 0 at this point.
         *change = -(slept as f32 * self.leak);
         self.emit(pixel, (x, y), start_us, after_us, polarity, queue);
     }
 
-    /// Share of the dark rate of noise events that a pixel has in its light, 0 to 1.
+    /// Returns a pixel's rate of noise events in its light, as a share (0 to 1) of the higher of the two rates.
     pub(super) fn noise_share(&self, pixel: u32) -> f32 {
         let (lit, dark) = self.model.noise_hz;
         let level = self.level.get(pixel as usize).copied().unwrap_or(0.0);
@@ -293,7 +293,7 @@ mod tests {
 
     use super::*;
 
-    /// A pixel without noise or delay that follows its light at once.
+    /// A pixel that follows its light at once, without noise or delay.
     const IDEAL: PixelModel = PixelModel {
         threshold_on: 0.25,
         threshold_off: 0.25,
@@ -307,8 +307,8 @@ mod tests {
 
     const STEP_US: u32 = 1_000;
 
-    /// Events of one pixel whose log intensity at time t (in us) is `light(t)`, and how many
-    /// steps were computed. With `sleep`, steps of a pixel at rest are left out.
+    /// Returns the events of one pixel whose log intensity at time t (in us) is `light(t)`, and how many steps were
+    /// computed. With `sleep`, steps of a pixel at rest are skipped.
     fn run(
         model: PixelModel,
         steps: u64,
@@ -346,7 +346,7 @@ mod tests {
 
     #[test]
     fn ramp_crosses_thresholds_at_the_right_times() {
-        // Slopes in natural logarithms per second: one event per 2.5 ms or four per step.
+        // Slopes in natural log units per second: one event per 2.5 ms, or four per step.
         for (per_s, every_us) in [(100.0, 2_500), (-100.0, 2_500), (1_000.0, 250)] {
             let polarity = Polarity::from_bool(per_s > 0.0);
             let us = 7_990_000.0 / f64::abs(per_s);
@@ -354,7 +354,7 @@ mod tests {
             let from = if per_s > 0.0 { -4.0 } else { 4.0 };
             let (events, _) = run(IDEAL, steps, false, ramp(per_s, from));
             let expected = steps * 1_000 / every_us;
-            // The last crossing may fall on the end itself.
+            // The last crossing may coincide with the end.
             let count = events.len() as u64;
             assert!(
                 count == expected || count + 1 == expected,
@@ -381,7 +381,7 @@ mod tests {
             refractory_us: 600,
             ..IDEAL
         };
-        // Crossings every 250 us: those 500 us after an event are too early.
+        // Crossings come every 250 us: crossings 250 and 500 us after an event are too early.
         let (events, _) = run(model, 6, false, ramp(1_000.0, -4.0));
         let times: Vec<u64> = events.iter().map(|e| e.t_us).collect();
         assert!(times.len() >= 7, "{times:?}");
@@ -403,8 +403,8 @@ mod tests {
             events[3].t_us
         };
         let (lit, dim) = (time_of_fourth(1.0), time_of_fourth(-3.0));
-        // A factor of e^4 in bandwidth; the step of a millisecond hides a part. In the dark the
-        // middle of a step is reached after ln 2 / (2 pi 10 Hz).
+        // The bandwidths differ by a factor of e^4, part of which the 1 ms step hides. In the dark, the middle of the
+        // jump is reached after ln 2 / (2 pi 10 Hz).
         assert!(lit < 1_000 && dim.abs_diff(11_000) < 1_500, "{lit} {dim}");
     }
 
@@ -422,7 +422,7 @@ mod tests {
         assert!((9..=11).contains(&waking.len()));
         for (a, b) in waking.iter().zip(&sleeping) {
             assert_eq!((a.polarity, b.polarity), (Polarity::On, Polarity::On));
-            // Leakage added up at once or step by step rounds differently.
+            // Adding up leakage at once rounds differently from adding it step by step.
             assert!(a.t_us.abs_diff(b.t_us) < 100, "{a:?} {b:?}");
         }
         for pair in sleeping.windows(2) {

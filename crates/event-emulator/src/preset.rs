@@ -7,8 +7,8 @@ use super::photoreceptor::PixelModel;
 use super::texture::Look;
 
 /// A named scene.
-///
-/// The names are those of the paper's Table I. The recordings behind them are not shipped; a
+/// The names are those of the paper's Table I. The recordings of that table are not included; a preset imitates the
+/// light, the camera and the moving objects that its name describes.
 /// preset imitates what its name says: light, camera and things that move.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Preset {
@@ -45,7 +45,7 @@ pub const PRESETS: [Preset; 9] = [
     Preset::OutdoorDark,
 ];
 
-/// What a preset consists of.
+/// Parameters of a preset.
 #[derive(Debug, Clone)]
 pub(super) struct Script {
     pub(super) step_us: u32,
@@ -53,7 +53,7 @@ pub(super) struct Script {
     pub(super) camera: Camera,
     pub(super) patterns: Vec<Pattern>,
     pub(super) pixel: PixelModel,
-    /// Share of hot pixels, and the least of their rates.
+    /// Share of hot pixels, and their lowest rate in Hz.
     pub(super) hot: (f32, f32),
 }
 
@@ -78,7 +78,7 @@ const LOOK: Look = Look {
 };
 
 impl Preset {
-    /// The name as the command line takes it: `indoor-flying`.
+    /// Returns the name used on the command line, for example `indoor-flying`.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -94,7 +94,7 @@ impl Preset {
         }
     }
 
-    /// One line about the scene.
+    /// Returns a one-line description of the scene.
     #[must_use]
     pub const fn about(self) -> &'static str {
         match self {
@@ -114,13 +114,13 @@ impl Preset {
         }
     }
 
-    /// The preset of a name, `None` where there is none.
+    /// Returns the preset with the given name, or `None` if the name is unknown.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         PRESETS.into_iter().find(|preset| preset.name() == name)
     }
 
-    /// Sensor that a scene has unless told otherwise: 346 x 260, a DAVIS346.
+    /// Returns the default sensor of the scene: 346 x 260, a DAVIS346.
     #[must_use]
     pub const fn sensor(self) -> Sensor {
         Sensor {
@@ -129,13 +129,13 @@ impl Preset {
         }
     }
 
-    /// Duration that a scene has unless told otherwise: a second.
+    /// Returns the default duration of the scene in us: one second.
     #[must_use]
     pub const fn duration_us(self) -> u64 {
         1_000_000
     }
 
-    /// The parameters.
+    /// Returns the parameters of the preset.
     pub(super) fn script(self) -> Script {
         match self {
             Self::IndoorDarkHdr => indoor_dark_hdr(),
@@ -151,7 +151,7 @@ impl Preset {
     }
 }
 
-/// A person or vehicle that crosses the picture: an upright box.
+/// Returns a person or vehicle that crosses the picture: an upright box.
 const fn walker(from: f64, velocity: f64, half: (f64, f64), gain: f32) -> Pattern {
     Pattern::Box {
         start: (from, 0.6),

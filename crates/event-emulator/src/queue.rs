@@ -1,27 +1,26 @@
-//! Puts the events of a step in order and holds back those that end up in a later one.
+//! Sorts the events of a step and holds back the events delayed into a later step.
 
 use event_types::{Event, Polarity};
 
-/// Bits below the time of a packed event: y 11, x 11, polarity 1.
+/// Bits below the time in a packed event: y 11, x 11, polarity 1.
 const PLACE_BITS: u32 = 23;
 
-/// Events of the step being made, packed so that integer order is the scene's order: time, y, x,
-/// OFF before ON.
+/// Events of the current step, packed so that integer order is the scene's order: time, y, x, OFF before ON.
 ///
-/// Latency only delays, so every event before the end of a step is known once the step is made;
-/// later ones wait for their step.
+/// Events are only ever delayed, so once a step is computed, every event before its end is known. Later events wait
+/// for their own step.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Queue {
     packed: Vec<u64>,
-    /// Time of a packed time of 0.
+    /// Time that corresponds to a packed time of 0.
     origin_us: u64,
-    /// `packed[taken..ready]` is in order and may be taken.
+    /// `packed[taken..ready]` is sorted and may be taken.
     taken: usize,
     ready: usize,
 }
 
 impl Queue {
-    /// Begins a step at `start_us`; everything ready has been taken.
+    /// Begins a step at `start_us`; all ready events must have been taken.
     pub(super) fn begin(&mut self, start_us: u64) {
         self.packed.drain(..self.taken);
         let advance = start_us.saturating_sub(self.origin_us) << PLACE_BITS;
@@ -33,7 +32,7 @@ impl Queue {
         self.ready = 0;
     }
 
-    /// Adds an event `after_us` later than the start of the step.
+    /// Adds an event `after_us` after the start of the step.
     pub(super) fn push(&mut self, after_us: u32, x: u16, y: u16, polarity: Polarity) {
         self.packed.push(
             u64::from(after_us) << PLACE_BITS
@@ -43,14 +42,14 @@ impl Queue {
         );
     }
 
-    /// Ends the step: events earlier than `end_us` may be taken.
+    /// Ends the step: events earlier than `end_us` become ready.
     pub(super) fn end(&mut self, end_us: u64) {
         self.packed.sort_unstable();
         let limit = end_us.saturating_sub(self.origin_us) << PLACE_BITS;
         self.ready = self.packed.partition_point(|packed| *packed < limit);
     }
 
-    /// Appends at most `most` of the ready events, `start_us` later, and returns how many.
+    /// Appends at most `most` of the ready events, their times offset by `start_us`, and returns their number.
     pub(super) fn take(&mut self, most: usize, start_us: u64, events: &mut Vec<Event>) -> usize {
         let until = self.ready.min(self.taken.saturating_add(most));
         let origin_us = self.origin_us + start_us;

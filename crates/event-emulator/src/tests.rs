@@ -1,23 +1,23 @@
-//! Whole scenes.
+//! Tests of whole scenes.
 
 use std::time::Instant;
 
 use super::*;
 
-/// Window of the densities, in us.
+/// Window length used for the densities, in us.
 const WINDOW_US: u64 = 32_768;
 
-/// What a scene looks like, window by window.
+/// Statistics of a scene, window by window.
 struct Seen {
     events: usize,
     on: usize,
     /// Events per pixel and second.
     density: f64,
-    /// Events per pixel that has any, over windows of 32,768 us.
+    /// Events per active pixel, over windows of 32,768 us.
     per_active: f64,
-    /// Share of active pixels with one event.
+    /// Share of active pixels with exactly one event.
     single: f64,
-    /// Densities of the whole windows.
+    /// Densities of the complete windows.
     windows: Vec<f64>,
     seconds: f64,
 }
@@ -88,7 +88,7 @@ fn fnv(events: &[Event]) -> u64 {
 
 #[test]
 fn a_seed_gives_the_same_events_every_time_and_everywhere() {
-    // Another hash means other events for every seed in use: a change that users must be told.
+    // A different hash means that every seed in use gives other events: users must be told of such a change.
     let pinned = [
         (Preset::IndoorDarkHdr, 0xf9dd_972b_39d7_8db7),
         (Preset::OutdoorDarkBlur, 0x2a52_3f2a_54fb_8a93),
@@ -143,7 +143,7 @@ fn start_only_shifts_and_duration_only_cuts() {
         e.t_us -= start_us;
     }
     assert_eq!(events, later);
-    // A duration that is no multiple of the step.
+    // A duration that is not a multiple of the step.
     let cut = all(SceneConfig {
         duration_us: 54_321,
         ..config
@@ -221,7 +221,7 @@ fn sensors_of_any_size_work() {
                 assert!(!events.is_empty(), "{width} x {height}");
             }
             if width > 64 && height > 64 {
-                // Every part of the sensor takes part.
+                // Events come from every part of the sensor.
                 assert!(events.iter().any(|e| e.x > 2_000 && e.y < 1_000));
                 assert!(events.iter().any(|e| e.x < 1_000 && e.y > 2_000));
             }
@@ -246,7 +246,7 @@ fn durations_of_zero_and_without_end() {
         for _ in 0..20 {
             assert!(emulator.read(&mut events).unwrap() > 0);
         }
-        // The same as far as the short one goes.
+        // The long scene begins with the same events as the short one.
         assert!(events.len() >= 20);
         let short = all(small(preset, 1));
         assert!(events.iter().zip(&short).all(|(a, b)| a == b));
@@ -280,7 +280,7 @@ fn names_lead_to_their_presets() {
 
 #[test]
 fn densities_span_those_of_recordings() {
-    // Events per pixel and second, least and most; sparse to dense.
+    // Lowest and highest events per pixel and second, from sparse to dense.
     let expected = [
         (Preset::OutdoorDark, 0.05, 0.3),
         (Preset::IndoorDarkHdr, 0.25, 1.0),
@@ -299,7 +299,7 @@ fn densities_span_those_of_recordings() {
             assert!(seen.density >= least && seen.density <= most, "{about}");
             let on = seen.on as f64 / seen.events as f64;
             assert!(on > 0.3 && on < 0.75, "{about}, ON {on}");
-            // Recordings: 1.0 to 3.0 in windows of 33 ms.
+            // Real recordings have 1.0 to 3.0 in windows of 33 ms.
             let per_active = seen.per_active;
             assert!(
                 per_active > 1.0 && per_active < 3.5,
@@ -312,7 +312,7 @@ fn densities_span_those_of_recordings() {
     }
 }
 
-/// `cargo test --release -p event-emulator measure_presets -- --ignored --nocapture`
+/// Run with `cargo test --release -p event-emulator measure_presets -- --ignored --nocapture`.
 #[test]
 #[ignore = "prints a table of densities and speeds; run it in release"]
 fn measure_presets() {

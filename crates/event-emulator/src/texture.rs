@@ -5,16 +5,16 @@ use super::noise::Random;
 /// Side of the tile in pixels; a power of two, so that wrapping is a mask.
 const SIDE: usize = 512;
 
-/// What a background looks like; all contrasts are natural logarithms.
+/// Parameters of a background; all contrasts are natural logarithms.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Look {
-    /// Log intensity of the scene's middle; 0 is a well-lit room, -4 a street at night.
+    /// Log intensity of the scene's mid-level; 0 is a well-lit room, -4 a street at night.
     pub(super) light: f32,
-    /// Log intensity of the bright parts above the dark ones (a window in a dark room).
+    /// Log intensity of bright areas (a window in a dark room) relative to dark areas.
     pub(super) hdr: f32,
     /// Patches per tile of 512 x 512 pixels.
     pub(super) patches: u32,
-    /// Largest step of a patch's edge.
+    /// Largest step at a patch's edge.
     pub(super) contrast: f32,
     /// Standard deviation of the fine grain.
     pub(super) grain: f32,
@@ -31,21 +31,21 @@ impl Texture {
     /// Paints a tile.
     pub(super) fn new(look: &Look, random: &mut Random) -> Self {
         let mut tile = vec![0.0_f32; SIDE * SIDE];
-        // Large bright areas first, so that patches stand in light and in shade alike.
+        // Large bright areas come first, so that patches lie in light and in shade alike.
         for _ in 0..3 {
             let size = (random.within(40.0, 90.0), random.within(40.0, 110.0));
             paint(&mut tile, size, 0.0, random, |log| *log = look.hdr);
         }
         for _ in 0..look.patches {
             let size = (random.within(4.0, 40.0), random.within(3.0, 24.0));
-            // Most edges of a built world are upright or level.
+            // Most edges in a built environment are vertical or horizontal.
             let turn = if random.unit() < 0.6 {
                 0.0
             } else {
                 random.within(0.0, core::f32::consts::PI)
             };
             let step = random.within(-look.contrast, look.contrast);
-            // Half the old value: piled patches stay in range.
+            // Halving the old value keeps stacked patches in range.
             paint(&mut tile, size, turn, random, |log| {
                 let base = if *log > 0.5 * look.hdr { look.hdr } else { 0.0 };
                 *log = base + 0.5 * (*log - base) + step;
@@ -57,10 +57,10 @@ impl Texture {
         Self { log: soften(&tile) }
     }
 
-    /// Writes the log intensity at (u + i, v) to `out[i]`, bilinear between lattice points.
+    /// Writes the log intensity at (u + i, v) to `out[i]`, interpolated bilinearly between lattice points.
     ///
-    /// All pixels of a call share their place between the lattice points, so the weights are
-    /// constant and the loop runs in vectors.
+    /// All pixels of a call have the same offset from the lattice points, so the weights are constant and the loop
+    /// vectorises.
     pub(super) fn sample(&self, u: f64, v: f64, out: &mut [f32]) {
         let (mut column, right) = split(u);
         let (row, below) = split(v);
@@ -94,7 +94,7 @@ impl Texture {
     }
 }
 
-/// Lattice point before a coordinate, wrapped into the tile, and the rest.
+/// Returns the lattice point at or before a coordinate, wrapped into the tile, and the fractional part.
 fn split(coordinate: f64) -> (usize, f32) {
     let whole = libm::floor(coordinate);
     let side = SIDE as f64;
@@ -102,8 +102,7 @@ fn split(coordinate: f64) -> (usize, f32) {
     (wrapped as usize & (SIDE - 1), (coordinate - whole) as f32)
 }
 
-/// Applies `change` to the pixels of a box of half-sizes `size`, turned by `turn`, at a random
-/// place.
+/// Applies `change` to the pixels of a box with half-sizes `size`, turned by `turn` radians, at a random position.
 fn paint(
     tile: &mut [f32],
     size: (f32, f32),
@@ -113,7 +112,7 @@ fn paint(
 ) {
     let (sin, cos) = (libm::sinf(turn), libm::cosf(turn));
     let (x0, y0) = (random.below(SIDE as u32), random.below(SIDE as u32));
-    // Below the side of the tile, so that no pixel is met twice.
+    // Less than half the side of the tile, so that no pixel is visited twice.
     let reach = ((size.0 + size.1) as i32).min(SIDE as i32 / 2 - 1);
     for dy in -reach..=reach {
         for dx in -reach..=reach {
@@ -130,8 +129,8 @@ fn paint(
     }
 }
 
-/// Optics: every point becomes the weighted mean (1 2 1) of its neighbours both ways, so that
-/// an edge takes about two pixels; adds the column that repeats the first.
+/// Models the optics: smooths every point with (1 2 1) / 4 in both directions, so that an edge takes about two
+/// pixels, and appends the column that repeats the first.
 fn soften(tile: &[f32]) -> Vec<f32> {
     let at = |x: usize, y: usize| tile[(y & (SIDE - 1)) * SIDE + (x & (SIDE - 1))];
     let across =

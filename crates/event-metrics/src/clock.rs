@@ -1,26 +1,27 @@
-//! A constant between the clocks of two recordings.
+//! Finds a constant offset between the clocks of two recordings.
 //!
-//! Both have the same events, or nearly, and one's times are the other's plus a constant: then the first event of most
-//! pixels and polarities is the same event, and the difference of its two times is the constant.
+//! It applies to two recordings of (nearly) the same events whose times differ by a constant. For most pairs of pixel
+//! and polarity, the first event is then the same in both, and the difference of its two times is the constant.
 
 use std::collections::HashMap;
 
 use event_types::Polarity;
 use event_types::stream::{EventReader, Result};
 
-/// Events looked at, of either recording.
+/// Number of events read from each recording.
 const EVENTS: usize = 1 << 20;
 
-/// Fewest pixels that tell a constant.
+/// Fewest pixel and polarity pairs from which an offset is derived.
 const PIXELS_MIN: usize = 8;
 
-/// How much B's clock is ahead of A's, in us; `None` where no constant is found, 0 where the clocks agree.
+/// Returns how far B's clock is ahead of A's, in us; 0 if the clocks agree, `None` if no constant offset is found.
 ///
-/// It is the difference that at least half of the pixels have, or else the median, where it is more than four times the
-/// median distance from it.
+/// Each pixel and polarity with events in both recordings gives one difference of first times. The offset is the
+/// difference shared by at least half of them, or else their median, if it exceeds four times the median absolute
+/// deviation from it. Only the first 2^20 events of each recording are read.
 ///
 /// # Errors
-/// What the readers report.
+/// An error of a reader.
 pub fn offset_us(a: &mut dyn EventReader, b: &mut dyn EventReader) -> Result<Option<i64>> {
     let (a, b) = (first_times(a)?, first_times(b)?);
     let mut differences: Vec<i64> = a
@@ -54,7 +55,7 @@ fn constant(differences: &mut [i64]) -> Option<i64> {
     (median.unsigned_abs() > spread.saturating_mul(4)).then_some(median)
 }
 
-/// The earliest time of every pixel and polarity among the first events.
+/// Returns the earliest time of every pixel and polarity among the first [`EVENTS`] events.
 fn first_times(reader: &mut dyn EventReader) -> Result<HashMap<(u16, u16, Polarity), u64>> {
     let mut times = HashMap::new();
     let (mut events, mut read) = (Vec::new(), 0);
@@ -100,7 +101,7 @@ mod tests {
         assert_eq!(found(&a, &a), Some(0));
         assert_eq!(found(&a, &recording(100, 0)), Some(100));
         assert_eq!(found(&recording(100, 0), &a), Some(-100));
-        // Beside an error of times, and with a third of the events gone.
+        // With an error on each time, then with a third of the events missing.
         let near = found(&a, &recording(5_000_000, 80)).unwrap();
         assert!((5_000_000..=5_000_080).contains(&near), "{near}");
         let fewer: Vec<Event> = recording(300, 0)

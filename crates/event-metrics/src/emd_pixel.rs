@@ -1,19 +1,22 @@
 //! Cost of moving the events of one recording onto those of the other, pixel by pixel.
 //!
-//! Per pixel and polarity, events of A are paired with events of B so that the sum over the pairs of |dt|, plus T for each
-//! event of either side that has no partner, is least. Windows do not part the pairs: a constant shift costs what it is.
+//! For each pixel and polarity, events of A are paired with events of B so as to minimise the sum of |dt| over the
+//! pairs, plus T for each event of either side without a partner. Pairs may span windows, so that a constant shift
+//! costs exactly that shift per event.
 //!
-//! Pairs of a least sum do not cross. Walk the merged times from left to right, and let w be the number of A's events that
-//! wait for a partner, less that of B's. While w events wait, a gap of length d costs d |w|. An event of A adds 1 to w, one
-//! of B takes 1 off, and an event may give up waiting for T. The least cost f(w) so far is convex, its slopes
-//! f(w + 1) - f(w) lie within -T..T as giving up costs no more, and only those strictly inside are kept, in two stacks:
+//! Some least-cost matching has no crossing pairs. Walk through the merged times in ascending order, and let w be the
+//! number of A's events that wait for a partner, minus the number of B's. While |w| events wait, a gap of length d
+//! costs d |w|. An event of A adds 1 to w, an event of B subtracts 1, and a waiting event may give up for a cost of
+//! T.
+//! The least cost f(w) so far is convex. Its slopes f(w + 1) - f(w) lie within -T..T, because giving up never costs
+//! more than T. Only the slopes strictly inside that range are stored, in two stacks:
 //!
-//! * a gap adds d to the slopes at w >= 0 and takes d off those below, each up to the limit;
-//! * an event of A moves f by 1, so that the uppermost slope below 0 becomes the lowest above: f(0) falls by it;
-//! * an event of B moves it back: f(0) grows by it.
+//! * a gap adds d to the slopes at w >= 0 and subtracts d from those below, clamped to the limits;
+//! * an event of A shifts f by 1, so that the uppermost slope below 0 becomes the lowest above: f(0) falls by it;
+//! * an event of B shifts f back: f(0) grows by the lowest slope above 0.
 //!
-//! At the end nobody waits, so the cost is f(0). Exact, in O(1) amortised time an event; what is kept of a pixel is gone
-//! 2 T after its last event.
+//! No event waits at the end, so the cost is f(0). The result is exact and takes O(1) amortised time per event. The
+//! state of a pixel can be dropped 2 T after its last event.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -22,32 +25,32 @@ use event_types::{Event, Polarity};
 /// A pixel and a polarity.
 type Group = (u16, u16, Polarity);
 
-/// Matches event times at the least cost, over any number of windows.
+/// Matches event times at the least total cost, over any number of windows.
 #[derive(Debug)]
 pub struct Matcher {
-    /// T.
+    /// T, the cost of an event without a partner.
     unmatched_us: u64,
     waiting: HashMap<Group, Waiting>,
-    /// Sum of f(0) over all pixels.
+    /// Sum of f(0) over all pixels and polarities.
     cost: i128,
-    /// Groups that were kept when they were last looked through.
+    /// Number of groups left after the last call of `forget` that removed groups.
     kept: usize,
 }
 
-/// The slopes of f that lie strictly inside of -T..T.
+/// The slopes of f that lie strictly inside -T..T.
 #[derive(Debug, Default)]
 struct Waiting {
     last_us: u64,
-    /// At w = 0, 1, ..., ascending; less `above_offset`.
+    /// Slopes at w = 0, 1, ..., ascending, with `above_offset` subtracted.
     above: VecDeque<i128>,
     above_offset: i128,
-    /// At w = -1, -2, ..., descending; less `below_offset`.
+    /// Slopes at w = -1, -2, ..., descending, with `below_offset` subtracted.
     below: VecDeque<i128>,
     below_offset: i128,
 }
 
 impl Waiting {
-    /// Lets time pass up to `t_us`.
+    /// Advances the time to `t_us`.
     fn pass(&mut self, t_us: u64, limit: i128) {
         let gap = i128::from(t_us.saturating_sub(self.last_us));
         self.last_us = self.last_us.max(t_us);
@@ -63,7 +66,7 @@ impl Waiting {
         }
     }
 
-    /// An event of A or of B; what f(0) grows by.
+    /// Adds an event of A or of B and returns the change of f(0).
     fn event(&mut self, is_a: bool, limit: i128) -> i128 {
         if is_a {
             let slope = self.below.pop_front();
@@ -80,7 +83,7 @@ impl Waiting {
 }
 
 impl Matcher {
-    /// An event without a partner costs `unmatched_us`.
+    /// Creates a matcher in which an event without a partner costs `unmatched_us` (T).
     #[must_use]
     pub fn new(unmatched_us: u64) -> Self {
         Self {
@@ -91,8 +94,9 @@ impl Matcher {
         }
     }
 
-    /// Takes the events of the next window of both recordings, each in [`super::frame::pixel_order`]; no event of it is
-    /// before one of the windows that were taken.
+    /// Adds the events of the next window of both recordings, each slice in [`super::frame::pixel_order`].
+    ///
+    /// No event may be earlier than an event of a window added before.
     pub fn add_window(&mut self, a: &[Event], b: &[Event]) {
         let group = |event: &Event| (event.y, event.x, event.polarity);
         let limit = i128::from(self.unmatched_us);
@@ -127,7 +131,7 @@ impl Matcher {
         self.forget(earliest_us);
     }
 
-    /// Lets go of pixels in which nobody can wait any longer at `t_us`, whenever there may be as many of them as others.
+    /// Drops pixels in which no event can still be waiting at `t_us`, once these may outnumber the others.
     fn forget(&mut self, t_us: u64) {
         if self.waiting.len() <= 2 * self.kept + 1024 {
             return;
@@ -140,13 +144,13 @@ impl Matcher {
         self.kept = self.waiting.len();
     }
 
-    /// The cost of the events so far, were there no more, in us.
+    /// Returns the cost of the events added so far, in us, as if no more were to come.
     #[must_use]
     pub fn cost(&self) -> u128 {
         self.cost.unsigned_abs()
     }
 
-    /// Lets nobody wait for what comes next: the clock begins anew.
+    /// Ends the current run of the clock: events that still wait stay without a partner.
     pub fn end_run(&mut self) {
         self.waiting.clear();
     }
@@ -177,13 +181,13 @@ mod tests {
         assert_eq!(cost(&[5], &[], 1000), 1000);
         assert_eq!(cost(&[], &[5, 6], 1000), 2000);
         assert_eq!(cost(&[5], &[9], 1000), 4);
-        // In order: 0-10 and 10-20, not 10-10 and 0-20, which costs the same 20.
+        // Paired in order: 0 with 10 and 10 with 20. Pairing 10 with 10 and 0 with 20 costs the same, 20.
         assert_eq!(cost(&[0, 10], &[10, 20], 1000), 20);
-        // 10 pairs with 11 and 20 with 19: 30 is left over.
+        // 10 pairs with 11, 20 with 19, and 30 is left over.
         assert_eq!(cost(&[10, 20], &[11, 19, 30], 1000), 1002);
-        // The nearest to both 10 and 12 is 11, but it can serve only one of them.
+        // 11 is nearest to both 10 and 12, but it can be paired with only one of them.
         assert_eq!(cost(&[10, 12], &[11, 100, 200], 1000), 1000 + 1 + 88);
-        // A pair further apart than 2 T costs more than two events without partners.
+        // A pair more than 2 T apart costs more than two events without partners.
         assert_eq!(cost(&[10], &[210], 100), 200);
         assert_eq!(cost(&[10], &[209], 100), 199);
         assert_eq!(cost(&[10], &[9999], 100), 200);
@@ -201,18 +205,18 @@ mod tests {
         b.sort_by_key(pixel_order);
         let mut matcher = Matcher::new(100);
         matcher.add_window(&a, &b);
-        // OFF: a pair of cost 2. One ON of A in each of two pixels and one of B are left over.
+        // OFF: one pair of cost 2. ON: two events of A and one of B, all in different pixels, are left over.
         assert_eq!(matcher.cost(), 2 + 300);
     }
 
     #[test]
     fn huge_counts_in_one_pixel_are_exact_and_quick() {
-        // B is every A time that is not a multiple of 5, so a perfect matching costs nothing.
+        // B holds every time of A that is not a multiple of 5, so a perfect matching of B costs nothing.
         let a: Vec<u64> = (0..65_535).collect();
         let b: Vec<u64> = a.iter().copied().filter(|t| t % 5 != 0).collect();
         let left = (a.len() - b.len()) as u128;
         assert_eq!(cost(&a, &b, 32_768), left * 32_768);
-        // All of A at 0 against B at 1, 2, 3, ...: the nearest 40,000 of B are taken.
+        // All events of A at 0 against B at 1, 2, 3, ...: the nearest 40,000 events of B are paired.
         let b: Vec<u64> = (1..=65_535).collect();
         let sum = 40_000_u128 * 40_001 / 2;
         let far = 1 << 20;
@@ -258,7 +262,7 @@ mod tests {
         assert!(matcher.waiting.len() < 1100, "{}", matcher.waiting.len());
     }
 
-    /// Least cost over every way to pair events or to leave them.
+    /// Least cost over every way to pair events or leave them without a partner.
     fn exhaustive(a: &[u64], b: &[u64], used: u32, unmatched: u128) -> u128 {
         let Some((first, rest)) = a.split_first() else {
             return (b.len() as u128 - u128::from(used.count_ones())) * unmatched;
@@ -282,7 +286,7 @@ mod tests {
             prop_assert_eq!(cost(&a, &b, unmatched), exhaustive(&a, &b, 0, unmatched.into()));
         }
 
-        /// D(i, j): the first i of A and the first j of B; in any number of windows.
+        /// D(i, j) is the least cost of the first i events of A and the first j of B; any number of windows.
         #[test]
         fn equals_dynamic_programming(
             mut a in proptest::collection::vec(0_u64..2000, 0..60),

@@ -1,10 +1,10 @@
 //! Wasserstein-1 distance between the event times of two windows.
 
-/// W1 in us of the empirical distributions of two sets of times, each of unit mass.
+/// Returns the W1 distance, in us, between the empirical distributions of two sets of times (us), each of unit mass.
 ///
-/// `W1 = integral of |F_a(t) - F_b(t)| dt`, exact in integers up to the last division; equal to
-/// `scipy.stats.wasserstein_distance`. A window of `window_us` that is empty on one side counts
-/// `window_us`, one that is empty on both sides 0. The slices are sorted in place.
+/// `W1 = integral of |F_a(t) - F_b(t)| dt`, in exact integers up to the last division; equal to
+/// `scipy.stats.wasserstein_distance`. If one side of the window is empty the result is `window_us`, if both are
+/// empty it is 0. The slices are sorted in place.
 #[must_use]
 pub fn wasserstein_us(a: &mut [u64], b: &mut [u64], window_us: u64) -> f64 {
     match (a.is_empty(), b.is_empty()) {
@@ -21,7 +21,7 @@ pub fn wasserstein_us(a: &mut [u64], b: &mut [u64], window_us: u64) -> f64 {
     let mut area = 0_u128;
     while let Some(t) = rest_a.first().into_iter().chain(rest_b.first()).min() {
         let t = *t;
-        // Before the first time both distributions are 0, so the first step adds nothing.
+        // Both distributions are 0 before the first time, so the first step adds nothing.
         let height = (below_a * total_b).abs_diff(below_b * total_a);
         area += height * u128::from(t - previous);
         previous = t;
@@ -31,7 +31,7 @@ pub fn wasserstein_us(a: &mut [u64], b: &mut [u64], window_us: u64) -> f64 {
     area as f64 / (total_a * total_b) as f64
 }
 
-/// Removes the times equal to `t` from the front of `rest` and returns their number.
+/// Removes the times equal to `t` from the front of `rest` and returns how many there were.
 fn take_equal(rest: &mut &[u64], t: u64) -> u128 {
     let mut taken = 0;
     while let Some((first, after)) = rest.split_first() {
@@ -63,7 +63,7 @@ mod tests {
         assert_eq!(wasserstein_us(&mut [far], &mut [far - 8], 10), 8.0);
     }
 
-    /// Integral of `|F_a - F_b|` taken step by step over every microsecond.
+    /// Integral of `|F_a - F_b|`, summed over every microsecond.
     fn cdf_integral(a: &[u64], b: &[u64]) -> f64 {
         let below = |times: &[u64], t| {
             times.iter().filter(|other| **other <= t).count() as f64 / times.len() as f64

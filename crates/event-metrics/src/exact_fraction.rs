@@ -1,13 +1,13 @@
-//! Events that both recordings hold, to the microsecond.
+//! Events that both recordings hold with identical t (to the microsecond), x, y and polarity.
 
 use event_types::Event;
 
 use super::frame::pixel_order;
 
-/// Number of events of `a` found in `b` with the same t, x, y and p.
+/// Returns the number of events of `a` that occur in `b` with the same t, x, y and p.
 ///
-/// A multiset: an event that stands twice in A and once in B is found once. Both windows must be
-/// in [`pixel_order`]. `exact_fraction` = this, summed over the windows, / events of A.
+/// Events are matched as a multiset: an event that occurs twice in A and once in B counts once. Both windows must be
+/// in [`pixel_order`]. `exact_fraction` is this value summed over the windows, divided by the events of A.
 #[must_use]
 pub fn matched(a: &[Event], b: &[Event]) -> u64 {
     let (mut a, mut b) = (a.iter().peekable(), b.iter().peekable());

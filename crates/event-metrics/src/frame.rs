@@ -1,27 +1,27 @@
-//! Sparse frames: the signed sum of polarities per pixel of a window.
+//! Sparse frames: the signed sum of the polarities per pixel of a window.
 
 use event_types::{Event, Polarity, Sensor};
 
-/// Order of the events in which the per-pixel metrics walk a window: row, column, polarity, time.
+/// Returns the sort key in which the per-pixel metrics need the events of a window: row, column, polarity, time.
 #[must_use]
 pub fn pixel_order(event: &Event) -> (u16, u16, Polarity, u64) {
     (event.y, event.x, event.polarity, event.t_us)
 }
 
-/// A pixel whose sum is not 0 in A or in B.
+/// A pixel whose sum is not 0 in A, in B or in both.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PixelPair {
     /// Column.
     pub x: u16,
     /// Row.
     pub y: u16,
-    /// Sum of A's polarities.
+    /// Sum of the polarities of A's events, +1 for ON and -1 for OFF.
     pub a: i64,
-    /// Sum of B's polarities.
+    /// Sum of the polarities of B's events.
     pub b: i64,
 }
 
-/// The frames of two windows as the list of their non-zero pixels, by row and column.
+/// Returns the frames of two windows as a list of their non-zero pixels, ordered by row, then column.
 ///
 /// Both windows must be in [`pixel_order`].
 #[must_use]
@@ -43,7 +43,7 @@ pub fn frame_pair(a: &[Event], b: &[Event]) -> Vec<PixelPair> {
     pixels
 }
 
-/// Removes the events of pixel (x, y) from the front of `rest` and returns their sum.
+/// Removes the events of pixel (x, y) from the front of `rest` and returns the sum of their polarities.
 fn take_sum(rest: &mut &[Event], x: u16, y: u16) -> i64 {
     let mut sum = 0;
     while let Some((event, after)) = rest.split_first() {
@@ -56,7 +56,7 @@ fn take_sum(rest: &mut &[Event], x: u16, y: u16) -> i64 {
     sum
 }
 
-/// Finds the largest |sum| of a stream's frames; its memory is one frame.
+/// Finds the largest |sum| in the frames of a stream; it holds one frame in memory.
 #[derive(Debug, Clone)]
 pub struct PeakFinder {
     sensor: Sensor,
@@ -65,7 +65,7 @@ pub struct PeakFinder {
 }
 
 impl PeakFinder {
-    /// A finder for frames of `sensor`.
+    /// Creates a finder for frames of the size of `sensor`.
     #[must_use]
     pub fn new(sensor: Sensor) -> Self {
         Self {
@@ -75,21 +75,21 @@ impl PeakFinder {
         }
     }
 
-    /// Takes the frame of one window, whose events may be in any order.
+    /// Takes the frame of one window into account; its events may be in any order.
     pub fn add_window(&mut self, events: &[Event]) {
         for event in events {
             if let Some(sum) = self.sum_mut(event) {
                 *sum += i64::from(event.polarity.sign());
             }
         }
-        // Only the pixels that were touched are read and cleared: most of a frame is empty.
+        // Most of a frame is empty: read and clear only the pixels that were touched.
         for event in events {
             let sum = self.sum_mut(event).map_or(0, std::mem::take);
             self.peak = self.peak.max(sum.unsigned_abs());
         }
     }
 
-    /// Largest |sum| of all the windows so far; 0 where every pixel cancels out.
+    /// Returns the largest |sum| of all windows so far; 0 if the sums of all pixels cancel.
     #[must_use]
     pub fn peak(&self) -> u64 {
         self.peak

@@ -1,27 +1,28 @@
-//! Distortion between two recordings.
+//! Distortion metrics between two event recordings, A (the reference) and B.
 //!
-//! Every metric works window by window on A's grid (see [`windows`]); a frame is the signed sum
-//! of polarities per pixel of a window, divided by the largest |sum| of both recordings.
+//! All metrics are computed window by window on A's grid (see [`windows`]). The frame of a window holds, for each
+//! pixel, the signed sum of the polarities, divided by the largest |sum| found in either recording.
 //!
 //! | key | value |
 //! |---|---|
-//! | `events_a`, `events_b` | events read, the late ones included |
+//! | `events_a`, `events_b` | events read, including late events |
 //! | `exact_fraction` | events of A found in B with the same t, x, y, p (multiset) / events of A |
-//! | `exact_fraction_b` | the same events / events of B: what B has too much lowers it |
+//! | `exact_fraction_b` | the same count / events of B: lowered by events that only B has |
 //! | `mse` | mean of (a - b)^2 over pixels and windows |
-//! | `ssim` | mean over windows of the structural similarity |
-//! | `emd_time_ms` | mean over the windows that hold events of the W1 distance of the times |
-//! | `emd_pixel_us` | least-cost matching per pixel and polarity ([`emd_pixel`]), per event of A |
+//! | `ssim` | mean structural similarity over windows |
+//! | `emd_time_ms` | mean W1 distance of the event times, over the windows that hold events |
+//! | `emd_pixel_us` | cost of the least-cost matching per pixel and polarity ([`emd_pixel`]), per event of A |
 //!
-//! `mse` and `ssim` average over every window between A's first and A's last, empty ones (mse 0,
-//! ssim 1) included, and over those further windows in which B holds events. The empty time
-//! between A and a B that lies elsewhere is no window of A's: it would hide that nothing agrees.
+//! `mse` and `ssim` average over every window between A's first and A's last, empty windows (mse 0, ssim 1)
+//! included, and over the windows outside that span in which B holds events. Where B lies elsewhere in time, the
+//! empty time between A and B is not counted: it would hide that nothing agrees.
 //!
-//! Where times run back further than windows stay open (see [`windows`]), as where a clock begins anew, both
-//! recordings are sorted first: windows are of time, and hold the events of every run.
+//! If the times of a recording run backwards by more than windows stay open (see [`windows`]), for example because
+//! its clock restarts, both recordings are sorted by time first. A window then holds the events of every run of
+//! the clock that fall into it.
 //!
-//! Recordings of different sensors are refused. A size that a file does not state, but its reader took for the
-//! largest x and y, is no sensor's: frames have the larger width and the larger height of both.
+//! Recordings from sensors of different sizes are refused. This does not apply where a file states no size and its
+//! reader inferred one from the largest x and y: frames then take the larger width and height of the two.
 
 pub mod clock;
 pub mod emd_pixel;
@@ -43,43 +44,43 @@ use frame::{PeakFinder, frame_pair, pixel_order};
 use ssim::Ssim;
 use windows::{Grid, Pairs, WindowPair, Windower, first_time_us};
 
-/// Opens one recording from its start. Called more than once.
+/// Opens a recording at its start; [`compare`] calls it more than once.
 pub type Open<'a> = &'a dyn Fn() -> Result<Box<dyn EventReader>>;
 
-/// What [`compare`] found; the names are the keys of the JSON object. All numbers are finite.
+/// Result of [`compare`]; the field names are the keys of the JSON object. All numbers are finite.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Comparison {
-    /// Events of A.
+    /// Number of events of A.
     pub events_a: u64,
-    /// Events of B.
+    /// Number of events of B.
     pub events_b: u64,
-    /// Share of A's events that B holds, 0 to 1; 1 where both are empty.
+    /// Share of A's events that B holds, 0 to 1; 1 if A is empty.
     pub exact_fraction: f64,
-    /// Share of B's events that A holds, 0 to 1; 1 where both are empty.
+    /// Share of B's events that A holds, 0 to 1; 1 if B is empty.
     #[serde(default)]
     pub exact_fraction_b: f64,
     /// Mean squared error of the frames, 0 to 4.
     pub mse: f64,
     /// Structural similarity of the frames, -1 to 1.
     pub ssim: f64,
-    /// Distance of the event times, ms.
+    /// Mean Wasserstein-1 distance of the event times, in ms.
     pub emd_time_ms: f64,
-    /// Cost of the matching per event of A, us.
+    /// Cost of the matching per event of A, in us.
     pub emd_pixel_us: f64,
 }
 
 /// Compares two recordings in windows of `window_us`.
 ///
-/// Reads each twice: first for the largest |sum| of the frames, then for the metrics. Holds of
-/// each recording the window at work and those that its disorder keeps open (two, where the
-/// window is [`windows::DISORDER_US`] or longer), and one frame.
+/// Each recording is read twice: first to find the largest |sum| of the frames, then to compute the metrics. Memory
+/// holds, for each recording, the current window, the windows that its disorder keeps open (two if the window is
+/// [`windows::DISORDER_US`] or longer) and one frame.
 /// `progress` is called with the number of events read so far, over both recordings and passes.
 ///
-/// An empty B gives finite numbers: nothing is found, every event of A costs a window.
+/// An empty B gives finite numbers: no event matches, and every event of A costs `window_us`.
 ///
 /// # Errors
-/// A reader's error; `window_us` of 0; an A without events where B has some, as every metric is
-/// relative to A.
+/// An error of a reader; sensors of different sizes; a `window_us` of 0; an A without events where B has some,
+/// because every metric is relative to A.
 pub fn compare(
     open_a: Open<'_>,
     open_b: Open<'_>,
@@ -144,7 +145,7 @@ pub fn compare(
     Ok(sums.comparison(&frames, pairs.a(), pairs.b(), matcher.cost()))
 }
 
-/// What both recordings are of.
+/// Returns a sensor size that covers both recordings, or refuses two stated sizes that differ.
 fn common_sensor(a: &dyn EventReader, b: &dyn EventReader) -> Result<Sensor> {
     let (of_a, of_b) = (a.sensor(), b.sensor());
     let is_stated = |reader: &dyn EventReader| {
@@ -166,8 +167,8 @@ fn common_sensor(a: &dyn EventReader, b: &dyn EventReader) -> Result<Sensor> {
     })
 }
 
-/// [`compare`] of recordings whose clocks begin anew or run back further than windows stay open: of their
-/// events in order of time, so that each is in its window, whichever run it is of.
+/// [`compare`] for recordings whose clocks restart or run backwards by more than windows stay open: sorts the
+/// events by time, so that each falls into its window, whichever run of the clock it comes from.
 fn compare_sorted(
     open_a: Open<'_>,
     open_b: Open<'_>,
@@ -180,14 +181,14 @@ fn compare_sorted(
     compare(&|| sorted(open_a), &|| sorted(open_b), window_us, progress)
 }
 
-/// What the frame metrics are averaged over.
+/// Numbers that normalise the frame metrics.
 struct Frames {
     windows: f64,
     pixels: f64,
     peak: f64,
 }
 
-/// The metrics before their division, over the windows so far.
+/// Sums of the metrics over the windows so far, before division.
 #[derive(Default)]
 struct Sums {
     windows_with_events: u64,
@@ -229,7 +230,7 @@ impl Sums {
     ) -> Comparison {
         let events_a = a.events_read();
         let share = |events: u64| match events {
-            // Nothing is missing.
+            // No event is missing.
             0 => 1.0,
             events => self.matched as f64 / events as f64,
         };

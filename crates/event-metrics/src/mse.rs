@@ -1,11 +1,11 @@
-//! Mean squared error of two frames.
+//! Mean squared error between two frames.
 
 use super::frame::PixelPair;
 
-/// Sum over the pixels of (a - b)^2, in squared counts: exact.
+/// Returns the sum over the pixels of (a - b)^2, in squared counts; exact.
 ///
-/// `mse` = this, summed over the windows, / (peak^2 * pixels * windows), where peak is the
-/// largest |sum| of both recordings.
+/// `mse` is this value summed over the windows, divided by (peak^2 * pixels * windows), where peak is the largest
+/// |sum| of both recordings.
 #[must_use]
 pub fn squared_error(pixels: &[PixelPair]) -> u128 {
     pixels

@@ -1,20 +1,20 @@
 //! Structural similarity of two sparse frames (Wang 2004).
 //!
-//! 11x11 Gaussian window of sigma 1.5, K1 = 0.01, K2 = 0.03, data range 2, as
-//! `skimage.metrics.structural_similarity(gaussian_weights=True, sigma=1.5,
-//! use_sample_covariance=False, data_range=2)`: the mean over the positions whose window lies
-//! inside the frame. A side under 11 pixels has no such position (scikit-image refuses it): along
-//! that side every pixel is a position, and what lies outside of the frame is 0.
+//! Gaussian window of 11x11 pixels with sigma 1.5, K1 = 0.01, K2 = 0.03 and data range 2, as in
+//! `skimage.metrics.structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
+//! data_range=2)`: the mean over the positions whose window lies inside the frame. A side shorter than 11 pixels has
+//! no such position, and scikit-image refuses it; here, every pixel along that side is a position, and pixels outside
+//! the frame count as 0.
 //!
-//! The similarity is exactly 1 wherever both frames are equal under the whole window, so only
-//! tiles within reach of a pixel that differs are computed.
+//! The similarity is exactly 1 wherever both frames are equal under the whole window, so only tiles within reach of a
+//! pixel that differs are computed.
 
 use event_types::Sensor;
 use rayon::prelude::*;
 
 use super::frame::PixelPair;
 
-/// Pixels from the centre of the window to its border.
+/// Pixels from the centre of the window to its border, centre excluded.
 const REACH: usize = 5;
 const SIDE: usize = 2 * REACH + 1;
 const SIGMA: f64 = 1.5;
@@ -22,7 +22,7 @@ const DATA_RANGE: f64 = 2.0;
 const C1: f64 = (0.01 * DATA_RANGE) * (0.01 * DATA_RANGE);
 const C2: f64 = (0.03 * DATA_RANGE) * (0.03 * DATA_RANGE);
 
-/// Tile of positions whose sums are held at a time: 5 x 16 x 32 f64 stay in the L1 cache.
+/// Size of the tile of positions processed at a time: its sums, 5 x 16 x 32 f64, stay in the L1 cache.
 const TILE_WIDTH: usize = 32;
 const TILE_HEIGHT: usize = 16;
 
@@ -30,7 +30,7 @@ const TILE_HEIGHT: usize = 16;
 const MOMENTS: usize = 5;
 type Row = [[f64; TILE_WIDTH]; MOMENTS];
 
-/// SSIM of frames of one sensor at one scale.
+/// Computes the SSIM of frames of one sensor at one scale.
 #[derive(Debug, Clone)]
 pub struct Ssim {
     weights: [f64; SIDE],
@@ -40,7 +40,7 @@ pub struct Ssim {
 }
 
 impl Ssim {
-    /// For frames of `sensor`, their sums divided by `peak` (0 counts as 1).
+    /// Creates the metric for frames of `sensor` whose sums are divided by `peak` (0 counts as 1).
     #[must_use]
     pub fn new(sensor: Sensor, peak: u64) -> Self {
         Self {
@@ -51,13 +51,13 @@ impl Ssim {
         }
     }
 
-    /// 1 - SSIM of one window; `pixels` by row and column, as [`super::frame::frame_pair`]
-    /// gives them.
+    /// Returns 1 - SSIM of one window, 0 to 2; `pixels` must be ordered by row and column, as returned by
+    /// [`super::frame::frame_pair`].
     ///
-    /// The complement keeps its precision where the frames are nearly equal. Its range is 0 to 2.
+    /// The complement keeps its precision where the frames are nearly equal.
     #[must_use]
     pub fn dissimilarity(&self, pixels: &[PixelPair]) -> f64 {
-        // Collected before they are added: the sum does not depend on the threads' order.
+        // Collected before they are summed, so that the sum does not depend on the order of the threads.
         let losses: Vec<f64> = self
             .bands_in_reach(pixels)
             .into_par_iter()
@@ -68,13 +68,13 @@ impl Ssim {
         losses.iter().sum::<f64>() / positions
     }
 
-    /// First rows of the bands that see a pixel that differs.
+    /// Returns the first rows of the bands within reach of a pixel that differs.
     fn bands_in_reach(&self, pixels: &[PixelPair]) -> Vec<usize> {
         let mut bands = Vec::new();
         let mut next = self.rows.0;
         for pixel in pixels.iter().filter(|p| p.a != p.b) {
             let y = usize::from(pixel.y);
-            // Rows come in order: bands that this pixel cannot see are of no use to a later one.
+            // Rows ascend: a band that this pixel does not reach is not reached by a later pixel either.
             if next + TILE_HEIGHT + REACH <= y {
                 let above = y - REACH - self.rows.0;
                 next = self.rows.0 + above / TILE_HEIGHT * TILE_HEIGHT;
@@ -87,7 +87,7 @@ impl Ssim {
         bands
     }
 
-    /// Sum of 1 - SSIM over the positions of the rows from `first`, at most [`TILE_HEIGHT`].
+    /// Returns the sum of 1 - SSIM over the positions of the rows from `first`, at most [`TILE_HEIGHT`] rows.
     fn band_loss(&self, pixels: &[PixelPair], first: usize) -> f64 {
         let last = self.rows.1.min(first + TILE_HEIGHT);
         let begin = pixels.partition_point(|p| usize::from(p.y) + REACH < first);
@@ -120,13 +120,13 @@ impl Ssim {
     }
 }
 
-/// The pixels of a row that positions left of `right` can see.
+/// Returns the pixels of a row that are within reach of positions left of `right`.
 fn within(row: &[PixelPair], right: usize) -> impl Iterator<Item = &PixelPair> {
     row.iter()
         .take_while(move |p| usize::from(p.x) < right + REACH)
 }
 
-/// First position and the one past the last, along a side of `length` pixels.
+/// Returns the first position and one past the last, along a side of `length` pixels.
 fn positions(length: u16) -> (usize, usize) {
     let length = usize::from(length);
     if length >= SIDE {
@@ -136,7 +136,7 @@ fn positions(length: u16) -> (usize, usize) {
     }
 }
 
-/// Samples of exp(-i^2 / (2 sigma^2)) for i = -5..=5, of sum 1.
+/// Returns samples of exp(-i^2 / (2 sigma^2)) for i = -5..=5, normalised to a sum of 1.
 fn gaussian() -> [f64; SIDE] {
     let sample = |i: usize| {
         let distance = i as f64 - REACH as f64;
@@ -147,7 +147,7 @@ fn gaussian() -> [f64; SIDE] {
     samples.map(|s| s / sum)
 }
 
-/// Weighted means of a tile's positions.
+/// Weighted means at the positions of a tile.
 struct Tile {
     rows: Box<[Row; TILE_HEIGHT]>,
     across: Row,
@@ -165,8 +165,8 @@ impl Tile {
         self.rows.fill([[0.0; TILE_WIDTH]; MOMENTS]);
     }
 
-    /// Adds the pixels of one row of the frame to the positions that see them: first across
-    /// the row, then down the columns, as the weights are a product.
+    /// Adds the pixels of one row of the frame to the positions within reach: first along the row, then down the
+    /// columns, because the weights are separable.
     fn add_row<'a>(
         &mut self,
         ssim: &Ssim,
@@ -187,7 +187,7 @@ impl Tile {
             touched_to = touched_to.max(to.saturating_sub(left));
             for (sums, value) in self.across.iter_mut().zip(values) {
                 let seen = sums.iter_mut().skip(from - left).take(to - from);
-                // Position x + i sees the pixel under the weight of offset -i: symmetric.
+                // Position x + i weights the pixel with offset -i; the weights are symmetric.
                 let weights = ssim.weights.iter().skip(from + REACH - x);
                 for (sum, weight) in seen.zip(weights) {
                     *sum += weight * value;
@@ -217,7 +217,7 @@ impl Tile {
         }
     }
 
-    /// Sum of 1 - SSIM over the first `width` x `height` positions.
+    /// Returns the sum of 1 - SSIM over the first `width` x `height` positions.
     fn loss(&self, width: usize, height: usize) -> f64 {
         let mut loss = [0.0; TILE_WIDTH];
         for [mean_a, mean_b, aa, bb, ab] in self.rows.iter().take(height) {
@@ -242,7 +242,7 @@ mod tests {
 
     use super::*;
 
-    /// The definition, position by position over the whole frame.
+    /// SSIM by its definition, position by position over the whole frame.
     fn direct(sensor: Sensor, pixels: &[PixelPair], peak: u64) -> f64 {
         let (width, height) = (usize::from(sensor.width), usize::from(sensor.height));
         let mut frames = vec![(0.0, 0.0); width * height];
@@ -324,7 +324,7 @@ mod tests {
 
     #[test]
     fn a_difference_out_of_every_windows_centre_still_counts() {
-        // The corner pixel is seen by one position only, whose window's corner it is.
+        // Only one position reaches the corner pixel, which lies in the corner of that position's window.
         let sensor = Sensor {
             width: 11,
             height: 11,

@@ -1,4 +1,4 @@
-//! Whole comparisons: against scipy and scikit-image, at the edges, and in pieces.
+//! Tests of whole comparisons: against scipy and scikit-image, edge cases and progress.
 
 use event_types::Event;
 use event_types::stream::{Assumption, MemoryReader, Skipped};
@@ -35,7 +35,7 @@ impl Generator {
     }
 }
 
-/// The recordings of `tests/reference_metrics.py`, line by line.
+/// The recordings of `tests/reference_metrics.py`, translated line by line.
 fn recordings(seed: u64) -> (Vec<Event>, Vec<Event>) {
     let mut r = Generator(seed);
     let (mut a, mut b) = (Vec::new(), Vec::new());
@@ -143,7 +143,7 @@ fn identical_recordings_have_no_distortion() {
 
 #[test]
 fn hand_computed() {
-    // Window 0: one pixel 2 against 1; window 1 empty; window 2: one OFF moved by 30 us.
+    // Window 0: one pixel with 2 against 1; window 1: empty; window 2: one OFF event moved by 30 us.
     let a = [
         event(10, 1, 1, true),
         event(20, 1, 1, true),
@@ -154,9 +154,9 @@ fn hand_computed() {
     let pixels = f64::from(SENSOR.pixels());
     assert_eq!(c.exact_fraction, 0.0);
     assert!((c.mse - 1.0 / 4.0 / pixels / 3.0).abs() < 1e-15);
-    // W1: half of the mass by 6, half by 4; then 30. Two windows hold events.
+    // W1: half of the mass moves by 6, half by 4; then 30. Two windows hold events.
     assert!((c.emd_time_ms - (5.0 + 30.0) / 2.0 / 1000.0).abs() < 1e-15);
-    // 20 pairs with 16, 10 is left over.
+    // 20 pairs with 16, and 10 is left over.
     assert!((c.emd_pixel_us - (4.0 + 1000.0 + 30.0) / 3.0).abs() < 1e-12);
     assert!(c.ssim < 1.0 && c.ssim > 0.99);
 }
@@ -203,9 +203,9 @@ fn a_far_off_time_base_is_neither_slow_nor_hidden() {
         assert_eq!((c.exact_fraction, c.emd_time_ms), (0.0, 1.0));
     }
     assert_eq!((far.emd_pixel_us, farthest.emd_pixel_us), (2000.0, 2000.0));
-    // A's last events pair with B's first ones.
+    // A's last events pair with B's first events.
     assert!((1900.0..=2000.0).contains(&near.emd_pixel_us));
-    // Not diluted by the empty time in between.
+    // The empty time in between must not dilute the metrics.
     assert!(far.mse > 0.5 * near.mse && far.ssim < 0.5 + near.ssim / 2.0);
 }
 
@@ -232,7 +232,7 @@ fn times_that_run_back_far_are_in_their_windows() {
     assert!((c.exact_fraction - 2.0 / 3.0).abs() < 1e-15);
 }
 
-/// A recording whose size its reader took for the largest x and y.
+/// A recording whose reader inferred its size from the largest x and y.
 struct SizeTaken(MemoryReader, [Assumption; 1]);
 
 impl EventReader for SizeTaken {
@@ -308,7 +308,7 @@ fn a_constant_shift_costs_what_it_is() {
         })
         .collect();
     let c = compare_events(&a, &moved);
-    // Events of one pixel that are nearer to each other than the shift cost no more.
+    // An event may pair with a nearer event of its pixel, so the cost can fall slightly below the shift.
     assert!(
         c.emd_pixel_us <= 7.0 && c.emd_pixel_us > 6.9,
         "{}",
@@ -337,7 +337,7 @@ fn progress_reaches_both_passes() {
     assert_eq!(seen.last(), Some(&(2 * (a.len() + b.len()) as u64)));
 }
 
-/// `cargo test --release -p event-metrics measure -- --ignored --nocapture`
+/// Run with `cargo test --release -p event-metrics measure -- --ignored --nocapture`.
 #[test]
 #[ignore = "a measurement: prints run times"]
 fn measure_a_recording_of_1_2_million_events() {

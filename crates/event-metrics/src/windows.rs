@@ -1,19 +1,18 @@
 //! Cuts two event streams into the same windows and pairs them.
 //!
-//! The grid is A's: half-open windows of `window_us`, aligned to A's earliest event. A window
-//! before it has a negative index. A stream keeps a window open until it has seen an event
-//! [`Grid::slack_us`] past the window's end, so events may be out of order by that much without
-//! a loss; an event of a window that has closed is counted as late.
+//! The grid is A's: half-open windows of `window_us`, aligned to A's earliest event. Windows before that event have
+//! negative indices. A stream keeps a window open until it has seen an event [`Grid::slack_us`] past the window's
+//! end, so events may be out of order by that much without loss. An event whose window has closed is counted as late.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use event_types::stream::{BATCH_EVENTS, Context, EventReader, Result};
 use event_types::{Event, Sensor, bail, ensure};
 
-/// Disorder inside a recording that never makes an event late, in us.
+/// Disorder within a recording, in us, that never makes an event late.
 pub const DISORDER_US: u64 = 32_768;
 
-/// Where the windows lie in time.
+/// Position and length of the windows in time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Grid {
     origin_us: u64,
@@ -21,7 +20,7 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// The grid of windows of `window_us` aligned to `origin_us`.
+    /// Creates a grid of windows of `window_us`, aligned to `origin_us`.
     ///
     /// # Errors
     /// `window_us` is 0.
@@ -37,54 +36,53 @@ impl Grid {
         })
     }
 
-    /// Window length T in us.
+    /// Returns the window length T in us.
     #[must_use]
     pub const fn window_us(&self) -> u64 {
         self.window_us
     }
 
-    /// Time past the end of a window for which it stays open, in us: the window length or
-    /// [`DISORDER_US`], whichever is longer.
+    /// Returns how long a window stays open past its end, in us: the window length or [`DISORDER_US`], whichever is
+    /// longer.
     #[must_use]
     pub fn slack_us(&self) -> u64 {
         self.window_us.max(DISORDER_US)
     }
 
-    /// Index of the window that holds time `t_us`; 0 starts at the origin.
+    /// Returns the index of the window that holds time `t_us`; window 0 starts at the origin.
     #[must_use]
     pub fn index_of(&self, t_us: u64) -> i128 {
         (i128::from(t_us) - i128::from(self.origin_us)).div_euclid(i128::from(self.window_us))
     }
 
-    /// First time of window `index`, in us (below 0 for a window that time 0 cuts).
+    /// Returns the start of window `index`, in us; it may be negative for a window that contains time 0.
     #[must_use]
     pub fn start_us(&self, index: i128) -> i128 {
         i128::from(self.origin_us) + index * i128::from(self.window_us)
     }
 }
 
-/// The earliest time among the first [`BATCH_EVENTS`] events of a recording, `None` where it
-/// has none.
+/// Returns the earliest time among the first [`BATCH_EVENTS`] events of a recording, `None` if it has no events.
 ///
 /// # Errors
-/// What the reader reports.
+/// An error of the reader.
 pub fn first_time_us(reader: &mut dyn EventReader) -> Result<Option<u64>> {
     let mut events = Vec::new();
     while events.len() < BATCH_EVENTS && reader.read(&mut events)? > 0 {}
-    // The cut makes the answer independent of how many events a reader returns at a time.
+    // The cut makes the result independent of how many events a reader returns at a time.
     Ok(events.iter().take(BATCH_EVENTS).map(|e| e.t_us).min())
 }
 
 /// The events of one window of one stream, in no particular order.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Window {
-    /// Number of the window on the grid.
+    /// Index of the window on the grid.
     pub index: i128,
-    /// What the window holds; never empty when it comes from [`Windower::next_window`].
+    /// Events of the window; never empty when returned by [`Windower::next_window`].
     pub events: Vec<Event>,
 }
 
-/// Cuts one stream into the windows of a grid, empty windows skipped.
+/// Cuts one stream into the windows of a grid, skipping empty windows.
 pub struct Windower {
     reader: Box<dyn EventReader>,
     grid: Grid,
@@ -101,7 +99,7 @@ pub struct Windower {
 }
 
 impl Windower {
-    /// Reads `reader` on `grid`. An event outside of `sensor` is an error.
+    /// Creates a windower that reads `reader` on `grid`; an event outside `sensor` is an error.
     #[must_use]
     pub fn new(reader: Box<dyn EventReader>, grid: Grid, sensor: Sensor) -> Self {
         Self {
@@ -119,22 +117,22 @@ impl Windower {
         }
     }
 
-    /// Events read so far, the late ones included.
+    /// Returns the number of events read so far, including late events.
     #[must_use]
     pub fn events_read(&self) -> u64 {
         self.events_read
     }
 
-    /// Events read so far that belong to a window that had closed.
+    /// Returns the number of late events so far, whose window had already closed.
     #[must_use]
     pub fn late(&self) -> u64 {
         self.late
     }
 
-    /// The next window that holds events, in the order of time; `None` at the end.
+    /// Returns the next window that holds events, in time order; `None` at the end.
     ///
     /// # Errors
-    /// What the reader reports, or an event outside of the sensor.
+    /// An error of the reader, or an event outside the sensor.
     pub fn next_window(&mut self) -> Result<Option<Window>> {
         while self.closed.is_empty() && !self.ended {
             self.read_batch()?;
@@ -160,7 +158,7 @@ impl Windower {
             let index = self.grid.index_of(first.t_us);
             let start = self.grid.start_us(index);
             let end = start + i128::from(self.grid.window_us());
-            // Runs of events of one window are moved at once: the division above is slow.
+            // The division in `index_of` is slow, so runs of events of one window are moved at once.
             let run_end = rest
                 .iter()
                 .position(|e| !(start..end).contains(&i128::from(e.t_us)))
@@ -215,15 +213,15 @@ impl Windower {
 /// The same window of both recordings; at least one side holds events.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct WindowPair {
-    /// Number of the window on A's grid.
+    /// Index of the window on A's grid.
     pub index: i128,
-    /// A's events of the window.
+    /// A's events in the window.
     pub a: Vec<Event>,
-    /// B's events of the window.
+    /// B's events in the window.
     pub b: Vec<Event>,
 }
 
-/// Walks two streams window by window. Gaps cost nothing, however long they are.
+/// Walks through two streams window by window. Gaps cost nothing, however long they are.
 pub struct Pairs {
     a: Windower,
     b: Windower,
@@ -232,7 +230,7 @@ pub struct Pairs {
 }
 
 impl Pairs {
-    /// Pairs the windows of two streams that lie on the same grid.
+    /// Pairs the windows of two streams on the same grid.
     #[must_use]
     pub fn new(a: Windower, b: Windower) -> Self {
         Self {
@@ -243,10 +241,10 @@ impl Pairs {
         }
     }
 
-    /// The next window that holds events on either side; `None` at the end of both.
+    /// Returns the next window in which either side holds events; `None` at the end of both.
     ///
     /// # Errors
-    /// What the streams report.
+    /// An error of either stream.
     pub fn next_pair(&mut self) -> Result<Option<WindowPair>> {
         if self.next_a.is_none() {
             self.next_a = self.a.next_window().context("recording A")?;
@@ -266,13 +264,13 @@ impl Pairs {
         }))
     }
 
-    /// Stream A, for its counts.
+    /// Returns stream A, for its counts of events.
     #[must_use]
     pub fn a(&self) -> &Windower {
         &self.a
     }
 
-    /// Stream B, for its counts.
+    /// Returns stream B, for its counts of events.
     #[must_use]
     pub fn b(&self) -> &Windower {
         &self.b

@@ -1,41 +1,41 @@
-//! Pictures of event windows: the signed sum of polarities per pixel as a colour.
+//! Pictures of event windows: the signed sum of polarities per pixel, shown as a colour.
 //!
-//! ON is blue, OFF orange, a sum of 0 white: hues that colour-blind readers tell apart.
-//! |sum| = 1 has a saturated colour so that a single event is visible; from there the colour
-//! darkens in equal steps up to |sum| = clip, and sums beyond the clip look like the clip.
+//! ON is blue, OFF orange and a sum of 0 white; colour-blind readers can tell these hues apart. |sum| = 1 has a
+//! saturated colour, so that a single event is visible. From there the colour darkens in equal steps up to
+//! |sum| = clip; larger sums look like the clip.
 
 use eecvs_nostd::{Event, Sensor};
 
 use super::picture::{CELL, Colour, Picture};
 
 const GROUND: Colour = [255, 255, 255];
-/// Of the ground.
+/// Colour of the background around pictures.
 pub const PAPER: Colour = [244, 244, 242];
-/// Of lines.
+/// Colour of lines and frames.
 pub const LINE: Colour = [150, 150, 150];
-/// Of text.
+/// Colour of text.
 pub const INK: Colour = [40, 40, 40];
-/// From |sum| = 1 to the clip.
+/// Lightest colour (|sum| = 1) and darkest colour (|sum| = clip).
 const ON: [Colour; 2] = [[86, 160, 224], [4, 34, 94]];
 const OFF: [Colour; 2] = [[245, 155, 66], [112, 42, 0]];
 
-/// Longest side that an upscale may give a frame, in pixels.
+/// Longest side that scaling up may give a frame, in pixels.
 const SIDE_MAX: usize = 4096;
-/// Longer side that [`FrameStyle::for_sensor`] aims at, in pixels.
+/// Minimum of the longer side for [`FrameStyle::for_sensor`], in pixels.
 const LEGIBLE_SIDE: usize = 480;
 
-/// How sums become pixels.
+/// How the sums of a frame are drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FrameStyle {
-    /// |sum| of the darkest colour, 1 or more.
+    /// |sum| that gets the darkest colour, 1 or more.
     pub clip: u32,
-    /// Side of the square that a sensor pixel becomes, 1 or more; smaller where a side of the
-    /// picture would exceed 4096 pixels.
+    /// Side in pixels of the square that shows a sensor pixel, 1 or more; reduced where a side of the picture would
+    /// exceed 4096 pixels.
     pub upscale: usize,
 }
 
 impl FrameStyle {
-    /// Clip 4, and the least upscale that makes the longer side 480 pixels or more.
+    /// Returns clip 4 and the smallest upscale that makes the longer side at least 480 pixels.
     #[must_use]
     pub fn for_sensor(sensor: Sensor) -> Self {
         let longer = usize::from(sensor.width.max(sensor.height)).max(1);
@@ -50,7 +50,7 @@ impl FrameStyle {
         self.upscale.clamp(1, (SIDE_MAX / longer).max(1))
     }
 
-    /// Every colour of a [`strip`]: paper, lines and letters, then those of the sums from -clip to clip.
+    /// Returns every colour of a [`strip`]: background, lines and text, then those of the sums from -clip to clip.
     #[must_use]
     pub fn palette(self) -> Vec<Colour> {
         let clip = i64::from(self.clip.max(1));
@@ -60,7 +60,7 @@ impl FrameStyle {
             .collect()
     }
 
-    /// The colour of a pixel whose polarities add up to `sum`.
+    /// Returns the colour of a pixel whose polarities add up to `sum`.
     #[must_use]
     pub fn colour(self, sum: i64) -> Colour {
         let [light, dark] = match sum {
@@ -70,7 +70,7 @@ impl FrameStyle {
         };
         let steps = u64::from(self.clip.max(2)) - 1;
         let step = (sum.unsigned_abs() - 1).min(steps);
-        // A clip of 1 has no steps: every event has the colour of a single one.
+        // With a clip of 1 there are no steps: every sum has the colour of a single event.
         let step = if self.clip <= 1 { 0 } else { step };
         std::array::from_fn(|i| {
             let mix = u64::from(light[i]) * (steps - step) + u64::from(dark[i]) * step;
@@ -79,7 +79,7 @@ impl FrameStyle {
     }
 }
 
-/// The signed sum of polarities per pixel, row by row.
+/// A frame: the signed sum of polarities per pixel, row by row.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FrameSums {
     sensor: Sensor,
@@ -87,7 +87,7 @@ pub struct FrameSums {
 }
 
 impl FrameSums {
-    /// A frame without events.
+    /// Creates a frame without events.
     #[must_use]
     pub fn empty(sensor: Sensor) -> Self {
         Self {
@@ -96,7 +96,7 @@ impl FrameSums {
         }
     }
 
-    /// Sums `events` in any order; one outside of `sensor` is left out of the picture.
+    /// Sums `events`, in any order; events outside `sensor` are ignored.
     #[must_use]
     pub fn new(sensor: Sensor, events: &[Event]) -> Self {
         let mut frame = Self::empty(sensor);
@@ -104,7 +104,7 @@ impl FrameSums {
         frame
     }
 
-    /// Adds an event; one outside of the sensor is left out.
+    /// Adds an event; an event outside the sensor is ignored.
     pub fn add(&mut self, event: &Event) {
         if !self.sensor.contains(event.x, event.y) {
             return;
@@ -115,13 +115,13 @@ impl FrameSums {
         }
     }
 
-    /// Size of the frame.
+    /// Returns the size of the frame.
     #[must_use]
     pub const fn sensor(&self) -> Sensor {
         self.sensor
     }
 
-    /// The sum of pixel (x, y); 0 outside.
+    /// Returns the sum of pixel (x, y); 0 outside the sensor.
     #[must_use]
     pub fn sum(&self, x: u16, y: u16) -> i64 {
         if !self.sensor.contains(x, y) {
@@ -131,8 +131,9 @@ impl FrameSums {
         self.sums.get(number).copied().unwrap_or(0)
     }
 
-    /// A smaller frame whose pixels are the sums of `factor` x `factor` pixels each, fewer at the right
-    /// and lower borders; a factor of 0 is one of 1.
+    /// Returns a smaller frame, each pixel of which is the sum of `factor` x `factor` pixels of this one.
+    ///
+    /// The squares at the right and lower borders may be cut; a factor of 0 counts as 1.
     #[must_use]
     pub fn shrunk(&self, factor: u16) -> Self {
         let factor = factor.max(1);
@@ -151,7 +152,7 @@ impl FrameSums {
         shrunk
     }
 
-    /// This frame minus `other` of the same sensor: ON where this one has more.
+    /// Returns this frame minus `other` of the same sensor; positive (ON) where this frame has the larger sum.
     #[must_use]
     pub fn minus(&self, other: &Self) -> Self {
         debug_assert_eq!(self.sensor, other.sensor);
@@ -163,7 +164,7 @@ impl FrameSums {
     }
 }
 
-/// One frame as a picture of width x height x upscale^2 pixels.
+/// Draws a frame as a picture in which each sensor pixel is a square of upscale x upscale pixels.
 #[must_use]
 pub fn event_frame(frame: &FrameSums, style: FrameStyle) -> Picture {
     let upscale = style.upscale_of(frame.sensor);
@@ -179,15 +180,14 @@ pub fn event_frame(frame: &FrameSums, style: FrameStyle) -> Picture {
     picture
 }
 
-/// Pictures side by side, each with a caption above it, and the colour scale below.
+/// Draws pictures side by side, each with a caption above it, and the colour scale below.
 ///
-/// A caption that is longer than its picture is cut off; characters outside of ASCII become
-/// question marks.
+/// A caption longer than its picture is cut off; characters outside ASCII become question marks.
 #[must_use]
 pub fn strip(panels: &[(&str, Picture)], style: FrameStyle) -> Picture {
     let tallest = panels.iter().map(|(_, p)| p.height()).max().unwrap_or(0);
     let widest = panels.iter().map(|(_, p)| p.width()).max().unwrap_or(0);
-    // Letters keep their share of a large picture, which a report shows scaled down.
+    // A report shows a large picture scaled down, so its letters are drawn larger.
     let scale = if widest >= 640 { 2 } else { 1 };
     let (margin, bar) = (CELL * scale, CELL * scale * 2);
     let frames: usize = panels.iter().map(|(_, p)| p.width() + 2 + margin).sum();
@@ -214,7 +214,7 @@ pub fn strip(panels: &[(&str, Picture)], style: FrameStyle) -> Picture {
     canvas
 }
 
-/// The strip `original | decoded | decoded - original` of one window.
+/// Draws the strip `original | decoded | decoded - original` of one window.
 #[must_use]
 pub fn comparison_strip(original: &FrameSums, decoded: &FrameSums, style: FrameStyle) -> Picture {
     let difference = decoded.minus(original);
@@ -226,7 +226,7 @@ pub fn comparison_strip(original: &FrameSums, decoded: &FrameSums, style: FrameS
     strip(&panels, style)
 }
 
-/// Colours that the legend shows on either side of 0.
+/// Number of colours that the legend shows on either side of 0.
 fn legend_steps(style: FrameStyle) -> i64 {
     i64::from(style.clip.clamp(1, 8))
 }
@@ -236,7 +236,7 @@ fn legend_labels(style: FrameStyle) -> (String, String) {
     (format!("OFF -{clip}"), format!("+{clip} ON"))
 }
 
-/// Width of the legend in pixels, at `scale` pixels a pixel of its letters.
+/// Returns the width of the legend in pixels, with each font pixel drawn as `scale` x `scale` pixels.
 #[must_use]
 pub fn legend_width(style: FrameStyle, scale: usize) -> usize {
     let (left, right) = legend_labels(style);
@@ -244,7 +244,9 @@ pub fn legend_width(style: FrameStyle, scale: usize) -> usize {
     (left.len() + right.len() + 2 + swatches) * CELL * scale
 }
 
-/// Draws the legend of `style` with its left upper corner at (x, y), at `scale` pixels a pixel of its letters.
+/// Draws the legend of `style` with its upper left corner at (x, y).
+///
+/// Each font pixel is drawn as `scale` x `scale` pixels; `y` must be at least 1.
 pub fn draw_legend(canvas: &mut Picture, x: usize, y: usize, style: FrameStyle, scale: usize) {
     let cell = CELL * scale;
     let (left, right) = legend_labels(style);
@@ -254,7 +256,7 @@ pub fn draw_legend(canvas: &mut Picture, x: usize, y: usize, style: FrameStyle, 
     let count = (2 * steps + 1) as usize;
     canvas.fill(x, y - 1, count * cell + 2, cell + 2, LINE);
     for step in -steps..=steps {
-        // With more colours than swatches the swatches stand for evenly spaced sums.
+        // With more colours than swatches, the swatches show evenly spaced sums.
         let sum = step * i64::from(style.clip.max(1)) / steps;
         canvas.fill(x + 1, y, cell, cell, style.colour(sum));
         x += cell;

@@ -1,4 +1,4 @@
-//! Pictures of events and of their volumes, with captions, without fonts of the system.
+//! Pictures of event windows and their volumes, with captions, drawn without system fonts.
 
 pub mod frame_picture;
 pub mod picture;

@@ -1,4 +1,4 @@
-//! What came back from an encoder: every frame compared, every event accounted for.
+//! Checks what an encoder sent back: compares every frame and accounts for every event.
 
 use std::ops::ControlFlow;
 
@@ -11,15 +11,15 @@ use eecvs_nostd::{Frame, Header, Mode, Order, Sequence};
 use super::link::{Demultiplexer, Message};
 use super::{Outcome, status_of};
 
-/// The account of a run.
+/// Collects the results of a run.
 pub struct Account {
-    /// The last answer before the first event: counts run from there.
+    /// The last answer before the first event, from which the counts run.
     begin: Status,
-    /// Damaged bytes before that answer: none of this run's.
+    /// Damaged bytes received before that answer, which do not belong to this run.
     damaged_before: u64,
-    /// The host's frames, where they can be compared.
+    /// The host's frames, if they are to be compared.
     expected: Option<Vec<Vec<u8>>>,
-    /// Which of them have come.
+    /// Which of the host's frames have been received.
     seen: Vec<bool>,
     sequence: Sequence,
     outcome: Outcome,
@@ -67,8 +67,8 @@ impl Account {
         const FLUSH: u8 = Kind::Flush as u8;
         const HOT: u8 = Kind::Hot as u8;
         match status.answers {
-            // The answer to a setup, or to hot pixels, that were sent again: before every event, so
-            // whatever came until now is none of this run's.
+            // The answer to a repeated setup or to repeated hot pixels. It precedes every event, so nothing
+            // received so far belongs to this run.
             SETUP | HOT => {
                 let expected = self.expected.take();
                 *self = Self::new(status, damaged_bytes, expected);
@@ -192,7 +192,7 @@ impl Account {
     }
 }
 
-/// Where a frame differs from the expected one.
+/// Describes where a frame differs from the expected one; `None` if they are equal.
 fn difference(expected: &[u8], frame: &[u8]) -> Option<String> {
     if expected == frame {
         return None;
@@ -206,7 +206,7 @@ fn difference(expected: &[u8], frame: &[u8]) -> Option<String> {
     ))
 }
 
-/// Counts between two statuses.
+/// Returns the counts and times between two statuses, modulo their width.
 fn since(status: &Status, begin: &Status) -> Status {
     let mut difference = *status;
     for (count, before) in [

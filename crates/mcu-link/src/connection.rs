@@ -1,4 +1,4 @@
-//! A stream of bytes to an encoder, used in both directions at once.
+//! A byte stream to an encoder, used in both directions at once.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::ops::ControlFlow;
@@ -11,30 +11,29 @@ use anyhow::{Error, Result, anyhow, bail};
 
 use super::link::{Demultiplexer, Message};
 
-/// Longest time that a read or a write may wait.
+/// Longest time for which a read or a write may block.
 const WAIT: Duration = Duration::from_millis(100);
-/// A message that stays incomplete for so long is none.
+/// Time after the last received byte at which an incomplete message is given up as damaged.
 const INCOMPLETE: Duration = Duration::from_secs(5);
-/// Bytes read at a time.
+/// Maximum number of bytes read at a time.
 const READ_BYTES: usize = 1 << 14;
 
-/// A stream of bytes to an encoder and back: a socket of an emulator, a serial port.
+/// A byte stream to an encoder and back, such as a socket of an emulator or a serial port.
 pub trait Link {
-    /// Both directions, each for a thread of its own.
+    /// Returns both directions of the link, each for a thread of its own.
     ///
-    /// Neither a read nor a write waits for long: where nothing moves, it fails with `TimedOut` or
-    /// `WouldBlock`.
+    /// Reads and writes block for a short time only: if no bytes move, they fail with `TimedOut` or `WouldBlock`.
     ///
     /// # Errors
-    /// The link cannot be used.
+    /// An I/O error if the link cannot be used.
     fn halves(&self) -> io::Result<Halves>;
 }
 
 /// The two directions of a [`Link`].
 pub struct Halves {
-    /// From the encoder.
+    /// Direction from the encoder.
     pub reader: Box<dyn Read + Send>,
-    /// To the encoder.
+    /// Direction to the encoder.
     pub writer: Box<dyn Write + Send>,
 }
 
@@ -49,7 +48,7 @@ impl Link for UnixStream {
     }
 }
 
-/// Whether nothing moved, but might soon.
+/// Returns whether an error means that no bytes moved yet, rather than that the link failed.
 fn is_pause(error: &io::Error) -> bool {
     matches!(
         error.kind(),
@@ -65,7 +64,7 @@ pub struct Sender<'c> {
 }
 
 impl Sender<'_> {
-    /// Sends all of `bytes`, however long the encoder holds the link.
+    /// Sends all of `bytes`, however long the encoder blocks the link.
     ///
     /// # Errors
     /// The link failed, or the exchange ended.
@@ -82,20 +81,20 @@ impl Sender<'_> {
                     left = &left[sent..];
                 }
                 Err(error) if is_pause(&error) => {}
-                // Not as a source: a closed pipe is an end of no importance to the command line.
+                // Not attached as a source: the command line treats a broken pipe as a harmless end.
                 Err(error) => return Err(anyhow!("sending to the encoder: {error}")),
             }
         }
         Ok(())
     }
 
-    /// Whether the exchange has ended.
+    /// Returns whether the exchange has ended.
     #[must_use]
     pub fn is_stopped(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Waits for `duration`, or until `is_over` or the exchange ends.
+    /// Waits for `duration`, but returns early if `is_over` returns true or the exchange ends.
     pub fn pause(&self, duration: Duration, is_over: impl Fn() -> bool) {
         let started = Instant::now();
         while !self.is_stopped() && !is_over() && started.elapsed() < duration {
@@ -104,7 +103,7 @@ impl Sender<'_> {
     }
 }
 
-/// A link in use.
+/// A link in use, with the received bytes that have not been consumed yet.
 pub struct Connection {
     halves: Halves,
     incoming: Demultiplexer,
@@ -112,7 +111,7 @@ pub struct Connection {
 }
 
 impl Connection {
-    /// Uses a link; where nothing moves for `patience`, an exchange fails.
+    /// Opens a connection over a link; an exchange fails if no bytes move for longer than `patience`.
     ///
     /// # Errors
     /// The link cannot be used.
@@ -127,23 +126,23 @@ impl Connection {
         })
     }
 
-    /// What came and was not taken yet.
+    /// Returns the demultiplexer, which holds received bytes that have not been consumed yet.
     pub const fn incoming(&mut self) -> &mut Demultiplexer {
         &mut self.incoming
     }
 
-    /// How long nothing may move.
+    /// Returns how long an exchange may go without any bytes moving.
     #[must_use]
     pub const fn patience(&self) -> Duration {
         self.patience
     }
 
-    /// Runs `send` in a thread of its own and gives `take` every message that comes, until it
-    /// breaks. Both go on together: an encoder that is not read from stops reading.
+    /// Runs `send` in its own thread and passes every received message to `take`, until `take` returns `Break`.
+    ///
+    /// Sending and receiving must run concurrently, because an encoder whose output is not read stops reading.
     ///
     /// # Errors
-    /// Those of `send` and `take`, a failed link, or nothing that moves for longer than the
-    /// connection's patience.
+    /// An error of `send` or `take`, a failed link, or no bytes moving for longer than the connection's patience.
     pub fn exchange(
         &mut self,
         send: impl FnOnce(&mut Sender<'_>) -> Result<()> + Send,
@@ -162,7 +161,7 @@ impl Connection {
                     stop: &stop,
                     moved: &moved,
                 };
-                // An error after the end of the exchange is only that end.
+                // An error after the end of the exchange is only a consequence of that end.
                 send(&mut sender)
                     .err()
                     .filter(|_| !stop.swap(true, Ordering::Relaxed))

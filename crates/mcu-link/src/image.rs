@@ -1,4 +1,4 @@
-//! The firmware image: how it is built, and its sizes.
+//! The firmware image: its build and its sizes.
 
 use std::io::{IsTerminal, stderr};
 use std::path::{Path, PathBuf};
@@ -10,13 +10,13 @@ use object::{Object, ObjectSection, SectionFlags, elf};
 
 use super::qemu::Machine;
 
-/// The firmware beside these sources.
+/// Folder of the firmware, relative to these sources.
 const FIRMWARE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../firmware");
 
-/// Builds an image for a machine, by the name of its program, and returns its path.
+/// Builds the image of `program` for a machine and returns its path.
 ///
 /// # Errors
-/// No sources of the firmware, or a build that fails: what it said is on stderr.
+/// Missing firmware sources, or a failed build; the build's own messages go to stderr.
 pub fn build(machine: Machine, program: &str) -> Result<PathBuf> {
     build_with(machine, program, &[])
 }
@@ -67,21 +67,21 @@ fn build_with(machine: Machine, program: &str, options: &[&str]) -> Result<PathB
     Ok(image)
 }
 
-/// What an image takes of a microcontroller's memories.
+/// Memory that an image occupies on a microcontroller.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ImageSizes {
-    /// Code, constants, and the initial values of variables.
+    /// Bytes of code, constants and initial values of variables.
     pub flash_bytes: u64,
-    /// Static variables; the stack is not among them.
+    /// Bytes of static variables, without the stack.
     pub ram_bytes: u64,
 }
 
 impl ImageSizes {
-    /// The sizes of an ELF file's sections: those with contents that are loaded take flash, those
-    /// that are written to take RAM.
+    /// Returns the sizes of an ELF file's sections: allocated sections with contents count as flash, writable ones as
+    /// RAM.
     ///
     /// # Errors
-    /// No 32-bit ELF file.
+    /// A file that is not a 32-bit ELF file.
     pub fn of(image: &[u8]) -> Result<Self> {
         let file: ElfFile32 = ElfFile32::parse(image).context("no 32-bit ELF image")?;
         let mut sizes = Self::default();
@@ -93,7 +93,7 @@ impl ImageSizes {
                 continue;
             };
             let has = |flag: elf::SectionFlags| sh_flags & flag == flag;
-            // Also leaves out defmt's strings, which stay with the host.
+            // This also skips defmt's strings, which stay on the host.
             if !has(elf::SHF_ALLOC) {
                 continue;
             }
@@ -107,10 +107,10 @@ impl ImageSizes {
         Ok(sizes)
     }
 
-    /// As [`ImageSizes::of`], from a file.
+    /// Reads a file and returns its sizes, see [`ImageSizes::of`].
     ///
     /// # Errors
-    /// A file that cannot be read or is no 32-bit ELF file.
+    /// A file that cannot be read or is not a 32-bit ELF file.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display();
         let image = std::fs::read(path).with_context(|| format!("{name}: cannot be read"))?;
@@ -122,7 +122,7 @@ impl ImageSizes {
 mod tests {
     use super::*;
 
-    /// An ELF file of sections: type, flags and size; all without contents of their own.
+    /// Returns an ELF file with the given sections (type, flags, size), which all share the same bytes.
     fn elf_file(sections: &[(elf::SectionType, elf::SectionFlags, u32)]) -> Vec<u8> {
         const HEADER: u32 = 52;
         let mut file = b"\x7FELF\x01\x01\x01".to_vec();
@@ -134,7 +134,7 @@ mod tests {
         let words = |file: &mut Vec<u8>, words: &[u32]| {
             file.extend(words.iter().flat_map(|word| word.to_le_bytes()));
         };
-        // Executable, ARM; the sections' headers after as many bytes as any section has.
+        // An executable for ARM; the section headers follow after as many bytes as the largest section has.
         halves(&mut file, &[elf::ET_EXEC.0, elf::EM_ARM.0]);
         words(&mut file, &[1, 0, 0, HEADER + largest, 0]);
         let names = sections.len() as u16 + 1;
@@ -158,7 +158,7 @@ mod tests {
             (SHT_PROGBITS, SHF_ALLOC | SHF_EXECINSTR, 5000),
             (SHT_PROGBITS, SHF_ALLOC | SHF_WRITE, 70),
             (SHT_NOBITS, SHF_ALLOC | SHF_WRITE, 100_000),
-            // The strings of defmt, debug information.
+            // The strings of defmt, and debug information.
             (SHT_PROGBITS, elf::SectionFlags(0), 900),
         ]);
         let sizes = ImageSizes {

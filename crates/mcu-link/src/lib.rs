@@ -1,16 +1,16 @@
-//! A recording through an encoder on a microcontroller, compared with the host's own encoder.
+//! Sends a recording through an encoder on a microcontroller and compares the result with the host's own encoder.
 //!
-//! | file | what |
+//! | file | contents |
 //! |---|---|
-//! | `connection.rs` | a stream of bytes, both ways at once; a serial port would be another |
-//! | `link.rs` | the packets and frames on it |
-//! | `setting_up.rs` | the setup and the hot pixels, until the encoder answers |
-//! | `account.rs` | what came back, frame by frame |
+//! | `connection.rs` | a byte stream used in both directions at once, such as a socket or a serial port |
+//! | `link.rs` | the packets and frames on that stream |
+//! | `setting_up.rs` | sends the setup and the hot pixels until the encoder answers |
+//! | `account.rs` | checks the received frames one by one |
 //! | `qemu.rs` | the emulated machine at the other end |
-//! | `image.rs` | the firmware image: building it, its sizes |
-//! | `log.rs` | the image's log |
+//! | `image.rs` | the firmware image: its build and its sizes |
+//! | `log.rs` | the log of the image |
 //!
-//! [`run`] needs only a [`Connection`], whatever is behind it.
+//! [`run`] needs only a [`Connection`], whatever encoder it leads to.
 
 mod account;
 pub mod connection;
@@ -35,60 +35,60 @@ pub use connection::{Connection, Link};
 use link::{EventPackets, Message};
 pub use setting_up::{keep_out, set_up};
 
-/// How long nothing may move before an encoder is taken for dead.
+/// Time without any bytes moving after which an encoder is considered dead.
 pub const PATIENCE: Duration = Duration::from_secs(20);
-/// Events that are put into packets at a time.
+/// Number of events put into packets at a time.
 const CHUNK_EVENTS: usize = 1 << 10;
-/// Period of the time in EVT 2.0 words.
+/// Period in us of the time in EVT 2.0 words.
 const WORDS_PERIOD_US: u64 = 1 << 34;
 
-/// A recording, and what an encoder is to do with it.
+/// A recording and how an encoder is to encode it.
 pub struct Job<'j> {
-    /// Opens the recording, each time from its first event.
+    /// Opens the recording at its first event; called more than once.
     pub open: &'j (dyn Fn() -> Result<Box<dyn EventReader>> + Sync),
-    /// How to encode it.
+    /// Configuration of the encoder.
     pub config: Config,
-    /// Pixels that are never sent, each once, in raster order: column and row.
+    /// Hot pixels (column, row), whose events are never encoded; each once, in raster order.
     pub hot: &'j [(u16, u16)],
-    /// Whether the encoder drops events while it has no room, rather than hold the link.
+    /// Whether the encoder drops events while it has no room, instead of blocking the link.
     pub drop_when_full: bool,
 }
 
-/// What became of a recording.
+/// Result of sending a recording through an encoder.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Outcome {
-    /// Events sent.
+    /// Number of events sent.
     pub events: u64,
-    /// Windows with events that came back.
+    /// Number of windows with events received.
     pub windows: u64,
-    /// Frames that came back.
+    /// Number of frames received.
     pub frames: u64,
-    /// Whether there were frames of the host's to compare with.
+    /// Whether the frames were compared with the host's.
     pub compared: bool,
-    /// Frames with the bytes of the host's.
+    /// Number of frames identical to the host's, byte for byte.
     pub frames_identical: u64,
-    /// Frames that differ, have not come, or should not have.
+    /// Number of frames that differ from the host's, are missing, or are surplus.
     pub frames_different: u64,
-    /// Events in frames.
+    /// Number of events encoded in frames.
     pub events_encoded: u64,
-    /// Events that frames count as late.
+    /// Number of events that frames report as late.
     pub events_late: u64,
-    /// Events that frames count as kept out by a filter.
+    /// Number of events that frames report as removed by a filter.
     pub events_filtered: u64,
-    /// Left out by the rate control.
+    /// Number of events that frames report as removed by the rate control.
     pub events_thinned: u64,
-    /// Events that frames count as lost.
+    /// Number of events that frames report as lost.
     pub events_lost: u64,
-    /// The encoder's own account since its setup.
+    /// The encoder's own counts since its setup.
     pub status: Status,
-    /// The frames that came back, one after the other.
+    /// The received frames, concatenated.
     pub bytes: Vec<u8>,
-    /// What is wrong, a line each; empty for a good run.
+    /// Problems found, one line each; empty for a good run.
     pub problems: Vec<String>,
 }
 
 impl Outcome {
-    /// Nanoseconds of the encoder's clock for an event: received, encoded, sent. 0 without events.
+    /// Returns the encoder's time per event in ns for receiving, encoding and sending; 0 without events.
     #[must_use]
     pub fn ns_per_event(&self) -> [f64; 3] {
         let Status {
@@ -104,25 +104,25 @@ impl Outcome {
         })
     }
 
-    /// Whether all is well.
+    /// Checks that the run had no problems.
     ///
     /// # Errors
-    /// Everything that is not, in one line.
+    /// All [`Outcome::problems`], joined into one line.
     pub fn verdict(&self) -> Result<()> {
         ensure!(self.problems.is_empty(), "{}", self.problems.join("; "));
         Ok(())
     }
 }
 
-/// Sends a recording to an encoder and compares what comes back with the host's frames; `progress`
-/// gets the events sent so far.
+/// Sends a recording to an encoder and compares the received frames with the host's; calls `progress` with the number
+/// of events sent so far.
 ///
-/// With [`Job::drop_when_full`] there is nothing to compare with: every frame is unpacked and every
-/// event accounted for instead.
+/// With [`Job::drop_when_full`] the host's frames cannot serve as a reference. Every frame is then unpacked instead,
+/// and every event accounted for.
 ///
 /// # Errors
-/// A recording that cannot be read or sent, an encoder that refuses it, a link that fails or
-/// stalls. Frames that differ and events that are lost are no errors but [`Outcome::problems`].
+/// A recording that cannot be read or sent, an encoder that refuses it, or a link that fails or stalls. Frames that
+/// differ and events that are lost are not errors: they are listed in [`Outcome::problems`].
 pub fn run(
     connection: &mut Connection,
     job: &Job<'_>,
@@ -139,7 +139,7 @@ pub fn run(
     let limits = Limits {
         window_events: status.window_events as usize,
         frame_bytes: status.frame_bytes as usize,
-        // As the image does, which has no memory to hold events.
+        // As the image does, which has no memory to hold events for reordering.
         reorder_us: Some(0),
         dense_words: status.dense_words as usize,
     };
@@ -158,14 +158,14 @@ pub fn run(
     Ok(account.finish(plan.events, damaged_bytes))
 }
 
-/// What a first look at the recording tells.
+/// Results of a first pass over the recording.
 struct Plan {
     events: u64,
     time_base_us: u64,
 }
 
 impl Plan {
-    /// Reads the recording once, so that nothing is sent of one that cannot be sent whole.
+    /// Reads the whole recording once, so that nothing is sent if a part of it cannot be sent.
     fn new(job: &Job<'_>) -> Result<Self> {
         let mut reader = (job.open)()?;
         let mut events = Vec::new();
@@ -179,7 +179,7 @@ impl Plan {
         while reader.read(&mut events)? > 0 {
             for event in events.drain(..) {
                 let encoder = encoder.get_or_insert_with(|| {
-                    // A whole number of periods: the words are those of a camera with this clock.
+                    // With a whole number of periods, the words are those of a camera with this clock.
                     plan.time_base_us = event.t_us - event.t_us % WORDS_PERIOD_US;
                     Evt2Encoder::new(plan.time_base_us)
                 });
@@ -202,7 +202,7 @@ impl Plan {
     }
 }
 
-/// The status that a message is.
+/// Returns the status that a message carries, `None` if it is another kind of message.
 fn status_of(message: &Message) -> Result<Option<Status>> {
     match message {
         Message::Packet(Kind::Status, body) => Status::parse(body).map(Some).context(
@@ -212,7 +212,7 @@ fn status_of(message: &Message) -> Result<Option<Status>> {
     }
 }
 
-/// Sends the whole recording and what ends it.
+/// Sends the whole recording and the packet that ends it.
 fn send_events(
     sender: &mut Sender<'_>,
     job: &Job<'_>,
@@ -239,7 +239,7 @@ fn send_events(
     sender.send(&bytes)
 }
 
-/// The frames of the host's own encoder.
+/// Returns the frames that the host's own encoder produces.
 fn host_frames(job: &Job<'_>, limits: Limits) -> Result<Vec<Vec<u8>>> {
     let mut bytes = Vec::new();
     encode(

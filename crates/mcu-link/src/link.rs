@@ -1,14 +1,14 @@
-//! The event link from the host's side: packets of events out, frames and packets in.
+//! The host's side of the event link: sends packets of events, receives frames and packets.
 
 use anyhow::{Result, bail};
 use eecvs_nostd::event_link::{self, BODY_BYTES_MAX, Kind, PACKET_BYTES_MAX, Packet, Receiver};
 use eecvs_nostd::evt2::Evt2Encoder;
 use eecvs_nostd::{Event, Header, Scan, frame, scan};
 
-/// What came from an encoder.
+/// A message received from an encoder.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Message {
-    /// A frame: its header and all of its bytes.
+    /// A frame: its header and all its bytes, header included.
     Frame(Box<Header>, Vec<u8>),
     /// A packet: its kind and its body.
     Packet(Kind, Vec<u8>),
@@ -21,7 +21,7 @@ enum Look {
     Incomplete,
 }
 
-/// Takes frames and packets apart; memory is bounded by the largest frame.
+/// Splits the received bytes into frames and packets; its memory is bounded by the largest frame.
 #[derive(Debug)]
 pub struct Demultiplexer {
     buffer: Vec<u8>,
@@ -40,42 +40,42 @@ impl Default for Demultiplexer {
 }
 
 impl Demultiplexer {
-    /// Bounds the frames that can come; a longer one is damage.
+    /// Sets the maximum length of a frame; a longer frame counts as damage.
     pub const fn limit_frames(&mut self, frame_bytes: usize) {
         self.frame_bytes = frame_bytes;
     }
 
-    /// Takes received bytes.
+    /// Appends received bytes.
     pub fn push(&mut self, bytes: &[u8]) {
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// Bytes that belonged to no message.
+    /// Returns the number of bytes that belonged to no message.
     #[must_use]
     pub const fn damaged_bytes(&self) -> u64 {
         self.damaged_bytes
     }
 
-    /// Whether a message has begun.
+    /// Returns whether the buffer holds the beginning of a message.
     #[must_use]
     pub const fn is_incomplete(&self) -> bool {
         !self.buffer.is_empty()
     }
 
-    /// What came and was not taken, for another reader.
+    /// Takes the bytes that have not been consumed, to pass them to another reader.
     #[must_use]
     pub fn take_rest(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.buffer)
     }
 
-    /// Gives up the message that has begun: others may lie inside of what came of it.
+    /// Gives up the message that has begun: other messages may start within the bytes received for it.
     pub fn give_up(&mut self) {
         if self.is_incomplete() {
             self.damage(next_sync(&self.buffer));
         }
     }
 
-    /// The next whole message.
+    /// Returns the next complete message, or `None` if more bytes are needed.
     pub fn next_message(&mut self) -> Option<Message> {
         loop {
             match self.look() {
@@ -118,7 +118,7 @@ impl Demultiplexer {
     }
 
     fn look_at_packet(&self) -> Look {
-        // Packets from an encoder are few: each look may begin anew.
+        // An encoder sends few packets, so parsing from the start each time is cheap enough.
         let mut receiver = Receiver::new();
         for (at, byte) in self.buffer.iter().enumerate() {
             let packet = receiver
@@ -135,7 +135,7 @@ impl Demultiplexer {
     }
 }
 
-/// Distance to the next place, not the first, where a frame or a packet may begin.
+/// Returns the distance to the next position, after the first byte, at which a frame or a packet may begin.
 fn next_sync(bytes: &[u8]) -> usize {
     let begins = |at: &usize| match bytes[*at..] {
         [first, second, ..] => [frame::SYNC, event_link::SYNC].contains(&[first, second]),
@@ -145,10 +145,12 @@ fn next_sync(bytes: &[u8]) -> usize {
     (1..bytes.len()).find(begins).unwrap_or(bytes.len())
 }
 
-/// The bytes of a packet.
+/// Returns the bytes of a packet.
+///
+/// `position` is the number of events sent before the packet, modulo 2^32.
 ///
 /// # Errors
-/// A body above [`BODY_BYTES_MAX`].
+/// A body longer than [`BODY_BYTES_MAX`].
 pub fn packet(kind: Kind, position: u32, body: &[u8]) -> Result<Vec<u8>> {
     let mut bytes = vec![0; PACKET_BYTES_MAX];
     let packet = Packet {
@@ -163,19 +165,19 @@ pub fn packet(kind: Kind, position: u32, body: &[u8]) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Puts events into packets.
+/// Encodes events as EVT 2.0 words and puts them into packets.
 #[derive(Debug)]
 pub struct EventPackets {
     encoder: Evt2Encoder,
     body: Vec<u8>,
-    /// Events before `body`; wraps.
+    /// Number of events before `body`; wraps around.
     position: u32,
-    /// Events in `body`.
+    /// Number of events in `body`.
     events: u32,
 }
 
 impl EventPackets {
-    /// Events from `time_base_us` on, after a setup with the same.
+    /// Creates an encoder for events from `time_base_us` on; the setup sent before must have the same time base.
     #[must_use]
     pub fn new(time_base_us: u64) -> Self {
         Self {
@@ -186,13 +188,13 @@ impl EventPackets {
         }
     }
 
-    /// Adds an event; a packet that is full goes to `out`.
+    /// Adds an event; if the current packet is full, appends it to `out` first.
     ///
     /// # Errors
-    /// A time that EVT 2.0 words do not reach from here.
+    /// A time that EVT 2.0 words cannot represent after the previous events.
     pub fn push(&mut self, event: Event, out: &mut Vec<u8>) -> Result<()> {
         if self.body.len() + 8 > BODY_BYTES_MAX {
-            // Two words may be due: the time, and the event.
+            // An event may need two words: the time and the event itself.
             self.take(out)?;
         }
         if self.body.is_empty() {
@@ -208,10 +210,10 @@ impl EventPackets {
         Ok(())
     }
 
-    /// Hands out the packet that has begun.
+    /// Appends the packet in progress to `out`, if it holds any events.
     ///
     /// # Errors
-    /// None with this packet's own bounds.
+    /// None in practice: `push` keeps the packet within its limit.
     pub fn take(&mut self, out: &mut Vec<u8>) -> Result<()> {
         if self.events > 0 {
             out.extend(packet(Kind::Words, self.position, &self.body)?);
@@ -222,10 +224,10 @@ impl EventPackets {
         Ok(())
     }
 
-    /// Hands out what is left, and the packet that ends the stream.
+    /// Appends the remaining events and the packet that ends the stream.
     ///
     /// # Errors
-    /// As [`EventPackets::take`].
+    /// As for [`EventPackets::take`].
     pub fn finish(mut self, out: &mut Vec<u8>) -> Result<()> {
         self.take(out)?;
         out.extend(packet(Kind::Flush, self.position, &[])?);
@@ -340,7 +342,7 @@ mod tests {
                 incoming.push(&bytes(message));
                 found.extend(all(&mut incoming));
             }
-            // What the garbage announced does not come.
+            // The message that the garbage announced never arrives.
             while incoming.is_incomplete() {
                 incoming.give_up();
                 found.extend(all(&mut incoming));
@@ -361,12 +363,12 @@ mod tests {
             incoming.push(&bytes);
             prop_assert!(all(&mut incoming).iter().all(|m| matches!(m, Message::Packet(..))));
             prop_assert!(incoming.damaged_bytes() > 0);
-            // An incomplete packet at the most.
+            // At most an incomplete packet remains.
             prop_assert!(incoming.buffer.len() <= PACKET_BYTES_MAX);
         }
     }
 
-    /// A lost packet must take no other's time along.
+    /// The loss of a packet must not affect the times of other packets.
     #[test]
     fn every_packet_can_be_decoded_alone() {
         let (mut events, mut bytes) = (Vec::new(), Vec::new());

@@ -1,4 +1,4 @@
-//! The log of a firmware image: defmt's frames, decoded with the image's own strings.
+//! The log of a firmware image: defmt frames, decoded with the strings stored in the image.
 
 use std::collections::VecDeque;
 use std::io::{Read, Write};
@@ -7,10 +7,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use anyhow::{Context, Result};
 use defmt_decoder::{DecodeError, Locations, Table};
 
-/// Lines that are kept for error messages.
+/// Number of lines kept for error messages.
 const KEPT_LINES: usize = 20;
 
-/// The latest lines of a log; clones share them.
+/// The latest lines of a log; clones share the same lines.
 #[derive(Debug, Clone, Default)]
 pub struct LogLines(Arc<Mutex<VecDeque<String>>>);
 
@@ -23,7 +23,7 @@ impl LogLines {
         lines.push_back(line);
     }
 
-    /// The latest lines, the oldest first.
+    /// Returns the latest lines, oldest first.
     #[must_use]
     pub fn latest(&self) -> Vec<String> {
         let lines = self.0.lock().unwrap_or_else(PoisonError::into_inner);
@@ -31,7 +31,7 @@ impl LogLines {
     }
 }
 
-/// Decodes a log.
+/// Decodes the log of an image.
 pub struct LogDecoder {
     /// `None` for an image without defmt.
     table: Option<Table>,
@@ -39,13 +39,13 @@ pub struct LogDecoder {
 }
 
 impl LogDecoder {
-    /// The decoder of an ELF image.
+    /// Creates the decoder for an ELF image.
     ///
     /// # Errors
-    /// An image with another version of defmt, or that is damaged.
+    /// An image that is damaged or uses another version of defmt.
     pub fn new(image: &[u8]) -> Result<Self> {
         let table = Table::parse(image).context("the image's defmt strings")?;
-        // Without debug information there are none, which is no error.
+        // Without debug information there are no locations, which is not an error.
         let locations = table
             .as_ref()
             .and_then(|table| table.get_locations(image).ok())
@@ -53,11 +53,12 @@ impl LogDecoder {
         Ok(Self { table, locations })
     }
 
-    /// Reads a log to its end and prints it to stderr: all of it, or warnings and errors only.
+    /// Reads a log to its end, keeps its latest lines in `lines`, and prints it to stderr: all of it, or warnings and
+    /// errors only.
     pub fn follow(&self, source: &mut dyn Read, all: bool, lines: &LogLines) {
         let mut bytes = [0; 1024];
         let mut decoder = self.table.as_ref().map(Table::new_stream_decoder);
-        // A log that cannot be read ends: the link tells whether the encoder works.
+        // A read error ends the log silently: the link shows whether the encoder works.
         while let Ok(read @ 1..) = source.read(&mut bytes) {
             let (Some(decoder), Some(table)) = (&mut decoder, &self.table) else {
                 continue;
@@ -95,7 +96,7 @@ fn file_name(path: &std::path::Path) -> String {
 fn show(level: &str, message: &str, place: &str, all: bool, lines: &LogLines) {
     let line = format!("{level:<5} {message}{place}");
     if all || ["warn", "error"].contains(&level) {
-        // A closed stderr is no reason to stop reading: the emulator would.
+        // A closed stderr is no reason to stop reading: the emulator would stall.
         let _ = writeln!(std::io::stderr(), "mcu: {line}");
     }
     lines.push(line);

@@ -1,4 +1,4 @@
-//! An emulated microcontroller: QEMU, its UART and its log.
+//! An emulated microcontroller: QEMU with its UART and its log.
 
 use std::io::{ErrorKind, Read};
 use std::os::unix::net::UnixStream;
@@ -13,14 +13,14 @@ use tempfile::TempDir;
 use super::log::{LogDecoder, LogLines};
 
 const PROGRAM: &str = "qemu-system-arm";
-/// The UART's socket, in a folder of its own.
+/// Name of the UART's socket, which lies in a temporary folder.
 const SOCKET: &str = "uart";
-/// How long QEMU may take until the socket is there.
+/// Time that QEMU may take to open the socket.
 const START: Duration = Duration::from_secs(20);
-/// Bytes kept of what QEMU itself says.
+/// Maximum number of bytes kept of QEMU's own messages.
 const MESSAGE_BYTES: u64 = 1 << 12;
 
-/// A machine that QEMU emulates and that there are images for.
+/// A machine that QEMU emulates and for which images exist.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Machine {
     /// An STM32F405: Cortex-M4F, 168 MHz.
@@ -35,13 +35,13 @@ impl Machine {
     /// Every machine.
     pub const ALL: [Self; 3] = [Self::NetduinoPlus2, Self::Mps2An386, Self::Mps2An500];
 
-    /// The machine of a name, `None` where there is none.
+    /// Returns the machine with the given name, or `None` if the name is unknown.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|machine| machine.name() == name)
     }
 
-    /// One line about it.
+    /// Returns a one-line description of the machine.
     #[must_use]
     pub const fn about(self) -> &'static str {
         match self {
@@ -51,7 +51,7 @@ impl Machine {
         }
     }
 
-    /// Its name, here and in QEMU.
+    /// Returns the machine's name, which is also its name in QEMU.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -62,7 +62,7 @@ impl Machine {
     }
 }
 
-/// What was started, or how to get it.
+/// Unwraps the result of starting QEMU; if QEMU is not installed, the error says how to install it.
 fn installed<T>(started: std::io::Result<T>) -> Result<T> {
     match started {
         Err(error) if error.kind() == ErrorKind::NotFound => bail!(
@@ -73,20 +73,22 @@ fn installed<T>(started: std::io::Result<T>) -> Result<T> {
     }
 }
 
-/// Whether QEMU is there.
+/// Checks that QEMU is installed.
 ///
 /// # Errors
-/// It is not.
+/// QEMU is not installed or cannot be started.
 pub fn find() -> Result<()> {
     let version = Command::new(PROGRAM).arg("--version").output();
     installed(version).map(|_| ())
 }
 
-/// Runs an image, which may read the files of `folder`, to its end and returns what it printed. One
-/// instruction takes 1 ns of the machine's time; nothing is at its UART.
+/// Runs an image to its end and returns what it printed to stdout.
+///
+/// The image may read the files of `folder`. One instruction takes 1 ns of the machine's time; the UART is not
+/// connected.
 ///
 /// # Errors
-/// QEMU is not installed, the image fails or takes longer than `patience`.
+/// QEMU is not installed, or the image is missing, fails, or takes longer than `patience`.
 pub fn run(machine: Machine, image: &Path, folder: &Path, patience: Duration) -> Result<String> {
     let name = image.display();
     let image = image
@@ -115,7 +117,7 @@ pub fn run(machine: Machine, image: &Path, folder: &Path, patience: Duration) ->
             break Some(status);
         }
         if started.elapsed() > patience {
-            // Fails only where it has ended already.
+            // Fails only if the process has already ended.
             let _ = child.kill();
             let _ = child.wait();
             break None;
@@ -137,11 +139,11 @@ pub fn run(machine: Machine, image: &Path, folder: &Path, patience: Duration) ->
     }
 }
 
-/// Reads a stream to its end, in a thread of its own.
+/// Reads a stream to its end in its own thread.
 fn follow(mut stream: Box<dyn Read + Send>) -> JoinHandle<String> {
     thread::spawn(move || {
         let mut text = Vec::new();
-        // Whatever could be read is what there is to tell.
+        // On a read error, the text read so far is returned.
         let _ = stream.read_to_end(&mut text);
         String::from_utf8_lossy(&text).into_owned()
     })
@@ -152,7 +154,7 @@ pub struct Qemu {
     child: Child,
     folder: TempDir,
     lines: LogLines,
-    /// The readers of its stdout and stderr; the second returns what it read.
+    /// Readers of its stdout and stderr; the second returns the text it read.
     log: Option<JoinHandle<()>>,
     messages: Option<JoinHandle<String>>,
 }
@@ -160,10 +162,10 @@ pub struct Qemu {
 impl Qemu {
     /// Starts an image. One instruction takes 1 ns of the machine's time.
     ///
-    /// Prints the image's log to stderr: all of it, or warnings and errors only.
+    /// The image's log is printed to stderr: all of it, or warnings and errors only.
     ///
     /// # Errors
-    /// QEMU is not installed, the image cannot be read.
+    /// QEMU is not installed, or the image cannot be read.
     pub fn start(machine: Machine, image: &Path, log_all: bool) -> Result<Self> {
         let name = image.display();
         let image_path = image
@@ -176,7 +178,8 @@ impl Qemu {
         let started = Command::new(PROGRAM)
             .args(["-M", machine.name()])
             .args(["-display", "none", "-monitor", "none"])
-            // In the current folder: no path that a socket or an option could not hold.
+            // A path relative to the current folder is neither too long for a socket nor needs quoting in an
+            // option.
             .args(["-serial", &format!("unix:{SOCKET},server=on,wait=off")])
             .args(["-icount", "shift=0"])
             .args(["-semihosting-config", "enable=on,target=native"])
@@ -197,7 +200,7 @@ impl Qemu {
         let messages = stderr.map(|mut stderr| {
             thread::spawn(move || {
                 let mut text = Vec::new();
-                // Whatever could be read is what there is to tell.
+                // On a read error, the text read so far is returned.
                 let _ = stderr.by_ref().take(MESSAGE_BYTES).read_to_end(&mut text);
                 let _ = std::io::copy(&mut stderr, &mut std::io::sink());
                 String::from_utf8_lossy(&text).into_owned()
@@ -212,10 +215,10 @@ impl Qemu {
         })
     }
 
-    /// Connects to the machine's UART. After the connection was dropped, it can be made anew.
+    /// Connects to the machine's UART. A new connection can be made after the previous one is dropped.
     ///
     /// # Errors
-    /// QEMU has ended, or does not listen.
+    /// QEMU has ended, or does not accept a connection in time.
     pub fn connect(&mut self) -> Result<UnixStream> {
         let path: PathBuf = self.folder.path().join(SOCKET);
         let started = Instant::now();
@@ -235,13 +238,14 @@ impl Qemu {
         }
     }
 
-    /// The latest lines of the image's log.
+    /// Returns the latest lines of the image's log.
     #[must_use]
     pub const fn log(&self) -> &LogLines {
         &self.lines
     }
 
-    /// What QEMU said when it ended; `None` while it runs. Its log is complete then.
+    /// Returns QEMU's exit status and its first message once it has ended, with the log then complete; `None` while
+    /// it runs.
     pub fn end(&mut self) -> Option<String> {
         let status = self.child.try_wait().ok().flatten()?;
         if let Some(log) = self.log.take() {
@@ -252,7 +256,7 @@ impl Qemu {
             .take()
             .and_then(|messages| messages.join().ok())
             .unwrap_or_default();
-        // What follows the first line are registers.
+        // The lines after the first are register contents.
         let said = said.lines().next().unwrap_or("no message");
         Some(format!("{PROGRAM} ended ({status}, {said})"))
     }
@@ -260,10 +264,10 @@ impl Qemu {
 
 impl Drop for Qemu {
     fn drop(&mut self) {
-        // Fails only where it has ended already.
+        // Fails only if the process has already ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
-        // With the emulator their sources have ended.
+        // Their sources ended with the emulator, so these joins return.
         if let Some(log) = self.log.take() {
             let _ = log.join();
         }

@@ -1,5 +1,4 @@
-//! What an encoder is told before the first event: the setup and the hot pixels, each sent again until it
-//! answers.
+//! Sends an encoder the setup and the hot pixels before the first event, repeating each until it answers.
 
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -16,14 +15,15 @@ use super::connection::Connection;
 use super::link::packet;
 use super::status_of;
 
-/// Time between two packets: a UART that is not ready yet loses the first.
+/// Interval between repeated packets: a UART that is not ready yet loses the first.
 const RETRY: Duration = Duration::from_secs(1);
 
-/// Sets an encoder up, and again until it answers; everything that comes before is left over from
-/// another run and is thrown away.
+/// Sets up an encoder, repeating the setup until the encoder answers, and returns its answer.
+///
+/// Anything received before the answer is left over from another run and is discarded.
 ///
 /// # Errors
-/// No answer for as long as the connection's patience, a refusal, an answer that makes no sense.
+/// No answer within the connection's patience, a refusal, or an answer with impossible limits.
 pub fn set_up(connection: &mut Connection, setup: &Setup) -> Result<Status> {
     let mut body = [0; FIELDS_BYTES_MAX];
     let Ok(length) = setup.write(&mut body) else {
@@ -48,11 +48,13 @@ pub fn set_up(connection: &mut Connection, setup: &Setup) -> Result<Status> {
     Ok(status)
 }
 
-/// Tells an encoder that was set up which pixels, each once and in raster order, it never sends; returns
-/// its last answer, if there are any.
+/// Sends the hot pixels to an encoder that has been set up; it then ignores their events.
+///
+/// `pixels` holds (column, row), each once and in raster order. Returns the encoder's last answer, or `None` if
+/// `pixels` is empty.
 ///
 /// # Errors
-/// As of [`set_up`]; pixels that it has no memory for.
+/// As for [`set_up`]; pixels that are not in raster order, or for which the encoder has no memory.
 pub fn keep_out(
     connection: &mut Connection,
     sensor: Sensor,
@@ -82,15 +84,15 @@ pub fn keep_out(
     Ok(last)
 }
 
-/// Sends a packet, and again until it is answered; it comes before all events.
+/// Sends a packet repeatedly until it is answered; no events may have been sent before.
 fn ask(connection: &mut Connection, kind: Kind, body: &[u8]) -> Result<Status> {
     let what = match kind {
         Kind::Hot => "hot pixels",
         _ => "setup",
     };
     let question = packet(kind, 0, body)?;
-    // The zeros end a packet that an earlier connection left unfinished. At once: an answer between the two
-    // would leave them to be counted as damage that nothing tells from the run's.
+    // The zeros end a packet that an earlier connection left unfinished. Zeros and question are sent at once: if an
+    // answer came in between, the zeros would be counted as damage, indistinguishable from damage of this run.
     let again = [&[0; PACKET_BYTES_MAX][..], &question].concat();
     let patience = connection.patience();
     let mut answer = None;
@@ -119,7 +121,7 @@ fn ask(connection: &mut Connection, kind: Kind, body: &[u8]) -> Result<Status> {
                     answer = Some(status);
                     return Ok(ControlFlow::Break(()));
                 }
-                // It has just started: the first packet may have come too early.
+                // The encoder has just started: the first packet may have arrived too early.
                 Some(Status { answers: 0, .. }) => greeted.store(true, Ordering::Relaxed),
                 _ => {}
             }

@@ -1,12 +1,13 @@
-//! What the encoder saves by not doing things: each kind of skipping against the same without it.
+//! Measures what the encoder saves by skipping: each kind of skipping is compared with the encoder without it.
 //!
 //! ```text
 //! windows of a recording -> encoder ----------------> frames   the same, or the run ends
 //!                        \-> plain encoder, skips off -> frames
 //! ```
 //!
-//! Times are of [`plain`], with everything skipped and with one kind of it left out; sizes are of
-//! frames, where the packer can make the other frame, and else counted by a formula.
+//! Times are those of [`plain`], once with everything skipped and once with one kind of skipping off. Sizes are those
+//! of frames if the packer can make the frame without the skipping, and are otherwise counted by a formula. Only the
+//! frames with single events sent as levels differ from the encoder's.
 
 pub mod plain;
 pub mod source;
@@ -29,15 +30,15 @@ use crate::record_file::{Name, name};
 use plain::{Plain, Skips};
 use source::{Source, WINDOW_US, Window};
 
-/// M: that of the paper's times.
+/// M of the times in the paper.
 const PARAMETER_M: u8 = 8;
-/// Windows measured of a recording, spread over it; of a quick run.
+/// Maximum number of windows measured, spread over a recording: in a full run, in a quick run.
 const WINDOWS: [usize; 2] = [8, 2];
-/// Repetitions at the least, of which the shortest counts; of a quick run.
+/// Minimum number of repetitions, of which the shortest counts: in a full run, in a quick run.
 const REPETITIONS: [usize; 2] = [9, 2];
-/// Time of all repetitions of a window at the least; of a quick run.
+/// Approximate minimum time of all repetitions of one run on a window: in a full run, in a quick run.
 const LEAST: [Duration; 2] = [Duration::from_millis(100), Duration::ZERO];
-/// Repetitions at the most.
+/// Maximum number of repetitions.
 const REPETITIONS_MAX: u128 = 1000;
 
 const US: &str = "us/window";
@@ -46,20 +47,20 @@ const SINGLES: &str = "single events as cells";
 
 const NO_ROOM: &str = "a frame has no room for its window";
 
-/// How a figure came about.
+/// How a figure was obtained.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum How {
-    /// Both were run and timed.
+    /// Both variants were run and timed.
     Timed,
-    /// Both were packed by the core.
+    /// The frames of both variants were packed by the core's packer.
     Packed,
-    /// Counted: of what is not done there is a formula alone.
+    /// The variant without the skipping was not run; a formula gives its size.
     Counted,
 }
 
 impl How {
-    /// Lower-case name, as in JSON.
+    /// Returns the lower-case name, as in JSON.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -70,41 +71,43 @@ impl How {
     }
 }
 
-/// One kind of skipping; the fields are its JSON keys.
+/// What one kind of skipping saves on one recording with one transform; the fields are its JSON keys.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// Name of the recording or scene.
     #[serde(deserialize_with = "name")]
     pub recording: Name,
-    /// Transform.
+    /// Name of the transform: `dct`, `dtft` or `dwt`.
     #[serde(deserialize_with = "name")]
     pub transform: Name,
     /// M.
     pub m: u8,
-    /// What is skipped. `everything` is the core's encoder against the plain one that skips nothing,
-    /// `nothing` against the one that skips the same: the code itself.
+    /// What is skipped. `everything` compares the core's encoder with the plain encoder that skips nothing. `nothing`
+    /// compares it with the plain encoder that skips the same, and so shows the effect of the code itself.
     #[serde(deserialize_with = "name")]
     pub skip: Name,
-    /// Of both figures: `us`, `bits` or `coefficients`, per `window` or `recording`.
+    /// Unit of `with` and `without`: `us/window`, `bits/window`, `coefficients/window` or `bits/recording`.
     #[serde(deserialize_with = "name")]
     pub unit: Name,
-    /// With the skipping.
+    /// The figure with the skipping.
     pub with: f64,
-    /// Without.
+    /// The figure without the skipping.
     pub without: f64,
-    /// 100 (1 - `with` / `without`).
+    /// 100 (1 - `with` / `without`); negative if the skipping costs more than it saves.
     pub saved_percent: f64,
-    /// Timed, packed or counted.
+    /// How the figures were obtained.
     pub how: How,
-    /// What was counted on the way, in all windows measured.
+    /// Numbers of events, pixels, segments, levels and others, over all windows measured.
     #[serde(skip_deserializing)]
     pub counts: BTreeMap<&'static str, u64>,
 }
 
-/// Measures all transforms on `sources`; `progress` is called after each of each.
+/// Measures every kind of skipping with every transform on `sources`.
+///
+/// `progress` is called after each transform of each source.
 ///
 /// # Errors
-/// A frame of the plain encoder that is not the core's.
+/// Fails if a frame of the plain encoder differs from the core's, or if a window does not fit into one frame.
 pub fn measure(sources: &[Source], is_quick: bool, progress: &mut dyn FnMut()) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for source in sources {
@@ -121,13 +124,13 @@ pub fn measure(sources: &[Source], is_quick: bool, progress: &mut dyn FnMut()) -
     Ok(rows)
 }
 
-/// Times that [`measure`] calls `progress`.
+/// Returns how many times [`measure`] calls `progress` for `sources` sources.
 #[must_use]
 pub const fn steps(sources: usize) -> usize {
     sources * Transform::ALL.len()
 }
 
-/// A recording, a transform, and some of its windows.
+/// A recording, the windows of it that are measured, and a transform.
 struct Point<'s> {
     source: &'s Source,
     windows: Vec<&'s Window>,
@@ -163,7 +166,7 @@ impl Frames {
     }
 }
 
-/// Figures with a kind of skipping, and without.
+/// The figures with and without a kind of skipping.
 type Figures = (f64, f64);
 
 impl<'s> Point<'s> {
@@ -180,7 +183,7 @@ impl<'s> Point<'s> {
         }
     }
 
-    /// K
+    /// Returns K.
     fn grid(&self) -> u16 {
         self.transform.grid_size(PARAMETER_M, None)
     }
@@ -192,7 +195,7 @@ impl<'s> Point<'s> {
             grid: Some(self.grid()),
             ..Config::new(
                 WindowConfig::new(self.source.sensor, WINDOW_US),
-                // Unused, since the transform is given.
+                // Unused, because the transform is fixed.
                 const { Thresholds::new(0, 0).unwrap() },
                 Mode::Transform,
             )
@@ -236,7 +239,7 @@ impl<'s> Point<'s> {
         Ok(())
     }
 
-    /// The core's frames with M = `m`.
+    /// Encodes the windows with the core, with M = `m`.
     fn frames(&self, m: u8) -> Result<Frames> {
         let mut out = vec![0; FRAME_BYTES_MAX];
         let mut storage = self.storage();
@@ -250,7 +253,7 @@ impl<'s> Point<'s> {
         Ok(Frames { headers, frames })
     }
 
-    /// What there is in the windows.
+    /// Counts what the windows and their frames contain.
     fn counts(&self, frames: &Frames) -> Result<BTreeMap<&'static str, u64>> {
         let sensor = self.source.sensor;
         let segments = segments(sensor.width, sensor.height);
@@ -297,7 +300,8 @@ impl<'s> Point<'s> {
         .into())
     }
 
-    /// The plain encoder with everything skipped and with one kind left out, and the core.
+    /// Compares the plain encoder with everything skipped, the plain encoder with one kind of skipping off, and the
+    /// core.
     fn walks<B: Basis>(
         &self,
         frames: &Frames,
@@ -328,7 +332,7 @@ impl<'s> Point<'s> {
             ("everything", Skips::NONE),
         ];
         match self.transform {
-            // Where a pixel costs least, going to it costs most.
+            // These are measured with the transform for which a pixel costs least, as visiting it weighs most there.
             Transform::Dct => runs.extend([
                 (
                     "empty segments",
@@ -351,7 +355,7 @@ impl<'s> Point<'s> {
 
         let header = frames.headers.first().context("no windows")?;
         let mut out = vec![0; FRAME_BYTES_MAX];
-        // One for all, so that none of them finds its memory nearer than the others do.
+        // One encoder for all runs, so that the place of its memory favours none of them.
         let mut plain: Plain<B> = Plain::new(header);
         let mut general_bits = 0;
         for (skip, skips) in &runs {
@@ -403,7 +407,7 @@ impl<'s> Point<'s> {
         Ok(())
     }
 
-    /// Where the active pixels are: gaps, against a bit for each pixel of the sensor.
+    /// Compares the coding of the active pixels' positions as gaps with one bit for each pixel of the sensor.
     fn gaps(
         &self,
         frames: &Frames,
@@ -435,8 +439,8 @@ impl<'s> Point<'s> {
         Ok(())
     }
 
-    /// Haar coefficients that are sent, against the r of every pixel; what the zeros among these
-    /// would take.
+    /// Compares sending only the nonzero Haar coefficients with sending r for every pixel. A zero would take as many
+    /// bits as the pixel's widest level.
     fn zeros(
         &self,
         frames: &Frames,
@@ -466,7 +470,7 @@ impl<'s> Point<'s> {
         Ok(())
     }
 
-    /// M of K coefficients against all: the core both times.
+    /// Compares sending M of the K coefficients with sending all K, both with the core.
     fn pruning(
         &self,
         frames: &Frames,
@@ -491,7 +495,7 @@ impl<'s> Point<'s> {
         Ok(())
     }
 
-    /// The whole recording, against a frame for each of its empty windows too.
+    /// Compares the frames of the whole recording with those and a frame for each of its empty windows.
     fn empty_windows(
         &self,
         add: &mut impl FnMut(&'static str, &'static str, Figures, How),
@@ -505,7 +509,7 @@ impl<'s> Point<'s> {
         }
         let mut empty_bits = 0;
         for _ in 0..self.source.empty_windows {
-            // A window of no events becomes a frame where there is something to count.
+            // A window without events becomes a frame only if there is something to count.
             encoder.window().count_filtered(1);
             empty_bits += 8 * finish(&mut encoder, &mut out)?.range.len() as u64;
         }
@@ -530,8 +534,10 @@ impl<'s> Point<'s> {
         figure as f64 / self.windows.len().max(1) as f64
     }
 
-    /// Times of `runs` runs over the windows, in us per window: the shortest of each window, since
-    /// what else the machine does only adds. The runs take turns.
+    /// Returns the time of each of `runs` runs in us per window. The shortest time of each window counts, because
+    /// other load on the machine can only add to it. The runs take turns.
+    ///
+    /// `run` receives the number of the run, the index of the window and the window.
     fn time(
         &self,
         runs: usize,
@@ -565,7 +571,7 @@ impl<'s> Point<'s> {
     }
 }
 
-/// Pushes and encodes a window with the core.
+/// Pushes the events of a window into the core's encoder and encodes its frame.
 fn encode(encoder: &mut Encoder<'_>, window: &Window, out: &mut [u8]) -> Result<Encoded> {
     encoder.window().follow(NextStart::at(window.start_us));
     for event in &window.events {
@@ -577,7 +583,7 @@ fn encode(encoder: &mut Encoder<'_>, window: &Window, out: &mut [u8]) -> Result<
     finish(encoder, out)
 }
 
-/// The one frame of a window.
+/// Encodes the open window, which must give exactly one frame.
 fn finish(encoder: &mut Encoder<'_>, out: &mut [u8]) -> Result<Encoded> {
     encoder.flush();
     let encoded = encoder.next_frame(out).ok().flatten().context(NO_ROOM)?;

@@ -1,7 +1,7 @@
-//! The encoder once more, plainly written, of which every kind of skipping can be left out.
+//! A plainly written second encoder, in which each kind of skipping can be switched off.
 //!
-//! The stages are the core's, and so are the frames, bit for bit, but for those of
-//! [`Skips::singles`]: what differs in time is the skipping alone.
+//! It uses the core's stages, and its frames are the core's bit by bit, except with [`Skips::singles`] off. Runs
+//! with different [`Skips`] therefore differ in time only by what they skip.
 
 use std::hint::black_box;
 use std::marker::PhantomData;
@@ -20,24 +20,27 @@ use eecvs_nostd::transform::{Basis, GRID_MAX, Rule, Transform};
 use eecvs_nostd::window::SEGMENT_PIXELS;
 use eecvs_nostd::{Event, Header, NoRoom, Polarity, Shape, bitmap_words, segments};
 
-/// What is skipped.
+/// The kinds of skipping; `true` means that the encoder skips.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Skips {
-    /// Segments of 32 pixels without events are not looked at: a bit of each tells.
+    /// Finds the segments of 32 pixels that have events by a bitmap with one bit per segment, instead of visiting
+    /// every segment.
     pub segments: bool,
-    /// Pixels without events are not looked at: a bit of each of a segment tells.
+    /// Finds the pixels of a segment that have events by a bitmap with one bit per pixel, instead of visiting every
+    /// pixel.
     pub pixels: bool,
-    /// Pixels without events are not transformed.
+    /// Does not transform pixels without events.
     pub transforms: bool,
-    /// A single event is the cell of its time, not accumulated and sent as levels.
+    /// Sends a pixel's single event as the cell of its time, instead of accumulating it and sending levels.
     pub singles: bool,
-    /// Few events go into the Haar coefficients that they change, not into bins that all of the
-    /// coefficients are made of.
+    /// Accumulates the Haar transform as [`Basis::accumulate`] does, instead of always from bins by butterflies.
+    /// For K up to 32, which M = 8 has, that function sums rows of bytes on a host; for larger K it adds few events
+    /// directly to the coefficients that they change.
     pub butterflies: bool,
 }
 
 impl Skips {
-    /// Everything that the encoder skips.
+    /// Skips everything, as the core's encoder does.
     pub const ALL: Self = Self {
         segments: true,
         pixels: true,
@@ -45,7 +48,7 @@ impl Skips {
         singles: true,
         butterflies: true,
     };
-    /// Nothing.
+    /// Skips nothing.
     pub const NONE: Self = Self {
         segments: false,
         pixels: false,
@@ -55,7 +58,7 @@ impl Skips {
     };
 }
 
-/// No slot.
+/// The index that means "no slot".
 const NONE: u32 = u32::MAX;
 const COLUMNS: usize = SEGMENT_PIXELS as usize;
 
@@ -64,25 +67,25 @@ const COLUMNS: usize = SEGMENT_PIXELS as usize;
 struct Slot {
     impulse: Impulse,
     column: u8,
-    /// Of the same list, or [`NONE`].
+    /// The next slot of the same list, or [`NONE`].
     next: u32,
 }
 
-/// An encoder of windows with the transform `B`.
+/// An encoder that makes one frame per window, with the transform `B`.
 pub struct Plain<B> {
     skips: Skips,
-    /// Segments in a row.
+    /// Number of segments in a row.
     stride: usize,
     width: usize,
     slots: Vec<Slot>,
-    /// By segment, its newest event.
+    /// The slot of each segment's newest event, or [`NONE`].
     heads: Vec<u32>,
-    /// Which segments have events.
+    /// One bit per segment: whether it has events.
     bitmap: Vec<u32>,
     stages: Stages<B>,
 }
 
-/// From a pixel's events to bits.
+/// The stages from a pixel's events to bits, with their memory.
 struct Stages<B> {
     skips: Skips,
     shape: Shape,
@@ -94,7 +97,7 @@ struct Stages<B> {
     basis: PhantomData<B>,
 }
 
-/// Where a pixel is and what it counts.
+/// A pixel's coordinates and numbers of events.
 #[derive(Debug, Clone, Copy)]
 struct Place {
     x: u16,
@@ -103,7 +106,7 @@ struct Place {
     off: u32,
 }
 
-/// Events of a list, oldest first.
+/// Iterates over the events of a pixel's list, oldest first.
 #[derive(Clone)]
 struct List<'s> {
     slots: &'s [Slot],
@@ -122,7 +125,7 @@ impl Iterator for List<'_> {
 }
 
 impl<B: Basis> Plain<B> {
-    /// An encoder of windows that are as `header` has them; it skips everything.
+    /// Creates an encoder of windows with the sensor, T and parameters of `header`; it skips everything.
     pub fn new(header: &Header) -> Self {
         let skips = Skips::ALL;
         let [width, height] = [header.sensor.width, header.sensor.height];
@@ -147,16 +150,19 @@ impl<B: Basis> Plain<B> {
         }
     }
 
-    /// Skips these from now on, in the same memory.
+    /// Sets what is skipped from now on. The memory stays the same.
     pub const fn skip(&mut self, skips: Skips) {
         self.skips = skips;
         self.stages.skips = skips;
     }
 
-    /// The frame of a window, within `out`: its events, and the rest of its header.
+    /// Encodes the events of a window and returns the range of the frame within `out`.
+    ///
+    /// `events` must lie in the window and on the sensor. The frame's header is `header`, whose `events`, `pixels`
+    /// and `saturated` are replaced by what is counted here.
     ///
     /// # Errors
-    /// [`NoRoom`] in `out`.
+    /// [`NoRoom`] if the frame does not fit into `out`.
     pub fn frame(
         &mut self,
         events: &[Event],
@@ -210,7 +216,7 @@ impl<B: Basis> Plain<B> {
         });
     }
 
-    /// Calls `each` with the pixels of a segment: those with events, or all.
+    /// Calls `each` with the pixels of a segment: those with events, or all if `skips.pixels` is off.
     #[inline(always)]
     fn segment(&mut self, segment: usize, each: &mut impl FnMut(&mut Stages<B>, Place, List<'_>)) {
         let mut next = mem::replace(&mut self.heads[segment], NONE);
@@ -255,7 +261,7 @@ impl<B: Basis> Plain<B> {
 }
 
 impl<B: Basis> Stages<B> {
-    /// Encodes a pixel; returns how many levels saturated.
+    /// Encodes a pixel and returns the number of saturated levels.
     #[inline(always)]
     fn pixel(
         &mut self,
@@ -306,7 +312,8 @@ impl<B: Basis> Stages<B> {
         B::accumulate(list, self.scale, grid, &mut self.sums);
     }
 
-    /// What follows on the sums.
+    /// Prunes, quantises and packs the sums of a pixel, and returns the number of saturated levels. A pixel without
+    /// events is not packed.
     #[inline(always)]
     fn rest<C: Coefficient>(
         &mut self,
@@ -343,7 +350,7 @@ impl<B: Basis> Stages<B> {
     }
 }
 
-/// The Haar sums of at most a chunk of events by bins and butterflies, whatever their number.
+/// Accumulates the Haar sums of at most a chunk of events by bins and butterflies, however few they are.
 #[inline(always)]
 fn haar(list: List<'_>, scale: PhaseScale, grid: usize, sums: &mut [Sum]) {
     let (differences, bins) = sums.split_at_mut(grid);

@@ -1,4 +1,4 @@
-//! The recordings that skipping is measured on, as windows.
+//! The recordings on which skipping is measured, divided into windows.
 
 use std::path::Path;
 
@@ -7,10 +7,10 @@ use eecvs_nostd::{Event, Sensor};
 use event_emulator::{Preset, SceneConfig};
 use event_files::EventReader;
 
-/// T.
+/// T in us.
 pub const WINDOW_US: u32 = 32_768;
 
-/// Name and file below the folder of recordings.
+/// Name of each recording, and its file below the folder of recordings.
 const RECORDINGS: [(&str, &str); 5] = [
     (
         "davis346_building_dense",
@@ -28,7 +28,7 @@ const RECORDINGS: [(&str, &str); 5] = [
     ("imx636_sparse_evt3", "imx636_sparse_evt3/evt3.raw"),
 ];
 
-/// In their place where no recording is there: name, scene.
+/// Name and preset of the scenes that replace the recordings if none is present.
 const SCENES: [(&str, Preset); 3] = [
     ("emulated_moderate", Preset::IndoorFlying),
     ("emulated_sparse", Preset::OutdoorDark),
@@ -36,32 +36,32 @@ const SCENES: [(&str, Preset); 3] = [
 ];
 const SCENE_US: u64 = 200_000;
 
-/// Events of a recording, by windows.
+/// The events of a recording or an emulated scene, divided into windows.
 #[derive(Debug, Clone)]
 pub struct Source {
-    /// Its name.
+    /// Name of the recording or scene.
     pub name: &'static str,
-    /// Every event is inside.
+    /// The sensor's size; every event lies inside.
     pub sensor: Sensor,
-    /// Those with events, in order.
+    /// The windows that have events, one or more, in order of time.
     pub windows: Vec<Window>,
-    /// Windows between the first and the last that have no events.
+    /// Number of windows without events between the first and the last window.
     pub empty_windows: u64,
 }
 
-/// Events of a window.
+/// The events of one window.
 #[derive(Debug, Clone)]
 pub struct Window {
-    /// t0
+    /// Start t0 in us.
     pub start_us: u64,
-    /// One or more.
+    /// One or more events, in order of arrival.
     pub events: Vec<Event>,
 }
 
-/// The recordings that `folder` has.
+/// Reads the recordings that are present in `folder`; missing ones are left out.
 ///
 /// # Errors
-/// A recording that cannot be read.
+/// Fails if a recording cannot be read or has no events.
 pub fn recordings(folder: &Path) -> Result<Vec<Source>> {
     RECORDINGS
         .into_iter()
@@ -74,10 +74,10 @@ pub fn recordings(folder: &Path) -> Result<Vec<Source>> {
         .collect()
 }
 
-/// Emulated scenes.
+/// Emulates the scenes that replace missing recordings.
 ///
 /// # Errors
-/// None: they are fixed.
+/// Passes on the emulator's errors, which these fixed scenes do not cause.
 pub fn scenes() -> Result<Vec<Source>> {
     SCENES
         .into_iter()
@@ -91,7 +91,8 @@ pub fn scenes() -> Result<Vec<Source>> {
         .collect()
 }
 
-/// Windows as the encoder makes them: aligned to the first event, without events older than theirs.
+/// Divides a recording into windows as the encoder does: aligned to the first event, without the events that are
+/// older than the window in which they arrive.
 fn source(name: &'static str, reader: &mut dyn EventReader) -> Result<Source> {
     let sensor = reader.sensor();
     let mut events = Vec::new();

@@ -1,4 +1,4 @@
-//! How exactly event times come back from coefficients, as the README has it.
+//! How exactly event times are recovered from coefficients: the rows and the document's table.
 
 use std::fmt::Write as _;
 
@@ -6,16 +6,16 @@ use serde::{Deserialize, Serialize};
 
 use crate::marks::Marks;
 
-/// Where the README has its table.
+/// The marks around the table in the document.
 pub const MARKS: Marks = Marks {
     name: "exact times",
     command: "cargo xtask record exact-times",
 };
-/// What the rows of emulated scenes are of.
+/// [`Row::source`] of rows over all emulated scenes.
 pub const SCENES: &str = "scenes";
-/// The recording of the table.
+/// The recording shown in the table.
 pub const RECORDING: &str = "davis346_building_dense";
-/// Sizes of pixels, as first and last number of events, and what the table calls them.
+/// Size classes of pixels: the smallest and the largest number of events, and the name in the table.
 pub const SIZES: [(usize, usize, &str); 7] = [
     (1, 1, "1 event, a cell"),
     (2, 2, "2"),
@@ -26,28 +26,28 @@ pub const SIZES: [(usize, usize, &str); 7] = [
     (1, usize::MAX, "all"),
 ];
 
-/// Events of pixels of so many events.
+/// Errors of the recovered times of all events in pixels of one size class.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// [`SCENES`], or a recording's name.
+    /// [`SCENES`], or the name of a recording.
     pub source: String,
-    /// Of the quantiser.
+    /// log2 of the quantiser's step.
     pub step_log2: i8,
-    /// As in [`SIZES`].
+    /// Name of the size class, from [`SIZES`].
     pub size: String,
-    /// In such pixels.
+    /// Number of events in pixels of this size.
     pub events: u64,
-    /// Come back within 1 us.
+    /// Number of events recovered within 1 us.
     pub within_1_us: u64,
-    /// Come back within 5 us.
+    /// Number of events recovered within 5 us.
     pub within_5_us: u64,
-    /// Mean error of an event's time.
+    /// Mean error of an event's time in us, as earth mover's distance within the pixel.
     pub emd_us: f64,
-    /// The same by the peaks of the summed atoms.
+    /// The same in us if the times are found from the peaks of the summed atoms.
     pub emd_peaks_us: f64,
 }
 
-/// The README's table, of the step 2^-6; `None` where a row is missing.
+/// Returns the document's table for the step 2^-6, or `None` if a row is missing.
 #[must_use]
 pub fn document(rows: &[Row]) -> Option<String> {
     let mut text = format!(
@@ -75,7 +75,7 @@ pub fn document(rows: &[Row]) -> Option<String> {
     Some(text)
 }
 
-/// With a decimal near to all, where it matters; never rounded up to all.
+/// Formats a percentage, with one decimal from 98 % on. Less than 100 % is never rounded up to 100 %.
 fn percent(value: f64) -> String {
     match value {
         100.0.. => "100 %".to_owned(),
@@ -84,7 +84,7 @@ fn percent(value: f64) -> String {
     }
 }
 
-/// Two digits, or all before the point.
+/// Formats a time in us with one decimal below 9.95 us, and without decimals from there on.
 fn figure(us: f64) -> String {
     if us < 9.95 {
         format!("{us:.1}")

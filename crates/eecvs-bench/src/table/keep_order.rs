@@ -1,4 +1,4 @@
-//! What the order of events costs, as the README has it.
+//! The cost of keeping the order of events: the rows and the document's table.
 
 use std::fmt::Write as _;
 
@@ -6,24 +6,26 @@ use serde::{Deserialize, Serialize};
 
 use crate::marks::Marks;
 
-/// Where the README has its table.
+/// The marks around the table in the document.
 pub const MARKS: Marks = Marks {
     name: "keep order",
     command: "cargo xtask record keep-order",
 };
 
-/// What a recording's order costs.
+/// Cost of keeping the order of one recording's events with one coder.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// Its name.
+    /// Name of the recording.
     pub recording: String,
-    /// `fast` or `dense`.
+    /// Name of the coder: `fast` or `dense`.
     pub coder: String,
-    /// 8 `bytes_order` of `encode`'s summary over its events.
+    /// 8 `bytes_order` / `events_in` of the summary of `encode`.
     pub order_bits_per_event: f64,
 }
 
-/// The README's table: of both coders, which need not differ, the larger.
+/// Returns the document's table, with one line per recording: the larger cost of the two coders.
+///
+/// The rows of a recording must follow each other.
 #[must_use]
 pub fn document(rows: &[Row]) -> String {
     let mut text = String::from("| recording | `--keep-order`, bits per event |\n|---|---|\n");

@@ -1,4 +1,4 @@
-//! Rows that tests measure, and the documents' tables of them.
+//! Rows that tests measure, and the tables that the documents make from them.
 
 pub mod exact_times;
 pub mod keep_order;

@@ -1,4 +1,4 @@
-//! A flood under the budgets of links, as the README has it.
+//! A flood of events under the budgets of several links: the rows and the document's table.
 
 use std::fmt::Write as _;
 
@@ -6,34 +6,34 @@ use serde::{Deserialize, Serialize};
 
 use crate::marks::Marks;
 
-/// Where the README has its table.
+/// The marks around the table in the document.
 pub const MARKS: Marks = Marks {
     name: "rate control",
     command: "cargo xtask record rate-control",
 };
 
-/// What became of a flood's events under a budget.
+/// How a flood's events were encoded under one budget.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// Of the link.
+    /// Budget of the link in bytes per second.
     pub bytes_per_second: u32,
-    /// `fast` or `dense`.
+    /// Name of the coder: `fast` or `dense`.
     pub coder: String,
-    /// Of the flood, over all its passes.
+    /// Number of events of the flood, over all its passes.
     pub events: u64,
-    /// Told exactly.
+    /// Number of events encoded with their exact times.
     pub exact: u64,
-    /// Told, their times not exactly.
+    /// Number of events encoded with approximate times.
     pub approximate: u64,
-    /// Left out by the rate control.
+    /// Number of events that the rate control left out.
     pub missing: u64,
-    /// As `eecvs compare` has it, of the last pass.
+    /// Earth mover's distance per pixel in us, as `eecvs compare` reports it, over the last pass.
     pub emd_pixel_us: f64,
-    /// Most bytes of frames whose windows end within a second.
+    /// Maximum number of bytes in frames whose windows end within one second.
     pub most_in_a_second: u64,
 }
 
-/// The README's table.
+/// Returns the document's table, with one line per row; shares are in whole per cent of the events.
 #[must_use]
 pub fn document(rows: &[Row]) -> String {
     let mut text = String::from(
@@ -63,7 +63,7 @@ pub fn document(rows: &[Row]) -> String {
     text
 }
 
-/// A whole number, its digits in groups of three.
+/// Formats `value` as a whole number with its digits in groups of three; a negative value becomes 0.
 fn grouped(value: f64) -> String {
     let digits = format!("{:.0}", value.max(0.0));
     let mut text = String::new();
