@@ -125,7 +125,6 @@ pub fn rows<'a>(rows: impl IntoIterator<Item = (&'a str, String)>) -> String {
 ///
 /// # Errors
 /// The error of `outcome`, or the file cannot be renamed.
-/// That of `outcome`, or the file cannot be renamed.
 pub fn keep_or_mark<T>(output: Output, outcome: Result<T>) -> Result<T> {
     match outcome {
         Ok(done) => Ok(output.keep().map(|()| done)?),

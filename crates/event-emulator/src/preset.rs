@@ -7,9 +7,9 @@ use super::photoreceptor::PixelModel;
 use super::texture::Look;
 
 /// A named scene.
+///
 /// The names are those of the paper's Table I. The recordings of that table are not included; a preset imitates the
 /// light, the camera and the moving objects that its name describes.
-/// preset imitates what its name says: light, camera and things that move.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Preset {
     /// Dark room with a bright window, fixed camera, a person and a flickering lamp.
