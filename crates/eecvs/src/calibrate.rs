@@ -1,13 +1,13 @@
-//! Calibration of the density thresholds: exact percentiles over the windows of recordings.
+//! Calibrates the density thresholds: exact percentiles over the windows of recordings.
 //!
-//! `tau_low` and `tau_high` are the 25th and the 75th percentile of rho = N / (H W T) over all
-//! windows of the set, empty ones between a recording's first and last event included, with
-//! linear interpolation between order statistics. Everything is integer arithmetic: densities
-//! are reduced fractions, and only the result is rounded, downwards, to 1e-12 events per pixel
-//! per second. So a window whose density equals a threshold still compares as >= to it.
+//! `tau_low` and `tau_high` are the 25th and the 75th percentile of rho = N / (H W T), with linear interpolation
+//! between order statistics. All windows of the set count, including empty ones between the first and the last
+//! event of a recording. The arithmetic is exact: densities are reduced fractions of integers, and only the result
+//! is rounded, down to a multiple of 1e-12 events per pixel per second. A window whose density equals a threshold
+//! therefore still compares as >= to it.
 //!
-//! Memory: one window and one count per distinct density. Runs of empty windows are counted by
-//! a division, so a gap of hours costs nothing.
+//! Memory holds one window, and one count for each distinct density. Runs of empty windows are counted by a
+//! division, so a gap of hours costs nothing.
 
 use std::collections::BTreeMap;
 use std::num::{NonZeroU32, NonZeroUsize};
@@ -19,7 +19,7 @@ use event_types::stream::{BATCH_EVENTS, Context, EventReader, Result};
 use crate::exact_density::{Density, interpolated_pico};
 use crate::window_counts::{CAPACITY, WindowCount, WindowCounter};
 
-/// Thresholds of a calibration set and what they were computed from.
+/// Thresholds computed from a calibration set, with the size of the set.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CalibratedThresholds {
     /// 25th percentile of the density in 1e-12 events per pixel per second, rounded down.
@@ -28,30 +28,29 @@ pub struct CalibratedThresholds {
     pub tau_high_pico: u64,
     /// Configured duration of the windows in microseconds.
     pub window_us: NonZeroU32,
-    /// Windows, empty ones included; at least 1.
+    /// Number of windows, including empty ones; at least 1.
     pub windows: u64,
-    /// Windows without events.
+    /// Number of windows without events.
     pub windows_empty: u64,
-    /// Events in the windows.
+    /// Number of events in the windows.
     pub events: u64,
-    /// Events that were older than the open window's start, in no window.
+    /// Events older than the start of the open window; always 0, since a new run begins where the clock falls back.
     pub events_late: u64,
 }
 
-/// Collects the densities of recordings, one after the other.
+/// Collects the window densities of recordings, one recording at a time.
 #[derive(Debug, Clone)]
 pub struct Calibration {
     window_us: NonZeroU32,
     capacity: NonZeroUsize,
-    /// Windows of each density.
+    /// Number of windows of each density.
     windows: BTreeMap<Density, u128>,
     events: u64,
     events_late: u64,
 }
 
 impl Calibration {
-    /// A calibration over windows of `window_us` microseconds and at most [`CAPACITY`]
-    /// events.
+    /// Creates a calibration over windows of `window_us` microseconds and at most [`CAPACITY`] events.
     #[must_use]
     pub fn new(window_us: NonZeroU32) -> Self {
         Self {
@@ -63,12 +62,12 @@ impl Calibration {
         }
     }
 
-    /// Adds the windows of a recording, from its first event to its last; `progress` is told
-    /// the number of events of every batch. A recording without events adds nothing.
+    /// Adds the windows of a recording, from its first event to its last; `progress` is called with the number of
+    /// events of every batch. A recording without events adds nothing.
     ///
     /// # Errors
-    /// What the reader reports. The windows before the damage have been added by then: start
-    /// a new calibration.
+    /// Returns the reader's error. The windows before the damage have then been added already, so start a new
+    /// calibration.
     pub fn add(
         &mut self,
         recording: &mut dyn EventReader,
@@ -102,9 +101,9 @@ impl Calibration {
         sensor: Sensor,
         previous_t0_us: &mut Option<u64>,
     ) {
-        // Between runs no time is known to have passed.
+        // The time that passed between runs is unknown.
         if let Some(previous_t0_us) = previous_t0_us.filter(|_| !window.begins_run) {
-            // A window that closed early is less than T before its successor: no empty one.
+            // A window that closed early is followed within less than T, which counts as no empty window.
             let periods =
                 window.t0_us.saturating_sub(previous_t0_us) / u64::from(self.window_us.get());
             let empty = periods.saturating_sub(1);
@@ -118,11 +117,11 @@ impl Calibration {
         self.events += u64::from(window.events);
     }
 
-    /// The thresholds of everything added so far.
+    /// Returns the thresholds of all recordings added so far.
     ///
     /// # Errors
-    /// No window at all; more windows than a file's integer holds (2^63 - 1); a percentile
-    /// above the range of a threshold, 1.8e7 events per pixel per second.
+    /// Fails if there are no windows, if there are more than an integer of a TOML file holds (2^63 - 1), or if a
+    /// percentile is above the range of a threshold, 1.8e7 events per pixel per second.
     pub fn thresholds(&self) -> Result<CalibratedThresholds> {
         let windows: u128 = self.windows.values().sum();
         if windows == 0 {
@@ -149,8 +148,8 @@ impl Calibration {
         })
     }
 
-    /// The quartile `q` (1 or 3) of `n >= 1` windows: with h = (n - 1) q / 4, the value the
-    /// fraction h - floor(h) between the order statistics floor(h) and floor(h) + 1.
+    /// Returns the quartile `q` (1 or 3) of `n >= 1` windows. With h = (n - 1) q / 4, it lies at the fraction h -
+    /// floor(h) between the order statistics floor(h) and floor(h) + 1.
     fn quartile(&self, q: u128, n: u128) -> Result<u64> {
         let rank_quarters = (n - 1) * q;
         let (rank, quarters) = (rank_quarters / 4, rank_quarters % 4);
@@ -166,7 +165,7 @@ impl Calibration {
         })
     }
 
-    /// The window density of rank `rank`, counted from 0 at the lowest.
+    /// Returns the window density of rank `rank`; rank 0 is the lowest.
     fn order_statistic(&self, rank: u128) -> Density {
         let mut below = 0;
         for (density, windows) in &self.windows {
@@ -188,7 +187,7 @@ mod tests {
 
     use super::*;
 
-    /// Events in memory, handed out in small batches; fails at the end if it is `damaged`.
+    /// Reads events from memory in small batches; fails at the end if it is `damaged`.
     struct Recording {
         sensor: Sensor,
         times: Vec<u64>,
@@ -271,7 +270,7 @@ mod tests {
 
     #[test]
     fn two_windows_interpolate() {
-        // 1 and 3 events on 1 pixel in 1 s each: 1.5 and 2.5.
+        // 1 and 3 events on 1 pixel in 1 s each: the quartiles are 1.5 and 2.5.
         let t = calibrated(
             1_000_000,
             vec![recording(1, 1, &[0, 1_000_000, 1_500_000, 1_999_999])],
@@ -289,7 +288,7 @@ mod tests {
         let t = calibrated(1_000_000, vec![recording(1, 1, &[0, 3_500_000])]);
         assert_eq!((t.tau_low_pico, t.tau_high_pico), (0, ONE));
         assert_eq!((t.windows, t.windows_empty), (4, 2));
-        // 1.7e15 us of windows of 1 us.
+        // A recording of 1.7e15 us in windows of 1 us.
         let last = 1_700_000_000_000_000;
         let t = calibrated(1, vec![recording(1, 1, &[0, last])]);
         assert_eq!((t.windows, t.windows_empty), (last + 1, last - 1));
@@ -307,7 +306,7 @@ mod tests {
 
     #[test]
     fn sensors_of_different_sizes_are_compared_by_density() {
-        // 4 events on 4 pixels, 2 on 1, 3 on 2, 1 on 2: 1, 2, 1.5, 0.5 per pixel per second.
+        // 4 events on 4 pixels, 2 on 1, 3 on 2 and 1 on 2: 1, 2, 1.5 and 0.5 events per pixel per second.
         let t = calibrated(
             1_000_000,
             vec![
@@ -348,7 +347,7 @@ mod tests {
     fn windows_that_close_early_count_over_their_own_duration() {
         let mut calibration = Calibration::new(us(1000));
         calibration.capacity = NonZeroUsize::new(2).unwrap();
-        // [0, 4) holds two events: 500,000 per s; [4, 1004) one: 1000 per s.
+        // [0, 4) holds two events, 500,000 per s; [4, 1004) holds one, 1000 per s.
         calibration
             .add(&mut recording(1, 1, &[0, 1, 4]), &mut |_| ())
             .unwrap();
@@ -360,7 +359,7 @@ mod tests {
 
     #[test]
     fn extremes_stay_exact() {
-        // The largest sensor and the longest window: 1 / (2^22 * (2^32 - 1) us).
+        // The largest sensor and the longest window: a density of 1 / (2^22 * (2^32 - 1) us).
         let t = calibrated(u32::MAX, vec![recording(2048, 2048, &[0])]);
         assert_eq!(t.tau_low_pico, 55);
         // 18 events in 1 us on one pixel fit, 19 do not.
@@ -372,7 +371,7 @@ mod tests {
             .unwrap();
         let error = calibration.thresholds().unwrap_err().to_string();
         assert!(error.contains("--window-us"), "{error}");
-        // Two recordings over all of u64 at 1 us each have more windows than can be counted.
+        // Two recordings that span all of u64 in windows of 1 us have too many windows to count.
         let mut calibration = Calibration::new(us(1));
         for _ in 0..2 {
             calibration

@@ -1,4 +1,4 @@
-//! Frames back to windows and events.
+//! Decodes frames to windows and events.
 
 use std::collections::VecDeque;
 use std::io::Read;
@@ -21,17 +21,17 @@ use crate::reconstruct::{DecodedWindow, pixels};
 pub struct WindowReader<R> {
     frames: FrameReader<R>,
     windows: Windows,
-    /// Windows that are whole and were not taken yet: two at the most.
+    /// Complete windows that have not been taken yet: at most two.
     ready: VecDeque<DecodedWindow>,
-    /// Time spent on payloads.
+    /// Time spent on decoding payloads.
     busy: Duration,
 }
 
-/// Puts windows together from their frames, as these come.
+/// Assembles windows from their frames as the frames arrive.
 #[derive(Default)]
 pub struct Windows {
     pending: Option<DecodedWindow>,
-    /// Events of `pending`.
+    /// Events received for `pending`.
     pending_events: u32,
     counts: FrameCounts,
     coefficients: CoefficientDecoder,
@@ -39,31 +39,31 @@ pub struct Windows {
     arrivals: Arrivals,
 }
 
-/// What the frames say of the events.
+/// Event counts from the frame headers.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct FrameCounts {
-    /// Runs of windows: 1, and 1 for each time that the clock fell back.
+    /// Runs of windows: 1, plus 1 for each time the clock fell back.
     pub runs: u64,
-    /// Too old for their window.
+    /// Events that were too old for their window.
     pub events_late: u64,
-    /// Kept out by a filter.
+    /// Events removed by a filter.
     pub events_filtered: u64,
-    /// Lost before or in the encoder.
+    /// Events lost before or in the encoder.
     pub events_dropped: u64,
-    /// Left out so that the frames fit their budget.
+    /// Events left out by the rate control.
     pub events_thinned: u64,
-    /// In frames, at their exact times.
+    /// Events in frames, at their exact times.
     pub events_exact: u64,
-    /// In frames, at times within a tolerance or a bin, or in coefficients.
+    /// Events in frames, at times within a tolerance or a bin, or as coefficients.
     pub events_approximate: u64,
-    /// Windows whose events of equal time are in the order in which they came.
+    /// Windows whose events of equal time are in the order in which they arrived.
     pub windows_in_order: u64,
-    /// Windows whose order was sent but cannot be told, as a frame of theirs is missing.
+    /// Windows whose arrival order was sent but cannot be decoded, because one of their frames is missing.
     pub windows_order_lost: u64,
 }
 
 impl<R: Read> WindowReader<R> {
-    /// Windows of `frames`.
+    /// Creates a reader for the windows of `frames`.
     pub fn new(frames: FrameReader<R>) -> Self {
         Self {
             frames,
@@ -73,30 +73,30 @@ impl<R: Read> WindowReader<R> {
         }
     }
 
-    /// The account of the frames so far.
+    /// Returns the report on the frames so far.
     pub const fn report(&self) -> &LinkReport {
         self.frames.report()
     }
 
-    /// The frames' own counts so far.
+    /// Returns the event counts from the frame headers so far.
     pub const fn counts(&self) -> FrameCounts {
         self.windows.counts()
     }
 
-    /// Bytes read so far, up to the end of the last frame.
+    /// Returns the number of bytes read so far, up to the end of the last frame.
     pub const fn offset(&self) -> u64 {
         self.frames.offset()
     }
 
-    /// Takes a window's memory back, for those to come.
+    /// Takes back the memory of a window, to reuse it for later windows.
     pub fn reuse(&mut self, window: DecodedWindow) {
         self.windows.reuse(window);
     }
 
-    /// The next window that has events, or `None` at the end.
+    /// Reads the next window that has events; returns `None` at the end.
     ///
     /// # Errors
-    /// Only I/O. A frame that does not decode is counted and left out.
+    /// Only I/O errors. A frame that does not decode is counted and skipped.
     pub fn next_window(&mut self) -> Result<Option<DecodedWindow>> {
         loop {
             if let Some(window) = self.ready.pop_front() {
@@ -118,7 +118,7 @@ impl<R: Read> WindowReader<R> {
 }
 
 impl Windows {
-    /// The frames' own counts so far.
+    /// Returns the event counts from the frame headers so far.
     #[must_use]
     pub const fn counts(&self) -> FrameCounts {
         let order = self.arrivals.counts();
@@ -129,7 +129,7 @@ impl Windows {
         }
     }
 
-    /// Events that came of a window whose end has not.
+    /// Returns the number of events received for a window that is not complete yet.
     #[must_use]
     pub const fn pending_events(&self) -> u64 {
         match &self.pending {
@@ -138,15 +138,15 @@ impl Windows {
         }
     }
 
-    /// Takes a window's memory back, for those to come.
+    /// Takes back the memory of a window, to reuse it for later windows.
     pub fn reuse(&mut self, window: DecodedWindow) {
         self.hybrid.reuse(window.events);
     }
 
-    /// Takes the next frame; `ready` gets the windows with events that end before or with it.
+    /// Decodes the next frame; `ready` is called with each window with events that this frame completes or ends.
     ///
     /// # Errors
-    /// [`Refused`]: it does not decode, and is left out.
+    /// [`Refused`] if the frame does not decode; it is then skipped.
     pub fn take(
         &mut self,
         frame: &Frame<'_>,
@@ -167,11 +167,12 @@ impl Windows {
                 events.map(|events| (vec![], events))
             }
         };
-        // Frames without end that call themselves parts of one window do not grow it.
+        // A limit on malicious input: frames that claim to be parts of one window must not exceed its number of
+        // events.
         let mut window = self.pending.as_mut().filter(|window| {
             window.has_part(&header) && header.events <= header.window_events - self.pending_events
         });
-        // With the events of the parts before in front of them.
+        // The arrival order covers the whole window, so the events of the earlier parts go in front.
         let decoded = decoded.and_then(|(pixels, mut events)| {
             let mut earlier = 0;
             if let Some(window) = &mut window {
@@ -227,25 +228,25 @@ impl Windows {
         Ok(())
     }
 
-    /// No further frame comes, or those that come do not go on from the last one: the window whose end
-    /// has not come.
+    /// Ends the stream, or a stretch of it after which the frames do not continue; returns the incomplete window,
+    /// if any.
     pub fn end(&mut self) -> Option<DecodedWindow> {
         self.arrivals.end();
         self.pending.take()
     }
 }
 
-/// Finds the events of windows, whichever way they came.
+/// Recovers the events of windows, whether they were sent as events or as coefficients.
 #[derive(Debug)]
 pub struct WindowEvents {
     finder: Finder,
-    /// Tables that fitted the last window of coefficients.
+    /// Tables for the shape of the last window of coefficients.
     decoder: Option<EventDecoder>,
     by_time: ByTime,
 }
 
 impl WindowEvents {
-    /// `finder` is for windows of coefficients.
+    /// Creates a decoder of events; `finder` applies to windows of coefficients.
     #[must_use]
     pub fn new(finder: Finder) -> Self {
         Self {
@@ -255,7 +256,8 @@ impl WindowEvents {
         }
     }
 
-    /// Leaves the window's events in it, in order of time; how sure the times are that were solved for.
+    /// Stores the window's events in it, sorted by time; returns the confidence counts of the times that were
+    /// solved for.
     pub fn fill(&mut self, window: &mut DecodedWindow) -> Confidences {
         if !window.events.is_empty() {
             self.by_time.sort(&window.header, &mut window.events);
@@ -277,33 +279,36 @@ impl WindowEvents {
     }
 }
 
-/// What `eecvs decode` reports; the fields are its JSON keys.
+/// Counts and times of a decoding run, as `eecvs decode` reports them; the fields are the JSON keys.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct DecodeSummary {
     /// Windows decoded.
     pub windows: u64,
     /// Events decoded.
     pub events: u64,
-    /// What the frames say of other events.
+    /// Event counts from the frame headers.
     #[serde(flatten)]
     pub counts: FrameCounts,
-    /// How sure the times are of pixels that came as coefficients.
+    /// Confidence of the times of pixels sent as coefficients.
     #[serde(flatten)]
     pub confidences: Confidences,
-    /// What was damaged or lost.
+    /// Damage and losses of the link.
     #[serde(flatten)]
     pub link: LinkReport,
-    /// Seconds spent decoding; reading and writing excluded.
+    /// Seconds spent decoding, without reading and writing.
     pub decode_s: f64,
     /// `events` / `decode_s`; 0 without events.
     pub events_per_s: f64,
 }
 
-/// Decodes windows into events; `create` opens the output once the sensor is known, `each` sees
-/// every window, and `progress` gets the events so far. `finder` is for windows of coefficients.
+/// Decodes all windows to events and writes them.
+///
+/// `create` opens the output once the sensor is known; if it returns `None`, no events are recovered or written.
+/// `each` is called with the index and the decoded content of every window, before event times are solved for.
+/// `progress` is called with the number of events so far. `finder` applies to windows of coefficients.
 ///
 /// # Errors
-/// Reading or writing, and those of `create` and `each`.
+/// Fails if reading or writing fails, and with the errors of `create` and `each`.
 pub fn decode<R: Read, E: From<Error>>(
     windows: &mut WindowReader<R>,
     finder: Finder,

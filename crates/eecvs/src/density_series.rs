@@ -1,4 +1,4 @@
-//! Density and regime of every window of a recording or of a file of frames.
+//! Computes the density and the regime of every window of a recording or a file of frames.
 
 use std::io::Read;
 use std::num::NonZeroU32;
@@ -10,31 +10,31 @@ use serde::Serialize;
 use crate::frame_file::FrameReader;
 use crate::window_counts::{CAPACITY, WindowCount, WindowCounter};
 
-/// One window with events; the fields are the JSON keys.
+/// A window with events and its density; the fields are the JSON keys.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct WindowDensity {
-    /// Start.
+    /// Start of the window in microseconds.
     pub t0_us: u64,
-    /// Duration.
+    /// Duration of the window in microseconds.
     pub duration_us: u32,
-    /// Events.
+    /// Number of events.
     pub events: u32,
     /// Events per pixel per second.
     pub density_per_px_s: f64,
-    /// Regime by the thresholds in force.
+    /// Regime by the thresholds of the series.
     #[serde(serialize_with = "regime_name")]
     pub regime: Regime,
-    /// Windows without events since the previous one.
+    /// Number of windows without events since the previous window.
     pub empty_before: u64,
 }
 
-// serde's `serialize_with` passes a reference.
+// `serialize_with` of serde passes a reference.
 #[allow(clippy::trivially_copy_pass_by_ref)]
 fn regime_name<S: serde::Serializer>(regime: &Regime, to: S) -> Result<S::Ok, S::Error> {
     to.serialize_str(regime.name())
 }
 
-/// Takes the windows of a stream in order.
+/// Computes densities of a stream's windows in order.
 #[derive(Debug)]
 pub struct DensitySeries {
     sensor: Sensor,
@@ -44,7 +44,7 @@ pub struct DensitySeries {
 }
 
 impl DensitySeries {
-    /// Windows of `window_us` on `sensor`.
+    /// Creates a series of windows of `window_us` microseconds on `sensor`.
     #[must_use]
     pub const fn new(sensor: Sensor, window_us: u64, thresholds: Thresholds) -> Self {
         Self {
@@ -55,7 +55,7 @@ impl DensitySeries {
         }
     }
 
-    /// The next window.
+    /// Returns the density of the next window; windows must be added in order of time.
     pub fn add(&mut self, t0_us: u64, duration_us: u32, events: u32) -> WindowDensity {
         let density = Density {
             events,
@@ -75,10 +75,10 @@ impl DensitySeries {
     }
 }
 
-/// Densities of a recording's windows, in order; `each` gets every one.
+/// Computes the densities of a recording's windows in order, and calls `each` with each of them.
 ///
 /// # Errors
-/// A recording that cannot be read.
+/// Fails if the recording cannot be read, and with the errors of `each`.
 pub fn of_recording<E: From<Error>>(
     reader: &mut dyn EventReader,
     window_us: NonZeroU32,
@@ -100,10 +100,11 @@ pub fn of_recording<E: From<Error>>(
     counter.flush().map_or(Ok(()), take)
 }
 
-/// Densities of the windows of frames, up to the end or the first frame of another sensor.
+/// Computes the densities of the windows in a stream of frames, up to its end or to the first frame of another
+/// sensor, and calls `each` with each of them.
 ///
 /// # Errors
-/// Frames that cannot be read.
+/// Fails if the frames cannot be read, and with the errors of `each`.
 pub fn of_frames<E: From<Error>>(
     reader: &mut FrameReader<impl Read>,
     thresholds: Thresholds,

@@ -1,5 +1,5 @@
-//! Exact densities: fractions of a window's counts, and decimals of 1e-12 events per pixel per
-//! second ("pico"), the unit in which thresholds are held, written and compared.
+//! Exact densities: as fractions, and as integers in units of 1e-12 events per pixel per second ("pico"), the unit
+//! in which thresholds are stored, written and compared.
 
 use std::cmp::Ordering;
 
@@ -9,10 +9,10 @@ use event_types::{bail, error};
 
 use crate::window_counts::WindowCount;
 
-/// Decimals of a threshold: it is held in units of 1e-12 events per pixel per second.
+/// Number of decimals of a threshold, whose unit is 1e-12 events per pixel per second.
 const DECIMALS: usize = 12;
 
-/// Events per pixel per microsecond, a reduced fraction.
+/// A density in events per pixel per microsecond, as a reduced fraction.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Density {
     /// At most 2^20, a window's capacity.
@@ -22,13 +22,13 @@ pub struct Density {
 }
 
 impl Density {
-    /// Of a window without events.
+    /// Density of a window without events.
     pub const EMPTY: Self = Self {
         numerator: 0,
         denominator: 1,
     };
 
-    /// N / (H W T) of a closed window over its own duration.
+    /// Returns N / (H W T) of a closed window, with its own duration as T.
     #[must_use]
     pub fn of(window: &WindowCount, sensor: Sensor) -> Self {
         let events = u64::from(window.events);
@@ -54,10 +54,10 @@ impl PartialOrd for Density {
     }
 }
 
-/// `below + (above - below) * quarters / 4`, rounded down to 1e-12 events per pixel per second;
-/// `None` above the range of u64.
+/// Returns `below + (above - below) * quarters / 4`, rounded down to 1e-12 events per pixel per second, or `None`
+/// if that does not fit a u64.
 ///
-/// `below` and `above` are densities of windows of at most 2^20 events, `quarters` is in 0..4.
+/// `below` and `above` are densities of windows with at most 2^20 events, and `quarters` is 0 to 3.
 #[must_use]
 pub fn interpolated_pico(below: Density, above: Density, quarters: u128) -> Option<u64> {
     let [n0, d0, n1, d1] = [
@@ -67,11 +67,11 @@ pub fn interpolated_pico(below: Density, above: Density, quarters: u128) -> Opti
         above.denominator,
     ]
     .map(u128::from);
-    // At most 2^77 over 2^110.
+    // At most 2^77 and 2^110.
     let numerator = n0 * (4 - quarters) * d1 + n1 * quarters * d0;
     let denominator = 4 * d0 * d1;
-    // Events per us to 1e-12 events per s is a factor of 10^18. Long division, digit by digit:
-    // the product numerator * 10^18 would not fit 128 bits.
+    // From events per us to 1e-12 events per s is a factor of 10^18. It is applied by long division, digit by
+    // digit, because numerator * 10^18 does not fit 128 bits.
     let mut quotient = numerator / denominator;
     let mut remainder = numerator % denominator;
     for _ in 0..18 {
@@ -90,17 +90,17 @@ fn greatest_common_divisor(a: u64, b: u64) -> u64 {
     }
 }
 
-/// A density in 1e-12 events per pixel per second as a decimal number with 12 decimals.
+/// Formats a density in 1e-12 events per pixel per second as a decimal number with 12 decimals.
 #[must_use]
 pub fn decimal(pico: u64) -> String {
     let one = 10_u64.pow(DECIMALS as u32);
     format!("{}.{:0width$}", pico / one, pico % one, width = DECIMALS)
 }
 
-/// Reads a decimal number in units of 1e-12, exactly; further decimals are cut off.
+/// Parses a decimal number into units of 1e-12, exactly; further decimals are cut off.
 ///
 /// # Errors
-/// Not a finite number in 0..=18446744.073709551615; the message says what to write.
+/// Fails if the text is not a finite number in 0..=18446744.073709551615; the message says what to write.
 pub fn pico_from_decimal(text: &str) -> Result<u64> {
     let too_large = || {
         let largest = decimal(u64::MAX);
@@ -132,8 +132,8 @@ pub fn pico_from_decimal(text: &str) -> Result<u64> {
             "{text} is negative: write a number of events per pixel per second, 0 or above"
         );
     }
-    // The result is `significant` with the point moved by `shift` digits. An exponent of more
-    // digits than an i64 has is as good as the largest.
+    // The result is `significant` with the point moved by `shift` digits. An exponent that does not fit an i64 has
+    // the same effect as the largest or smallest i64.
     let exponent: i64 = exponent.parse().unwrap_or(if exponent.starts_with('-') {
         i64::MIN
     } else {

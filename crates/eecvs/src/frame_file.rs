@@ -1,4 +1,4 @@
-//! Frames of an `.eecvs` file or stream, with an account of what was damaged or lost.
+//! Reads the frames of an `.eecvs` file or stream, and reports what was damaged or lost.
 
 use std::io::Read;
 
@@ -10,44 +10,44 @@ use serde::Serialize;
 
 use crate::reconstruct::hybrid::Refused;
 
-/// Bytes asked of the source at a time.
+/// Bytes requested from the source at a time.
 const READ_BYTES: usize = 1 << 16;
-/// Frames that are remembered: as many as [`Sequence`] does.
+/// Number of recent frames remembered, the same as in [`Sequence`].
 const RECENT: usize = 64;
 
-/// What a reader met besides frames in order.
+/// Report of a reader: frames delivered, damage, losses and frames out of order.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct LinkReport {
     /// Frames delivered.
     pub frames: u64,
-    /// Bytes that belong to no frame.
+    /// Bytes that do not belong to any frame.
     pub damaged_bytes: u64,
-    /// Runs of such bytes.
+    /// Runs of consecutive damaged bytes.
     pub damaged_runs: u64,
-    /// Offset of the first of them, and why they are no frame.
+    /// Offset of the first damaged byte, and the reason why no frame begins there.
     pub first_damage: Option<(u64, String)>,
-    /// Frames that never came.
+    /// Frames that never arrived.
     pub frames_lost: u64,
-    /// Frames before the first one that came, as its number tells: whoever joined the stream under way has none
-    /// of them.
+    /// Frames sent before the first one that arrived, by its sequence number: a reader that joins a running stream
+    /// has missed them.
     pub frames_before: u64,
-    /// Frames that came twice; the second was left out.
+    /// Frames that arrived twice; the second copy was skipped.
     pub frames_repeated: u64,
-    /// Frames that came after a later one; delivered where they came.
+    /// Frames that arrived after a later one; they are delivered in the order of arrival.
     pub frames_reordered: u64,
-    /// Times that the sequence numbers began anew: files put together, or an encoder that was
-    /// started again. Nothing is left out there.
+    /// Times that the sequence numbers started again, because files were concatenated or an encoder was restarted.
+    /// No frame is skipped there.
     pub restarts: u64,
     /// Frames whose checksums match but whose payload contradicts its header.
     pub frames_malformed: u64,
-    /// Undamaged frames that go on from one that did not come, up to the next key frame.
+    /// Undamaged frames that depend on a missing frame, up to the next key frame.
     pub frames_dependent: u64,
-    /// Where the first frame of another sensor is, and that one's size: from there on nothing was used.
+    /// Offset of the first frame of another sensor, and the size of that sensor. Nothing from there on was used.
     pub other_sensor: Option<(u64, String)>,
 }
 
 impl LinkReport {
-    /// Whether nothing was damaged, lost, repeated or out of order.
+    /// Returns whether nothing was damaged, lost, repeated or out of order.
     #[must_use]
     pub fn is_clean(&self) -> bool {
         *self
@@ -57,7 +57,8 @@ impl LinkReport {
             }
     }
 
-    /// Whether anything is missing: not so where frames came twice, out of order, or were put together.
+    /// Returns whether anything is missing. Frames that are repeated or out of order and concatenated files are no
+    /// loss.
     #[must_use]
     pub const fn has_loss(&self) -> bool {
         let missing =
@@ -73,7 +74,7 @@ impl LinkReport {
         }
     }
 
-    /// One line about what was met, or `None` for a clean stream.
+    /// Returns one line that describes the damage and losses, or `None` for a clean stream.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
         if self.is_clean() {
@@ -115,24 +116,24 @@ impl LinkReport {
     }
 }
 
-/// A frame that was read, and where.
+/// A frame with its position in the source.
 #[derive(Debug, Clone, Copy)]
 pub struct Located<'r> {
-    /// The frame.
+    /// The decoded header, and the payload.
     pub frame: Frame<'r>,
     /// Offset of its first byte.
     pub offset: u64,
-    /// All of its bytes.
+    /// All bytes of the frame.
     pub bytes: &'r [u8],
-    /// [`LinkReport::restarts`], this frame's included.
+    /// [`LinkReport::restarts`] up to and including this frame.
     pub restarts: u64,
 }
 
-/// The order of the frames of a stream: what is lost, came twice, or begins anew.
+/// Follows the sequence numbers of a stream: detects frames lost, repeated or out of order, and restarts.
 #[derive(Debug, Clone)]
 pub struct FrameOrder {
     sequence: Sequence,
-    /// Sequence number and CRC-32 of the frames that came last, at number modulo the length.
+    /// Sequence number and CRC-32 of the latest frames, at index number modulo [`RECENT`].
     recent: [Option<(u32, [u8; CRC_BYTES])>; RECENT],
     newest_t0_us: u64,
 }
@@ -148,7 +149,8 @@ impl Default for FrameOrder {
 }
 
 impl FrameOrder {
-    /// Counts a frame's place in the sequence; whether it is to be delivered. `crc` is the frame's end.
+    /// Counts a frame's place in the sequence in `report`; returns whether to deliver the frame. `crc` is its last
+    /// bytes.
     pub fn take(&mut self, header: &Header, crc: [u8; CRC_BYTES], report: &mut LinkReport) -> bool {
         let number = header.sequence;
         if self.recent.iter().all(Option::is_none) {
@@ -183,21 +185,21 @@ impl FrameOrder {
         true
     }
 
-    /// Whether a number that has come before is another frame's: of another file put behind the
-    /// first, or of an encoder that was started again.
+    /// Returns whether a sequence number seen before belongs to a new frame: of a concatenated file, or of an
+    /// encoder that was restarted.
     fn begins_anew(&self, header: &Header, crc: [u8; CRC_BYTES]) -> bool {
         match self.recent[header.sequence as usize % RECENT] {
             Some((number, seen)) if number == header.sequence => seen != crc,
-            // Too old to be remembered: a repeated frame is neither new nor an encoder's first.
+            // Too old to be remembered. A repeated frame is neither newer than all others nor an encoder's first.
             _ => header.sequence == 0 || header.t0_us > self.newest_t0_us,
         }
     }
 }
 
-/// Sensors whose frames' numbers are followed apart; more come of no camera.
+/// Sensors whose sequence numbers are followed separately; no camera setup has more.
 const SENSORS_MAX: usize = 256;
 
-/// The order of a sensor's frames.
+/// Returns the sequence state of a sensor, and creates it if needed.
 fn order_of(orders: &mut Vec<(Sensor, FrameOrder)>, sensor: Sensor) -> &mut FrameOrder {
     let at = orders.iter().position(|(of, _)| *of == sensor);
     let at = at.unwrap_or_else(|| {
@@ -208,17 +210,17 @@ fn order_of(orders: &mut Vec<(Sensor, FrameOrder)>, sensor: Sensor) -> &mut Fram
     &mut orders[at].1
 }
 
-/// Bytes of damaged frames that are checked and then searched for other frames: this many, and
-/// [`RESCANS`] times the bytes read. Only frames made to lie inside of each other reach it, whose
-/// checksums would cost the square of their length.
+/// Limit on the bytes of damaged frames that are searched for other frames: this many, plus [`RESCANS`] times the
+/// bytes read. Only frames nested on purpose reach it; without it their checksums would cost the square of their
+/// length.
 const RESCAN_BYTES: u64 = 4 * FRAME_BYTES_MAX as u64;
 const RESCANS: u64 = 4;
 
-/// Reads frames; memory is bounded by the largest frame, work by the bytes read.
+/// Reads frames from a source of bytes; memory is bounded by the largest frame, and work by the bytes read.
 pub struct FrameReader<R> {
     source: R,
     buffer: Vec<u8>,
-    /// Bytes of `buffer` used up.
+    /// Bytes of `buffer` that have been consumed.
     start: usize,
     /// Offset of `buffer[start]` in the source.
     offset: u64,
@@ -226,16 +228,16 @@ pub struct FrameReader<R> {
     /// Bytes of all damaged frames that were searched.
     rescanned: u64,
     ended: bool,
-    /// That of the first frame, where frames of another one end the stream.
+    /// Sensor of the first frame; a frame of another one ends the stream unless `takes_all_sensors` is set.
     sensor: Option<Sensor>,
     takes_all_sensors: bool,
-    /// Of each sensor's frames.
+    /// Sequence state for each sensor.
     orders: Vec<(Sensor, FrameOrder)>,
     report: LinkReport,
 }
 
 impl<R: Read> FrameReader<R> {
-    /// Frames of any source of bytes.
+    /// Creates a reader over a source of bytes.
     pub fn new(source: R) -> Self {
         Self {
             source,
@@ -252,7 +254,7 @@ impl<R: Read> FrameReader<R> {
         }
     }
 
-    /// Goes on where frames of another sensor come, whose numbers are others.
+    /// Continues when frames of another sensor arrive, and follows the sequence numbers of each sensor separately.
     #[must_use]
     pub fn of_all_sensors(self) -> Self {
         Self {
@@ -261,13 +263,13 @@ impl<R: Read> FrameReader<R> {
         }
     }
 
-    /// The account so far.
+    /// Returns the report so far.
     #[must_use]
     pub const fn report(&self) -> &LinkReport {
         &self.report
     }
 
-    /// Bytes used up so far.
+    /// Returns the number of bytes consumed so far.
     #[must_use]
     pub const fn offset(&self) -> u64 {
         self.offset
@@ -278,11 +280,11 @@ impl<R: Read> FrameReader<R> {
         self.report.count_refused(refused);
     }
 
-    /// The next frame, or `None` at the end of the source and where frames of another sensor begin: events of
-    /// two sensors are not mixed.
+    /// Reads the next frame; returns `None` at the end of the source or where frames of another sensor begin,
+    /// because events of two sensors must not be mixed.
     ///
     /// # Errors
-    /// Only I/O: damage is reported by [`FrameReader::report`].
+    /// Only I/O errors; damage is reported by [`FrameReader::report`].
     pub fn next_frame(&mut self) -> std::io::Result<Option<Located<'_>>> {
         let (header, payload_start, bytes) = loop {
             if self.report.other_sensor.is_some() {
@@ -328,7 +330,7 @@ impl<R: Read> FrameReader<R> {
                     if left == 0 {
                         return Ok(None);
                     }
-                    // The frame that seemed to begin here does not end: others may lie inside.
+                    // The frame that seemed to begin here is cut off, but others may lie inside it.
                     self.skip(FrameError::Incomplete, 1);
                 }
                 Scan::Incomplete => self.fill()?,
@@ -369,8 +371,8 @@ impl<R: Read> FrameReader<R> {
     }
 
     fn fill(&mut self) -> std::io::Result<()> {
-        // Moving what is left only when it is no more than what was used up keeps the copies
-        // linear, however little a read brings; `scan` asks for no more than FRAME_BYTES_MAX.
+        // Moving the rest only when it is no longer than the consumed part keeps the copies linear, however little
+        // each read returns. `scan` never needs more than FRAME_BYTES_MAX bytes.
         if self.start >= self.buffer.len() - self.start {
             self.buffer.drain(..self.start);
             self.start = 0;

@@ -1,4 +1,4 @@
-//! Pixels that are never sent, from a text file.
+//! Reads the pixels that are never sent from a text file.
 
 use std::path::Path;
 
@@ -6,14 +6,14 @@ use eecvs_nostd::Sensor;
 use event_types::ensure;
 use event_types::stream::{Context, Result};
 
-/// Largest file that is read.
+/// Largest file accepted, in bytes.
 const BYTES_MAX: u64 = 64 << 20;
 
-/// Reads a file of lines `x,y` (or `x y`); `#` begins a comment. Returns each pixel once, in raster
-/// order, as column and row.
+/// Reads a file with lines `x,y` (or `x y`), where `#` begins a comment. Returns each pixel once, as (column, row),
+/// in raster order.
 ///
 /// # Errors
-/// A file that cannot be read, a line that is not a pixel of the sensor.
+/// Fails if the file cannot be read or is too large, or if a line is not a pixel of the sensor.
 pub fn read(path: &Path, sensor: Sensor) -> Result<Vec<(u16, u16)>> {
     let name = path.display();
     let size = std::fs::metadata(path)
@@ -27,7 +27,7 @@ pub fn read(path: &Path, sensor: Sensor) -> Result<Vec<(u16, u16)>> {
     let text =
         std::fs::read_to_string(path).with_context(|| format!("{name}: reading hot pixels"))?;
     let mut pixels = Vec::new();
-    // Editors put a byte-order mark in front.
+    // Some editors put a byte-order mark in front.
     let text = text.trim_start_matches('\u{feff}');
     for (number, line) in text.lines().enumerate() {
         let line = line.split('#').next().unwrap_or_default().trim();

@@ -1,4 +1,5 @@
-//! The codec of event-camera volumes on a host: recordings to frames, and frames to events and volumes.
+//! Host-side codec for event-camera volumes: encodes recordings as frames, and decodes frames to events and
+//! volumes.
 //!
 //! ```text
 //! events -> encode -> frames -> decode -> events, coefficients, volumes
@@ -23,11 +24,13 @@
 //! }
 //! ```
 //!
-//! [`encode`](encode::encode) takes any [`EventReader`](event_types::stream::EventReader) (a file of `event-files`, a
-//! camera, events in memory) and writes frames to anything that takes bytes; the frames are those that an encoder on a
-//! microcontroller writes. [`decode`](decode::decode) gives the windows back; [`reconstruct`] has what is in between:
-//! coefficients, exact event times, volumes. The feature `encode` is the encoder, and `thresholds` the thresholds of a
-//! calibration as a file; both are on by default, and a program that only decodes needs neither.
+//! [`encode`](encode::encode) reads from any [`EventReader`](event_types::stream::EventReader) (a file opened by
+//! `event-files`, a camera, events in memory) and writes frames to any [`Write`](std::io::Write). The frames are
+//! the same as those of an encoder on a microcontroller. [`decode`](decode::decode) turns frames back into windows
+//! of events. [`reconstruct`] holds the stages in between: coefficients, exact event times and volumes.
+//!
+//! The feature `encode` adds the encoder, and the feature `thresholds` reads and writes the thresholds of a
+//! calibration as a file. Both are on by default; a program that only decodes needs neither.
 
 pub mod calibrate;
 pub mod decode;

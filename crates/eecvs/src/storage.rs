@@ -18,19 +18,21 @@ use event_types::stream::{Context, Result};
 use event_types::{bail, ensure};
 use zerocopy::{FromBytes, IntoBytes};
 
-/// Events that the host's window buffer holds.
+/// Default capacity of a window's buffer on the host, in events.
 pub const WINDOW_EVENTS: usize = 1 << 20;
 
-/// How a recording is cut into windows and frames.
+/// Limits on windows, frames and memory of an encoder on the host.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
-    /// Events of a window's buffer.
+    /// Capacity of a window's buffer, in events.
     pub window_events: usize,
-    /// Bytes of a frame, [`eecvs_nostd::OUTPUT_BYTES_MIN`] to [`eecvs_nostd::FRAME_BYTES_MAX`].
+    /// Largest size of a frame in bytes, [`eecvs_nostd::OUTPUT_BYTES_MIN`] to [`eecvs_nostd::FRAME_BYTES_MAX`].
     pub frame_bytes: usize,
-    /// Time for which events are put in order; none: [`REORDER_US`](crate::encode::REORDER_US), or [`REORDER_LIVE_US`](crate::encode::REORDER_LIVE_US) of a live source.
+    /// Time in microseconds for which events are held back to be sorted. `None` selects
+    /// [`REORDER_US`](crate::encode::REORDER_US), or [`REORDER_LIVE_US`](crate::encode::REORDER_LIVE_US) for a live
+    /// source.
     pub reorder_us: Option<u32>,
-    /// Words of the dense coder's rows, where that is less than it has use for.
+    /// Upper limit on the memory of the dense coder, in 32-bit words.
     pub dense_words: usize,
 }
 
@@ -45,7 +47,7 @@ impl Default for Limits {
     }
 }
 
-/// Memory of an encoder on the host, whose capacity is chosen at run time.
+/// Memory of an encoder on the host, with a capacity chosen at run time.
 #[derive(Debug)]
 pub struct HostStorage {
     windows: Vec<WindowMemory>,
@@ -59,11 +61,11 @@ pub struct HostStorage {
     coefficients: Box<CoefficientMemory>,
 }
 
-/// Buffers of a window.
+/// Buffers of one window.
 #[derive(Debug)]
 struct WindowMemory {
-    /// Slots, as words: these the system hands out zeroed, and a page of memory is only taken when
-    /// an event comes to lie in it.
+    /// Slots, stored as words: the system provides these zeroed, and a memory page is allocated only once an event
+    /// is stored in it.
     slots: Vec<u32>,
     heads: Vec<Head>,
     bitmap: Vec<u32>,
@@ -79,7 +81,7 @@ impl WindowMemory {
         }
     }
 
-    /// Events that it holds.
+    /// Returns the capacity in events.
     fn slots(&self) -> usize {
         self.slots.len() / (size_of::<Slot>() / size_of::<u32>())
     }
@@ -97,18 +99,18 @@ impl WindowMemory {
     }
 }
 
-/// Bytes of a window's slots and of a frame that are taken before the first event.
+/// Bytes of a window's slots and of a frame whose memory pages are allocated before the first event.
 const TOUCHED_BYTES: usize = 1 << 17;
 
-/// Takes the pages of what nearly every window fills, which else happens while the first is encoded.
+/// Allocates the memory pages that nearly every window uses, so that this does not delay encoding the first one.
 pub(crate) fn touch(bytes: &mut [u8]) {
     let touched = bytes.len().min(TOUCHED_BYTES);
-    // A compiler that knows that they are zero may leave it out.
+    // Without `black_box`, a compiler that knows that they are zero may leave the writes out.
     std::hint::black_box(&mut bytes[..touched]).fill(0);
 }
 
 impl HostStorage {
-    /// Memory for a sensor and `window_events` events of a window, for any transform and grid.
+    /// Allocates memory for a sensor, with `window_events` events per window, for any transform and grid size.
     #[must_use]
     pub fn new(sensor: Sensor, window_events: usize) -> Self {
         let limits = Limits {
@@ -118,8 +120,8 @@ impl HostStorage {
         Self::with_windows(1, sensor, limits)
     }
 
-    /// With no more words for the dense coder than a microcontroller has: the window before fits for
-    /// a small sensor alone.
+    /// Sets the memory of the dense coder to `words` 32-bit words, as on a microcontroller, where the previous
+    /// window fits only for a small sensor.
     #[must_use]
     pub fn with_dense_words(mut self, words: usize) -> Self {
         self.words.resize(words, 0);
@@ -145,29 +147,30 @@ impl HostStorage {
         }
     }
 
-    /// An encoder over this memory, which is cleared.
+    /// Creates an encoder over this memory, which is cleared.
     ///
     /// # Errors
-    /// A window of 0 us or of no events, M or K out of range.
+    /// Fails if the window has a duration of 0 us or no room for events, or if the configuration is invalid (for
+    /// example, M or K is out of range).
     pub fn encoder(&mut self, config: Config) -> Result<Encoder<'_>> {
         self.encoder_without(config, &[])
     }
 
-    /// The same without the pixels `hot`, columns and rows.
+    /// As [`Self::encoder`], but never sends the pixels `hot`, given as (column, row).
     ///
     /// # Errors
-    /// As [`Self::encoder`]; a pixel that is not on the sensor.
+    /// As [`Self::encoder`]; also fails if a pixel is not on the sensor.
     pub fn encoder_without(&mut self, config: Config, hot: &[(u16, u16)]) -> Result<Encoder<'_>> {
         let (mut windows, encoder) = self.parts(config, hot)?;
         let window = windows.pop().context("the memory has no window")?;
         Ok(Encoder::new(window, encoder))
     }
 
-    /// Every window, and the encoder of them, over this memory, which is cleared; without the pixels
-    /// `hot`, columns and rows.
+    /// Creates all windows and their encoder over this memory, which is cleared. Pixels `hot`, given as (column,
+    /// row), are never sent.
     ///
     /// # Errors
-    /// As [`Self::encoder`].
+    /// As [`Self::encoder_without`].
     pub(crate) fn parts<'s>(
         &'s mut self,
         config: Config,
@@ -215,7 +218,7 @@ impl HostStorage {
     }
 }
 
-/// What is wrong with a configuration.
+/// Returns a message that says what is wrong with a configuration.
 fn reason(error: ConfigError, config: &Config) -> String {
     match error {
         ConfigError::M => format!("M is {}: it must be 1 to 64", config.m),
@@ -234,7 +237,7 @@ fn reason(error: ConfigError, config: &Config) -> String {
             config.budget_min()
         ),
         ConfigError::Order => "the order of events is for mode hybrid".to_owned(),
-        // The memory is made for the configuration.
+        // These cannot occur, because the memory is allocated for the configuration.
         ConfigError::Scratch | ConfigError::Dense | ConfigError::Coefficients => {
             format!("the encoder's memory is too small ({error:?}): please report this")
         }

@@ -1,4 +1,4 @@
-//! The file of density thresholds: TOML that `eecvs calibrate` writes and people edit.
+//! Reads and writes the file of density thresholds: TOML that `eecvs calibrate` writes and people edit.
 //!
 //! ```toml
 //! tau_low = 0.371000000000
@@ -8,9 +8,9 @@
 //! sources = ["a.raw", "b.aedat4"]
 //! ```
 //!
-//! `tau_low` and `tau_high` are required, the rest says where they come from. The thresholds
-//! are TOML numbers with twelve decimals, and they are read from the *text* of the number
-//! exactly: an f64 would lose the last decimals above 9,007 events per pixel per second.
+//! `tau_low` and `tau_high` are required; the other keys record where they come from. The thresholds are TOML
+//! numbers with twelve decimals. They are parsed exactly from the *text* of the number, because an f64 would lose
+//! the last decimals above 9,007 events per pixel per second.
 
 use std::fs::File;
 use std::io::Read;
@@ -26,27 +26,27 @@ use toml::de::{DeTable, DeValue};
 use crate::calibrate::CalibratedThresholds;
 use crate::exact_density::{decimal, pico_from_decimal};
 
-/// Largest file that is read, in bytes.
+/// Largest file accepted, in bytes.
 const FILE_BYTES_MAX: u64 = 16 << 20;
 
-/// Contents of a thresholds file.
+/// Contents of a file of density thresholds.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ThresholdsFile {
-    /// Windows below this density are sparse; 1e-12 events per pixel per second.
+    /// Windows below this density are sparse; in units of 1e-12 events per pixel per second.
     pub tau_low_pico: u64,
-    /// Windows of this density and above are dense; 1e-12 events per pixel per second, at
-    /// least `tau_low_pico`.
+    /// Windows of at least this density are dense; in units of 1e-12 events per pixel per second, at least
+    /// `tau_low_pico`.
     pub tau_high_pico: u64,
-    /// Duration of the windows they were computed over, in microseconds.
+    /// Duration in microseconds of the windows from which the thresholds were computed.
     pub window_us: Option<NonZeroU32>,
-    /// Number of those windows, empty ones included.
+    /// Number of those windows, including empty ones.
     pub windows: Option<u64>,
-    /// Recordings they were computed from.
+    /// Recordings from which the thresholds were computed.
     pub sources: Vec<String>,
 }
 
 impl ThresholdsFile {
-    /// The file of a calibration on the recordings `sources`.
+    /// Creates the contents for a calibration on the recordings `sources`.
     #[must_use]
     pub fn new(thresholds: &CalibratedThresholds, sources: Vec<String>) -> Self {
         Self {
@@ -58,7 +58,7 @@ impl ThresholdsFile {
         }
     }
 
-    /// The file's text; [`ThresholdsFile::parse`] reads it back exactly.
+    /// Returns the text of the file, which [`ThresholdsFile::parse`] reads back exactly.
     #[must_use]
     pub fn to_toml(&self) -> String {
         let mut text = format!(
@@ -95,28 +95,28 @@ tau_high = {}
         text
     }
 
-    /// The thresholds that come with the program: those of the nine emulated scenes, as
-    /// `eecvs calibrate --scenes` writes them.
+    /// Returns the built-in thresholds, computed from the nine emulated scenes by `eecvs calibrate --scenes`.
     ///
     /// # Errors
-    /// None that a build can have: a test parses the same text.
+    /// None in a tested build: a test parses the same text.
     pub fn scenes() -> Result<Self> {
         Self::parse(include_str!("../thresholds.toml"), "thresholds.toml")
     }
 
-    /// The thresholds as the encoder takes them.
+    /// Returns the thresholds in the encoder's form.
     ///
     /// # Errors
-    /// `tau_low` above `tau_high`.
+    /// Fails if `tau_low` is above `tau_high`.
     pub fn thresholds(&self) -> Result<Thresholds> {
         Thresholds::new(self.tau_low_pico, self.tau_high_pico)
             .context("tau_low is above tau_high: swap or edit them")
     }
 
-    /// Reads and validates a file.
+    /// Reads and validates a file of thresholds.
     ///
     /// # Errors
-    /// I/O, not UTF-8, above 16 MiB, or what [`ThresholdsFile::parse`] finds.
+    /// Fails if the file cannot be read, is larger than 16 MiB or is not UTF-8, and with the errors of
+    /// [`ThresholdsFile::parse`].
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display();
         let mut bytes = Vec::new();
@@ -141,14 +141,12 @@ tau_high = {}
         Self::parse(&text, &name.to_string())
     }
 
-    /// Reads and validates the text of the file `name`.
-    ///
-    /// Decimals beyond the twelfth are cut off.
+    /// Parses and validates the text of the file `name`; decimals after the twelfth are cut off.
     ///
     /// # Errors
-    /// Not TOML; a key missing, unknown or of another type; a threshold that is not a finite
-    /// number in 0..=18446744; `tau_low` above `tau_high`. The message names file, line and
-    /// key, and says what to write instead.
+    /// Fails if the text is not TOML; if a key is missing, unknown or of the wrong type; if a threshold is not a
+    /// finite number in 0..=18446744; or if `tau_low` is above `tau_high`. The message names file, line and key,
+    /// and says what to write instead.
     pub fn parse(text: &str, name: &str) -> Result<Self> {
         let table = DeTable::parse(text).map_err(|error| {
             let line = error.span().map_or(1, |span| line_at(text, span.start));
@@ -247,7 +245,7 @@ fn strings(value: &Spanned<DeValue<'_>>) -> Option<Vec<String>> {
         .collect()
 }
 
-/// Number of the line that holds byte `offset`, from 1.
+/// Returns the number of the line that contains byte `offset`; the first line is 1.
 fn line_at(text: &str, offset: usize) -> usize {
     1 + text.bytes().take(offset).filter(|&b| b == b'\n').count()
 }
@@ -262,7 +260,7 @@ mod tests {
         ThresholdsFile::parse(text, "t.toml")
     }
 
-    /// The whole error, as the command prints it.
+    /// Returns the whole error message, as the command prints it.
     fn error(text: &str) -> String {
         format!("{:#}", parse(text).unwrap_err())
     }
@@ -289,10 +287,10 @@ mod tests {
             text.contains("\ntau_high = 18446744.073709551615\n"),
             "{text}"
         );
-        // Other TOML readers take it, too.
+        // Other TOML parsers read it too.
         let value: toml::Value = toml::from_str(&text).unwrap();
         assert_eq!(value["tau_low"].as_float(), Some(0.371));
-        // Every key has its comment on the line before.
+        // Every key has a comment on the line before it.
         let lines: Vec<&str> = text.lines().collect();
         for key in ["tau_low", "tau_high", "window_us", "windows", "sources"] {
             let at = lines

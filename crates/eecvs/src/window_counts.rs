@@ -1,4 +1,4 @@
-//! How many events the windows of a stream have, without the events themselves.
+//! Counts the events in the windows of a stream, without storing the events.
 
 use std::num::{NonZeroU32, NonZeroUsize};
 
@@ -6,24 +6,24 @@ use event_types::Event;
 
 use crate::storage::WINDOW_EVENTS;
 
-/// Events after which a window of the host closes early, where no other capacity is asked for.
+/// Default capacity of a window on the host in events, after which the window closes early.
 pub const CAPACITY: NonZeroUsize = NonZeroUsize::new(WINDOW_EVENTS).unwrap();
 
 /// One closed window; it has at least one event.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WindowCount {
-    /// Start in microseconds, inclusive.
+    /// Start in microseconds.
     pub t0_us: u64,
-    /// The configured T in microseconds, or less for a window that closed early; at least 1.
+    /// Duration in microseconds: the configured T, or less if the window closed early; at least 1.
     pub duration_us: u32,
-    /// Events, 1 to the capacity.
+    /// Number of events, 1 to the capacity.
     pub events: u32,
-    /// The clock fell back before the window.
+    /// Whether the clock fell back before this window.
     pub begins_run: bool,
 }
 
-/// Counts the events of windows as DESIGN's windows are cut: consecutive on a grid from the first event on, closed
-/// early where the capacity is reached, anew where the clock falls back.
+/// Counts events in windows that are cut as the encoder's windows are: consecutive on a grid from the first event
+/// on, closed early when the capacity is reached, and started again when the clock falls back.
 #[derive(Debug, Clone)]
 pub struct WindowCounter {
     window_us: NonZeroU32,
@@ -34,12 +34,12 @@ pub struct WindowCounter {
 #[derive(Debug, Clone, Copy)]
 struct Open {
     window: WindowCount,
-    /// Time of the latest event from the window's start.
+    /// Time of the latest event, in microseconds from the window's start.
     latest_us: u32,
 }
 
 impl WindowCounter {
-    /// Windows of `window_us` microseconds and at most `capacity` events.
+    /// Creates a counter for windows of `window_us` microseconds and at most `capacity` events.
     #[must_use]
     pub fn new(window_us: NonZeroU32, capacity: NonZeroUsize) -> Self {
         Self {
@@ -49,7 +49,7 @@ impl WindowCounter {
         }
     }
 
-    /// Takes the next event and returns the window that it closed, if it closed one.
+    /// Adds the next event; returns the window that it closed, if any.
     pub fn push(&mut self, event: &Event) -> Option<WindowCount> {
         let period_us = self.window_us.get();
         let open_at = |t0_us: u64, begins_run| Open {
@@ -59,7 +59,7 @@ impl WindowCounter {
                 events: 1,
                 begins_run,
             },
-            // Less than a period.
+            // Fits a u32: less than a period.
             latest_us: (event.t_us - t0_us) as u32,
         };
         let Some(open) = &mut self.open else {
@@ -76,7 +76,7 @@ impl WindowCounter {
                         open.latest_us = open.latest_us.max(offset_us);
                         return None;
                     }
-                    // Up to the event that does not fit, and past the latest held one in any case.
+                    // The window ends at the event that does not fit, but in any case after its latest event.
                     closed.duration_us = offset_us.max(open.latest_us + 1);
                     open_at(event.t_us, false)
                 }
@@ -87,7 +87,7 @@ impl WindowCounter {
         Some(closed)
     }
 
-    /// Closes the open window at the end of the stream; its duration is the configured T.
+    /// Closes the open window at the end of the stream and returns it; its duration is the configured T.
     #[must_use]
     pub fn flush(self) -> Option<WindowCount> {
         self.open.map(|open| open.window)

@@ -1,4 +1,4 @@
-//! What an encoder on the host is asked to do: the core's configuration, and the kernel.
+//! Settings of an encoder on the host: the core's configuration, the kernel, hot pixels and a variable budget.
 
 use std::num::NonZeroU32;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -6,46 +6,47 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use eecvs_nostd::kernel::{Libm, Micromath, Precise, Recurrence};
 use eecvs_nostd::{Config, Encoded, Kernel, NoRoom, Window, WindowEncoder};
 
-/// Bytes of frames a second that another thread may change while windows are encoded; none: no limit.
+/// A budget in bytes of frames per second that another thread may change during encoding; `None` means no limit.
 #[derive(Debug, Default)]
 pub struct Budget(AtomicU32);
 
 impl Budget {
-    /// What holds at first.
+    /// Creates a budget with its initial value.
     #[must_use]
     pub fn new(bytes_per_second: Option<u32>) -> Self {
         Self(AtomicU32::new(bytes_per_second.unwrap_or(0)))
     }
 
-    /// Holds from the next window on; less than the windows' headers take is raised to that.
+    /// Sets the budget from the next window on; a value below the size of the windows' headers is raised to that
+    /// size.
     pub fn set(&self, bytes_per_second: Option<u32>) {
         self.0
             .store(bytes_per_second.unwrap_or(0), Ordering::Relaxed);
     }
 
-    /// What holds now.
+    /// Returns the current budget.
     #[must_use]
     pub fn get(&self) -> Option<NonZeroU32> {
         NonZeroU32::new(self.0.load(Ordering::Relaxed))
     }
 }
 
-/// A configuration, and the kernel of the accumulate stage.
+/// A configuration of the encoder, with the kernel of the accumulate stage.
 #[derive(Debug, Clone, Copy)]
 pub struct Codec<'h> {
-    /// Everything that a microcontroller is asked to do as well.
+    /// Configuration of the core, the same as on a microcontroller.
     pub config: Config,
-    /// Kernel of the DCT and the DTFT. The Haar transform has one alone.
+    /// Kernel of the DCT and the DTFT; the Haar transform has only one kernel.
     pub kernel: Kernel,
-    /// Pixels that are never sent, column and row.
+    /// Pixels that are never sent, as (column, row).
     pub hot: &'h [(u16, u16)],
-    /// A budget that changes, in place of the configuration's; a mode that has none goes on without. One thread
-    /// encodes then.
+    /// A variable budget that replaces that of the configuration; modes without a budget ignore it. It restricts
+    /// encoding to one thread.
     pub budget: Option<&'h Budget>,
 }
 
 impl From<Config> for Codec<'_> {
-    /// With the encoder's own kernel.
+    /// Uses the encoder's default kernel.
     fn from(config: Config) -> Self {
         Self {
             config,
@@ -57,13 +58,14 @@ impl From<Config> for Codec<'_> {
 }
 
 impl Codec<'_> {
-    /// Of the dense coder, windows after which its frames begin anew.
+    /// Returns the number of windows between restarts of the dense coder's frames; `None` for other coders.
     pub(super) fn chained(&self) -> Option<u16> {
         let is_dense = self.config.mode.is_dense();
         is_dense.then_some(self.config.key_windows)
     }
 
-    /// [`WindowEncoder::next_frame`] with the kernel. The encoder's own has its fast way.
+    /// Calls [`WindowEncoder::next_frame`] with the selected kernel; the default kernel takes the encoder's own
+    /// fast path.
     ///
     /// # Errors
     /// [`NoRoom`].

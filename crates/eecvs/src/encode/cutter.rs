@@ -1,4 +1,4 @@
-//! Events to windows, one after the other.
+//! Cuts a stream of events into windows.
 
 use std::time::{Duration, Instant};
 
@@ -6,24 +6,24 @@ use eecvs_nostd::ingest::reorder::{EMPTY, Reorder};
 use eecvs_nostd::{Event, NextStart, Window};
 use event_types::stream::{EventReader, Pause, Result};
 
-/// Events that are held for the sake of order: 2 MiB, some milliseconds of the fastest cameras.
+/// Events held back for reordering: 2 MiB, which is some milliseconds of the fastest cameras.
 const HELD_EVENTS: usize = 1 << 17;
 
-/// Where events come from.
+/// A source of event batches.
 pub trait Batches {
-    /// Replaces `events` by those that follow; by none at the end.
+    /// Replaces `events` with the next batch; leaves it empty at the end or while a live source pauses.
     ///
     /// # Errors
     /// As [`EventReader::read`].
     fn next(&mut self, events: &mut Vec<Event>) -> Result<()>;
 
-    /// What it means that there were none.
+    /// Returns why the last batch was empty.
     fn pause(&self) -> Pause {
         Pause::Ended
     }
 }
 
-/// Reads when events are needed.
+/// Reads on the calling thread whenever events are needed.
 pub struct Direct<'r>(pub &'r mut dyn EventReader);
 
 impl Batches for Direct<'_> {
@@ -40,11 +40,11 @@ impl Batches for Direct<'_> {
 
 /// Fills windows with the events of a recording.
 ///
-/// Any window may come next: what passes from one to the next is where it starts.
+/// Each call may pass a different window: only the start of the next window is carried over.
 pub struct Cutter<B> {
     batches: B,
     events: Vec<Event>,
-    /// Events of the batch that are in windows.
+    /// Events of the batch that are already in windows.
     used: usize,
     events_in: u64,
     start: NextStart,
@@ -54,7 +54,7 @@ pub struct Cutter<B> {
 }
 
 impl<B: Batches> Cutter<B> {
-    /// Before the first event; waits `reorder_us` for events that come out of order.
+    /// Creates a cutter before the first event; it holds events back for `reorder_us` microseconds to sort them.
     pub fn new(batches: B, reorder_us: u32) -> Self {
         let held = if reorder_us > 0 { HELD_EVENTS } else { 0 };
         Self {
@@ -69,16 +69,16 @@ impl<B: Batches> Cutter<B> {
         }
     }
 
-    /// Events read so far.
+    /// Returns the number of events read so far.
     pub const fn events_in(&self) -> u64 {
         self.events_in
     }
 
-    /// Fills an empty window until it is closed; `false` where the events end before it has any.
-    /// `busy` grows by the time that took, reading excluded.
+    /// Fills an empty window until it closes; returns `false` if the events end before the window has any. Adds the
+    /// time taken, without reading, to `busy`.
     ///
     /// # Errors
-    /// As [`EventReader::read`]; then there is no further window.
+    /// As [`EventReader::read`]; no window can be cut after that.
     pub fn cut(&mut self, window: &mut Window<'_>, busy: &mut Duration) -> Result<bool> {
         window.follow(self.start);
         while window.closed().is_none() && !self.failed {

@@ -1,4 +1,4 @@
-//! Runs the core's encoder over a recording.
+//! Encodes a recording as frames, with the encoder of `eecvs_nostd`.
 
 mod codec;
 mod cutter;
@@ -20,58 +20,58 @@ pub use crate::storage::{HostStorage, Limits, WINDOW_EVENTS};
 pub use codec::{Budget, Codec};
 use cutter::{Cutter, Direct};
 
-/// Time for which events of a recording are put in order: packets of cameras and of their drivers overlap by
-/// less.
+/// Default time in microseconds for which events of a recording are held back to be sorted. Packets of cameras and
+/// their drivers overlap by less.
 pub const REORDER_US: u32 = 5_000;
 
-/// The same of a live source, whose windows are that much later: a sensor's own readout is out of order by
-/// less.
+/// Default time in microseconds for which events of a live source are held back to be sorted; its windows are
+/// delayed by this much. A sensor's own readout is out of order by less.
 pub const REORDER_LIVE_US: u32 = 1_000;
 
-/// A thread for each core that this process may use; 1 where that is not known.
+/// Returns the number of cores that this process may use, or 1 if it is not known.
 #[must_use]
 pub fn all_cores() -> NonZeroUsize {
     std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)
 }
 
-/// What `eecvs encode` reports; the fields are its JSON keys.
+/// Counts and times of an encoding run, as `eecvs encode` reports them; the fields are the JSON keys.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct EncodeSummary {
     /// Events read.
     pub events_in: u64,
-    /// Events in frames.
+    /// Events sent in frames.
     pub events_encoded: u64,
-    /// Events too old for their window, and in no frame.
+    /// Events that were too old for their window; they are in no frame.
     pub events_late: u64,
-    /// Runs of windows: 1, and 1 for each time that the clock fell back further than is put in order.
+    /// Runs of windows: 1, plus 1 for each time the clock fell back by more than the reordering time.
     #[serde(default)]
     pub runs: u64,
-    /// Events that a filter kept out.
+    /// Events removed by a filter.
     pub events_filtered: u64,
-    /// Events lost.
+    /// Events lost before or in the encoder.
     pub events_dropped: u64,
-    /// Events that the rate control left out.
+    /// Events left out by the rate control.
     pub events_thinned: u64,
-    /// Of those encoded, events whose times are not told exactly; in mode transform, all.
+    /// Encoded events whose times are not exact; in mode transform, all of them.
     pub events_approximate: u64,
     /// Windows with events.
     pub windows: u64,
-    /// Windows whose volume is of the DCT.
+    /// Windows whose volume uses the DCT.
     pub windows_dct: u64,
-    /// Windows whose volume is of the DTFT.
+    /// Windows whose volume uses the DTFT.
     pub windows_dtft: u64,
-    /// Windows whose volume is of the Haar DWT.
+    /// Windows whose volume uses the Haar DWT.
     pub windows_dwt: u64,
-    /// Windows closed early because the buffer was full.
+    /// Windows closed early because their buffer was full.
     pub windows_truncated: u64,
-    /// Windows whose events of equal time are decoded in their order.
+    /// Windows whose events of equal time decode in the order in which they arrived.
     pub windows_in_order: u64,
-    /// Windows that were sent as coefficients; those sent as events count by the transform of their volume too.
+    /// Windows sent as coefficients. Windows sent as events are also counted under the transform of their volume.
     #[serde(default)]
     pub windows_as_coefficients: u64,
-    /// Bytes that tell the order.
+    /// Bytes spent on the arrival order.
     pub bytes_order: u64,
-    /// Quantised levels cut to 32 bits.
+    /// Quantised levels clipped to 32 bits.
     pub levels_saturated: u64,
     /// Frames written.
     pub frames: u64,
@@ -79,10 +79,10 @@ pub struct EncodeSummary {
     pub bytes_out: u64,
     /// 8 `bytes_out` / `events_in`; 0 without events.
     pub bits_per_event: f64,
-    /// Threads that encoded.
+    /// Number of encoding threads.
     pub threads: usize,
-    /// Seconds spent encoding, from events to frames, reading and writing excluded: of several
-    /// threads the mean, which leaves out what each of them waited.
+    /// Seconds spent encoding events to frames, without reading and writing. With several threads, the mean per
+    /// thread without the time that each of them waited.
     pub encode_s: f64,
     /// `events_in` / `encode_s`; 0 without events.
     pub events_per_s: f64,
@@ -91,7 +91,7 @@ pub struct EncodeSummary {
 }
 
 impl EncodeSummary {
-    /// Adds a frame of `bytes` bytes.
+    /// Adds a frame of `bytes` bytes to the counts.
     fn add(&mut self, header: &Header, bytes: usize) {
         self.frames += 1;
         self.bytes_out += bytes as u64;
@@ -123,19 +123,20 @@ impl EncodeSummary {
         }
     }
 
-    /// 8 `bytes_order` / `events_in`; 0 without events.
+    /// Returns the bits per event spent on the arrival order: 8 `bytes_order` / `events_in`, or 0 without events.
     #[must_use]
     pub fn order_bits_per_event(&self) -> f64 {
         self.bytes_order as f64 * 8.0 / self.events_in.max(1) as f64
     }
 
-    /// 8 `bytes_out` / `events_encoded`; 0 without events: where a filter left events out, what each of the others took.
+    /// Returns the bits per encoded event: 8 `bytes_out` / `events_encoded`, or 0 without events. Events that a
+    /// filter removed do not count.
     #[must_use]
     pub fn bits_per_encoded_event(&self) -> f64 {
         self.bytes_out as f64 * 8.0 / self.events_encoded.max(1) as f64
     }
 
-    /// Encoded events whose times are exact.
+    /// Returns the number of encoded events whose times are exact.
     #[must_use]
     pub const fn events_exact(&self) -> u64 {
         self.events_encoded.saturating_sub(self.events_approximate)
@@ -151,19 +152,20 @@ impl EncodeSummary {
     }
 }
 
-/// What was encoded, without its times, and the time that the threads spent on it.
+/// A summary without its times, and the total time that the threads spent encoding.
 type Outcome = (EncodeSummary, Duration);
 
-/// Encodes a recording; `progress` gets the events read so far.
+/// Encodes a recording and writes its frames to `out`; `progress` is called with the number of events read so far.
 ///
-/// The frames do not depend on `threads`; with a budget of bytes, and of a live source, there is one.
-/// With one thread all happens on the caller's; with more, another one reads ahead and the caller's
-/// writes. A live source's window is written as soon as its time has run, also where no event follows. Memory does not grow with the recording: each
-/// thread holds at most 8 windows' buffers and some frames.
+/// The frames do not depend on `threads`. A live source or a byte budget uses one thread. With one thread
+/// everything runs on the calling thread; with more, a separate thread reads ahead and the calling thread writes. A
+/// window of a live source is written as soon as its time has passed, even if no event follows. Memory does not
+/// grow with the recording: each thread holds the buffers of at most 8 windows (of `key_windows` windows with the
+/// dense coder) and a few frames.
 ///
 /// # Errors
-/// Reading or writing, a configuration that cannot run, or an event that is not accounted for. The
-/// frames of the windows before a reading error have been written.
+/// Fails if reading or writing fails, if the configuration is invalid, or if the counts do not account for every
+/// event. After a reading error, the frames of the windows before it have been written.
 pub fn encode<'h>(
     reader: &mut dyn EventReader,
     codec: impl Into<Codec<'h>>,
@@ -179,7 +181,7 @@ pub fn encode<'h>(
         "a frame needs room for at least {OUTPUT_BYTES_MIN} bytes"
     );
     let started = Instant::now();
-    // What a window may take follows from those before it; and a live source's windows are not to
+    // The byte allowance of a window depends on the windows before it, and the windows of a live source must not
     // wait for others.
     let is_live = reader.pause() != Pause::Ended;
     let usual_us = if is_live { REORDER_LIVE_US } else { REORDER_US };
@@ -215,7 +217,7 @@ pub fn encode<'h>(
     Ok(summary)
 }
 
-/// Encodes on this thread.
+/// Encodes on the calling thread.
 fn encode_here(
     reader: &mut dyn EventReader,
     codec: Codec<'_>,
@@ -233,7 +235,7 @@ fn encode_here(
     let mut encoding = Duration::ZERO;
     while cutter.cut(window, &mut encoding)? {
         if let Some(budget) = codec.budget {
-            // A mode without a budget has none here either.
+            // A mode without a budget ignores this one too.
             let _ = encoder.set_budget(budget.get());
         }
         loop {
@@ -256,7 +258,7 @@ fn encode_here(
     Ok((summary, encoding))
 }
 
-/// [`ensure`] that frames have [`OUTPUT_BYTES_MIN`] makes it unreachable.
+/// Message for an error that cannot occur: [`encode`] checks that a frame has room for [`OUTPUT_BYTES_MIN`] bytes.
 const NO_ROOM: &str = "a frame has no room for a pixel";
 
 fn write_frame(out: &mut dyn Write, frame: &[u8]) -> Result<()> {

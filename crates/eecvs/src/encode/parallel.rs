@@ -1,21 +1,19 @@
-//! Encoding on several threads, with the bytes of one.
+//! Encodes on several threads; the output has the same bytes as that of one thread.
 //!
 //! ```text
 //! reader -> events -> cutter -> windows -> encoders -> chunks of frames -> writer
 //! ```
 //!
-//! One thread reads ahead, N encode, the caller's writes. There is no thread that cuts: whoever has
-//! nothing to encode takes the lock of the cutter, fills windows of its own and, before it gives
-//! the lock back, queues the receiving end of a channel for their frames. So the queue has the order
-//! of the recording, whoever finishes first.
+//! One thread reads ahead, N threads encode, and the calling thread writes. No thread is dedicated to cutting: an
+//! encoding thread that is idle locks the cutter, fills its own windows and, before it releases the lock, queues
+//! the receiving end of a channel for their frames. The queue is therefore in the order of the recording, whichever
+//! thread finishes first.
 //!
-//! A frame carries its number, which is only known when those before it are made. An encoder takes
-//! the one it will most probably have, as nearly every window is one frame; the writer seals a frame
-//! again where that was wrong.
+//! A frame carries its sequence number, which is known only once all frames before it are made. An encoder predicts
+//! it, since nearly every window is one frame; where the prediction was wrong, the writer seals the frame again.
 //!
-//! Nobody waits for ever: the encoder of the oldest window holds no lock and has a writer that waits
-//! for it alone. Who ends, for whatever reason, drops its ends of the channels, which ends the
-//! others.
+//! There is no deadlock: the encoder of the oldest window holds no lock, and the writer waits for that encoder
+//! alone. A thread that ends, for whatever reason, drops its ends of the channels, which ends the others.
 
 use std::io::Write;
 use std::num::NonZeroUsize;
@@ -36,36 +34,36 @@ use event_types::{bail, error};
 use super::cutter::{Batches, Cutter};
 use super::{Codec, EncodeSummary, HostStorage, Limits, NO_ROOM, Outcome, REORDER_US, write_frame};
 
-/// Batches of events that are read ahead.
+/// Batches of events read ahead.
 const BATCHES_AHEAD: usize = 4;
-/// Windows that a thread cuts in a go, at most: passing windows on costs some microseconds, as much
-/// as encoding a few hundred events.
+/// Largest number of windows that a thread cuts in one turn: a handover costs some microseconds, as much as
+/// encoding a few hundred events.
 const WINDOWS: usize = 8;
-/// Events after which it cuts no further window.
+/// Number of events after which a turn cuts no further window.
 const EVENTS: u32 = 1 << 13;
-/// Bytes of frames after which a chunk goes to the writer.
+/// Bytes of frames after which a chunk is sent to the writer.
 const CHUNK_BYTES: usize = 1 << 18;
 
 /// Frames on their way to the writer.
 struct Chunk {
-    /// Room for [`CHUNK_BYTES`] and a frame.
+    /// Room for [`CHUNK_BYTES`] and one more frame.
     bytes: Vec<u8>,
     frames: Vec<Made>,
-    /// The last of the windows that were cut in a go.
+    /// Whether this is the last chunk of a turn.
     is_last: bool,
 }
 
 /// A frame in a chunk.
 struct Made {
     header: Header,
-    /// Where the encoder had room for it.
+    /// Start of the room that the encoder had for the frame.
     at: usize,
-    /// Where it lies, from `at`.
+    /// Bytes of the frame, relative to `at`.
     range: Range<usize>,
 }
 
 impl Made {
-    /// Makes it frame number `sequence`; its room is `out`.
+    /// Sets the frame's sequence number and seals it again; `out` is the room that it lies in.
     fn number(&mut self, sequence: u32, out: &mut [u8]) -> Result<()> {
         self.header.sequence = sequence;
         let payload_bytes = self.range.end - CRC_BYTES - HEADER_BYTES_MAX;
@@ -77,30 +75,30 @@ impl Made {
     }
 }
 
-/// The windows that were cut in a go, as the writer sees them: their chunks, or why there are none.
+/// The windows cut in one turn, as the writer receives them: the channel of their chunks, or an error.
 type Cut = Result<Receiver<Result<Chunk>>>;
 
-/// What one encoder at a time has.
+/// State that only one encoding thread holds at a time.
 struct Front {
     cutter: Cutter<ReadAhead>,
-    /// Windows cut so far; wraps, as the frames' numbers do.
+    /// Windows cut so far; wraps, as the sequence numbers do.
     windows: u32,
-    /// Of the dense coder: windows after which its frames begin anew. A go ends there.
+    /// With the dense coder, the number of windows between restarts of its frames. A turn ends there.
     chained: Option<u16>,
     cuts: SyncSender<Cut>,
 }
 
-/// What all threads have.
+/// State that all threads share.
 struct Shared {
     frame_bytes: usize,
     events_in: AtomicU64,
-    /// Frames beyond one a window, of all that has been written; wraps.
+    /// Frames in excess of one per window in everything written so far; wraps.
     extra_frames: AtomicU32,
-    /// Chunks to be used again.
+    /// Chunks for reuse.
     spare: Mutex<Vec<Chunk>>,
 }
 
-/// As [`super::encode`], on `threads` threads beside one that reads and this one, which writes.
+/// As [`super::encode`], on `threads` encoding threads besides a reading thread and this one, which writes.
 pub fn encode(
     reader: &mut dyn EventReader,
     codec: Codec<'_>,
@@ -127,7 +125,7 @@ pub fn encode(
     };
     let (filled_in, filled) = sync_channel(BATCHES_AHEAD);
     let (used_in, used) = channel();
-    // As many again as are being encoded, so that a long one does not hold up the others.
+    // Twice the number being encoded, so that one slow turn does not hold up the others.
     let (cuts_in, cuts) = sync_channel(2 * threads.get());
     let front = Arc::new(Mutex::new(Front {
         cutter: Cutter::new(
@@ -142,7 +140,7 @@ pub fn encode(
         cuts: cuts_in,
     }));
     scope(|scope| {
-        // Both are dropped with this closure, on an error too: that ends the threads.
+        // Both are moved into this closure and dropped with it, also on an error: that ends the threads.
         let (front, cuts) = (front, cuts);
         let start = |name: &str| Builder::new().name(name.to_owned());
         let unstarted = "starting a thread: try fewer with --threads";
@@ -160,7 +158,7 @@ pub fn encode(
                     encoder,
                     busy: Duration::ZERO,
                 };
-                // Its errors have gone to the writer.
+                // The errors have been sent to the writer.
                 while thread.turn(&front).is_some() {}
                 thread.busy
             });
@@ -179,7 +177,7 @@ pub fn encode(
     })
 }
 
-/// Reads ahead, until the end, an error, or nobody wants more.
+/// Reads ahead until the recording ends, an error occurs or the receiver is gone.
 fn read(
     reader: &mut dyn EventReader,
     filled: &SyncSender<Result<Vec<Event>>>,
@@ -196,7 +194,7 @@ fn read(
     }
 }
 
-/// The receiving side of [`read`].
+/// Receiving side of [`read`].
 struct ReadAhead {
     filled: Receiver<Result<Vec<Event>>>,
     used: Sender<Vec<Event>>,
@@ -205,15 +203,15 @@ struct ReadAhead {
 impl Batches for ReadAhead {
     fn next(&mut self, events: &mut Vec<Event>) -> Result<()> {
         let filled = self.filled.recv().context("the reading thread stopped")??;
-        // Without a reader there is nothing more to fill.
+        // If the reading thread is gone, it needs no buffers back.
         let _ = self.used.send(std::mem::replace(events, filled));
         Ok(())
     }
 }
 
 impl Front {
-    /// Cuts windows and queues their place in the output: how many, the number of the first, and
-    /// where their chunks go. `None` where there are no more or nobody writes.
+    /// Cuts windows and queues their place in the output. Returns their number, the number of the first and the
+    /// sender for their chunks; `None` if there are no more windows or the writer has stopped.
     fn cut(
         &mut self,
         windows: &mut [Window<'_>],
@@ -257,7 +255,7 @@ impl Front {
     }
 }
 
-/// A thread that encodes.
+/// An encoding thread.
 struct Thread<'s, 'b> {
     shared: &'s Shared,
     codec: Codec<'s>,
@@ -267,9 +265,9 @@ struct Thread<'s, 'b> {
 }
 
 impl Thread<'_, '_> {
-    /// Cuts and encodes some windows; `None` when there is no more to do.
+    /// Cuts and encodes some windows; returns `None` when there is no more to do.
     fn turn(&mut self, front: &Mutex<Front>) -> Option<()> {
-        // A lock that is poisoned is another thread's panic, which the writer will pass on.
+        // A poisoned lock means that another thread panicked; the caller of `encode` passes that panic on.
         let mut front = front.lock().ok()?;
         let cut = front.cut(&mut self.windows, &mut self.busy);
         let events_in = front.cutter.events_in();
@@ -280,12 +278,12 @@ impl Thread<'_, '_> {
         let (count, first, chunks) = cut?;
         let extra = self.shared.extra_frames.load(Ordering::Relaxed);
         self.encoder.follow(first.wrapping_add(extra));
-        // A go is a chain of its own.
+        // Each turn is a chain of its own.
         self.encoder.restart();
         self.encode(count, &chunks)
     }
 
-    /// Encodes the first `count` windows; `None` where nobody writes.
+    /// Encodes the first `count` windows; returns `None` if the writer has stopped.
     fn encode(&mut self, count: usize, chunks: &SyncSender<Result<Chunk>>) -> Option<()> {
         let mut chunk = self.shared.chunk();
         let mut at = 0;
@@ -316,7 +314,7 @@ impl Thread<'_, '_> {
 }
 
 impl Shared {
-    /// A chunk without frames.
+    /// Returns a chunk without frames, reused if possible.
     fn chunk(&self) -> Chunk {
         let spare = self.spare.lock().ok().and_then(|mut spare| spare.pop());
         spare.unwrap_or_else(|| Chunk {
@@ -326,7 +324,7 @@ impl Shared {
         })
     }
 
-    /// Takes back a chunk that was written.
+    /// Takes back a written chunk for reuse.
     fn reuse(&self, mut chunk: Chunk) {
         chunk.frames.clear();
         chunk.is_last = false;
@@ -336,7 +334,7 @@ impl Shared {
     }
 }
 
-/// Writes the frames in the order of the cuts.
+/// Writes the frames in the order in which their windows were cut.
 fn write(
     cuts: Receiver<Cut>,
     shared: &Shared,
@@ -346,7 +344,7 @@ fn write(
     let mut summary = EncodeSummary::default();
     let mut sequence = 0_u32;
     let mut extra_frames = 0_u32;
-    // By value: whoever still encodes after an error here learns it from a closed channel.
+    // `cuts` is taken by value: after an error here, threads that still encode find their channels closed.
     for chunks in cuts {
         let chunks = chunks?;
         loop {

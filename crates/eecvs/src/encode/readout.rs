@@ -1,10 +1,10 @@
-//! How a recording's sensor scans, found from its first events.
+//! Detects from a recording's first events how its sensor scans.
 //!
-//! The differences between the times of a line's events are multiples of the period where the sensor
-//! scans, whatever the line's phase: the period is the frequency at which their spectrum
-//! |sum exp(2 pi i f difference)| has its first high peak, refined over ever longer differences. The
-//! slope is the phase from line to line. What is found counts only where windows are shorter with it,
-//! which the encoder decides window by window.
+//! If the sensor scans, the differences between the times of a line's events are multiples of the scan period,
+//! whatever the line's phase. The scan frequency is where the spectrum of these differences, |sum exp(2 pi i f
+//! difference)|, has its first high peak; the period is then refined over longer and longer differences. The slope
+//! is the phase shift from line to line. The encoder decides for each window whether the detected readout makes it
+//! shorter, and uses it only then.
 
 use std::f64::consts::TAU;
 
@@ -13,21 +13,24 @@ use event_types::stream::{Ahead, EventReader};
 use num_complex::Complex;
 use rustfft::FftPlanner;
 
-/// Events that are looked at.
+/// Largest number of events examined.
 pub const EVENTS: usize = 1 << 17;
-/// Fewer tell nothing.
+/// Smallest number of events from which a readout can be detected.
 const EVENTS_MIN: usize = 1 << 10;
-/// Microseconds of a spectrum.
+/// Length of the spectrum in microseconds.
 const SPECTRUM_US: usize = 1 << 14;
-/// Longest difference that enters the spectrum, where a period's error has not added up yet.
+/// Longest difference in microseconds used in the spectrum; up to it the error of the period has not accumulated.
 const SHORT_US: usize = 1 << 11;
-/// Periods that are told.
+/// Shortest and longest period that is detected, in microseconds.
 const PERIOD_US: (f64, f64) = (16.0, 250.0);
-/// Share of the differences that a peak has to gather.
+/// Smallest share of the differences that must contribute to a peak.
 const PEAK_MIN: f64 = 0.4;
 
-/// Looks at a recording's first events where its frames could be told by scans, for a configuration
-/// that knows how the sensor does.
+/// Examines a recording's first events, if the mode can use a readout, and returns the reader with a configuration
+/// that has the readout found.
+///
+/// The reader returned delivers the examined events again. Only the lossless and tolerance modes of the dense coder
+/// can use a readout; other configurations are returned unchanged.
 #[must_use]
 pub fn look(reader: Box<dyn EventReader>, config: Config) -> (Box<dyn EventReader>, Config) {
     if !may_scan(config.mode) {
@@ -38,7 +41,7 @@ pub fn look(reader: Box<dyn EventReader>, config: Config) -> (Box<dyn EventReade
     (Box::new(ahead), config)
 }
 
-/// As [`look`], of events in memory.
+/// As [`look`], for events in memory.
 #[must_use]
 pub fn look_at(events: &[Event], config: Config) -> Config {
     let sensor = config.window.sensor;
@@ -58,7 +61,8 @@ const fn may_scan(mode: Mode) -> bool {
     )
 }
 
-/// How the sensor of these events scans, if it does.
+/// Finds the readout of the sensor that recorded these events; `None` if it does not scan or there are too few
+/// events.
 #[must_use]
 pub fn find(events: &[Event], sensor: Sensor) -> Option<Readout> {
     let events = events.get(..EVENTS.min(events.len())).unwrap_or_default();
@@ -72,11 +76,11 @@ pub fn find(events: &[Event], sensor: Sensor) -> Option<Readout> {
         .map(|(_, readout)| readout)
 }
 
-/// The readout along an axis, and how well the times fit it, 0 to 1.
+/// Returns the readout along an axis with its score from 0 to 1, which says how well the times fit.
 fn find_along(axis: Axis, events: &[Event], sensor: Sensor) -> Option<(f64, Readout)> {
     let lines = times_of_lines(axis, events, sensor);
     let period = refine(first_peak(&lines)?, &lines);
-    // A comb of a multiple of the frequency fits as well: the first peak was the longest period.
+    // A multiple of the frequency also fits as a comb, but the first peak is the longest period.
     let (least, most) = PERIOD_US;
     if !(least..=most).contains(&period) {
         return None;
@@ -87,7 +91,7 @@ fn find_along(axis: Axis, events: &[Event], sensor: Sensor) -> Option<(f64, Read
     (share > PEAK_MIN).then_some((share, readout))
 }
 
-/// The times of each line's events from the first event on, without repetitions, ascending.
+/// Returns the times of each line's events relative to the first event, ascending and without repetitions.
 fn times_of_lines(axis: Axis, events: &[Event], sensor: Sensor) -> Vec<Vec<u64>> {
     let count = match axis {
         Axis::Columns => sensor.width,
@@ -111,7 +115,7 @@ fn times_of_lines(axis: Axis, events: &[Event], sensor: Sensor) -> Vec<Vec<u64>>
     lines
 }
 
-/// Differences between neighbouring times of a line, up to `most_us`.
+/// Returns the differences between neighbouring times of a line, up to `most_us`.
 fn differences(lines: &[Vec<u64>], most_us: u64) -> impl Iterator<Item = u64> {
     lines
         .iter()
@@ -119,7 +123,7 @@ fn differences(lines: &[Vec<u64>], most_us: u64) -> impl Iterator<Item = u64> {
         .filter(move |difference| *difference <= most_us)
 }
 
-/// Period of the first high peak of the spectrum.
+/// Returns the period in microseconds at the first high peak of the spectrum.
 fn first_peak(lines: &[Vec<u64>]) -> Option<f64> {
     let mut spectrum = vec![Complex::new(0.0, 0.0); SPECTRUM_US];
     let mut total = 0.0;
@@ -141,7 +145,7 @@ fn first_peak(lines: &[Vec<u64>]) -> Option<f64> {
     if highest < PEAK_MIN {
         return None;
     }
-    // The first that is nearly as high, to its top.
+    // Takes the first frequency that is nearly as high, and climbs to its top.
     let mut at = range.clone().find(|at| height(*at) > 0.9 * highest)?;
     while range.contains(&(at + 1)) && height(at + 1) > height(at) {
         at += 1;
@@ -149,13 +153,13 @@ fn first_peak(lines: &[Vec<u64>]) -> Option<f64> {
     Some(SPECTRUM_US as f64 / at as f64)
 }
 
-/// The period that fits ever longer differences: each step's error is well below a period over four
-/// times its length.
+/// Refines the period over longer and longer differences: the error after each step stays well below a period over
+/// differences of four times the length.
 fn refine(mut period: f64, lines: &[Vec<u64>]) -> f64 {
     let mut longest = SHORT_US as f64;
     for _ in 0..6 {
         for _ in 0..3 {
-            // Least squares of difference - n period over n.
+            // Least squares fit of difference - n period over n.
             let (mut dot, mut square) = (0.0, 0.0);
             for times in lines {
                 let mut from = 0;
@@ -184,9 +188,9 @@ fn refine(mut period: f64, lines: &[Vec<u64>]) -> f64 {
     period
 }
 
-/// Shift from line to line, and how well neighbouring lines agree, 0 to 1.
+/// Returns the score (how well neighbouring lines agree, 0 to 1) and the shift from line to line in microseconds.
 fn slope(period: f64, lines: &[Vec<u64>]) -> Option<(f64, f64)> {
-    // Phases of a line, over stretches in which the period's error does not show.
+    // Phases of a line are summed over stretches too short for the error of the period to show.
     const STRETCH_US: u64 = 1 << 16;
     let mut turn = Complex::new(0.0, 0.0);
     let stretches = lines.iter().filter_map(|times| times.last()).max()? / STRETCH_US;
@@ -206,7 +210,7 @@ fn slope(period: f64, lines: &[Vec<u64>]) -> Option<(f64, f64)> {
     }
     let events = lines.iter().map(|times| times.len() as f64).sum::<f64>();
     let mut slope = turn.arg() / TAU * period;
-    // The same over ever more lines, where a small error shows.
+    // Repeat over lines further and further apart, where a small error shows.
     let mut apart = 2;
     while apart < lines.len() {
         let mut turn = Complex::new(0.0, 0.0);
@@ -246,7 +250,7 @@ mod tests {
 
     use super::*;
 
-    /// Events of a sensor that scans, with jitter of a microsecond, or of one that does not.
+    /// Returns events of a sensor that scans, with a jitter of 1 us, or of one that does not.
     fn events(axis: Axis, grid: Option<(f64, f64)>) -> (Vec<Event>, Sensor) {
         let sensor = Sensor::new(160, 120).unwrap();
         let mut random = Xoshiro256PlusPlus::seed_from_u64(7);
@@ -285,7 +289,7 @@ mod tests {
             for (period, slope) in [(197.283, -0.6), (101.4, 0.85), (31.25, 0.0)] {
                 let (events, sensor) = events(axis, Some((period, slope)));
                 let readout = find(&events, sensor).expect("a grid");
-                // All lines at once: columns are as good as rows.
+                // With slope 0 all lines are read at once, so columns fit as well as rows.
                 assert!(readout.axis() == axis || slope == 0.0, "{period} {slope}");
                 let found = f64::from(readout.period_q16()) / 65_536.0;
                 assert!((found - period).abs() < 0.002, "{found} {period}");

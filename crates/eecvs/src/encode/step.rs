@@ -1,12 +1,13 @@
-//! The quantiser for an error that is asked for.
+//! Chooses a quantiser for a given error bound.
 
 use eecvs_nostd::Quantiser;
 
-/// The coarsest quantiser whose levels stand for numbers within `error`: the largest step D, a power of
-/// two, with D / 2 <= error. Each number of a kept coefficient, re and im of a complex one, is then
-/// within `error` of what the kernel computed; the kernel's own error, n 2^-14 at the most for n events
-/// in the pixel and none of the Haar transform, comes on top. `None` below 2^-16, or for what is no
-/// number.
+/// Returns the coarsest quantiser whose rounding error is at most `error`, or `None` if `error` is below 2^-16 or
+/// NaN.
+///
+/// The step D is the largest power of two with D / 2 <= `error`. Each number of a kept coefficient (the real and
+/// the imaginary part separately) is then within `error` of the number that the kernel computed. The kernel's own
+/// error comes on top: at most n 2^-14 for n events in the pixel, and none for the Haar transform.
 #[must_use]
 pub fn quantiser_within(error: f64) -> Option<Quantiser> {
     (Quantiser::STEP_LOG2_MIN..=Quantiser::STEP_LOG2_MAX)

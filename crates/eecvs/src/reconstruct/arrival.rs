@@ -1,4 +1,4 @@
-//! The order in which events of equal time came, put back.
+//! Restores the arrival order of events of equal time.
 
 use eecvs_nostd::coder::arrival_order::place::{Group, Learned, place};
 use eecvs_nostd::coder::range::{Binary, RangeDecoder};
@@ -8,37 +8,37 @@ use super::hybrid::Refused;
 use super::order::by_time;
 use super::same_window;
 
-/// Puts the events of windows that tell their order into it.
+/// Reorders the events of windows whose frames send the arrival order.
 #[derive(Debug, Default)]
 pub struct Arrivals {
-    /// The window's frame that came last.
+    /// Header of the latest frame of the window.
     latest: Option<Header>,
-    /// Number of its next part, where none is missing.
+    /// Number of the window's next part, if none is missing so far.
     next_part: Option<u32>,
-    /// A window whose order has begun.
+    /// Window whose order has been received in part.
     open: Option<Open>,
-    /// The window's frames tell an order that cannot be read.
+    /// Whether the window's frames send an order that cannot be decoded.
     is_lost: bool,
     counts: OrderCounts,
 }
 
-/// Windows whose frames tell the order of their events.
+/// Number of windows whose frames send the arrival order of their events.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct OrderCounts {
-    /// They are in it.
+    /// Windows whose events are in arrival order.
     pub kept: u64,
-    /// A frame is missing without which it cannot be told.
+    /// Windows whose order cannot be decoded, because a frame is missing or malformed.
     pub lost: u64,
 }
 
-/// An order of which a part is told.
+/// An arrival order that has been received in part.
 #[derive(Debug)]
 struct Open {
-    /// By time, and those of equal times by their places.
+    /// Sorted by time, and by place within equal times.
     sorted: Vec<Event>,
     places: Vec<u32>,
     ordered: Vec<Event>,
-    /// The group at hand.
+    /// The current group: events `start..end` of `sorted`, which have equal times.
     start: usize,
     end: usize,
     group: Group,
@@ -46,16 +46,16 @@ struct Open {
 }
 
 impl Arrivals {
-    /// What was counted so far.
+    /// Returns the numbers of windows so far.
     pub const fn counts(&self) -> OrderCounts {
         self.counts
     }
 
-    /// Takes a frame, and all events of its window up to it, in the order in which the frames have them.
-    /// With the last frame that tells their order they are in it.
+    /// Takes a frame and all events of its window up to this frame, in the order of the frames. The last frame that
+    /// sends a part of the order puts the events into arrival order.
     ///
     /// # Errors
-    /// [`Refused::Malformed`]; the events are as they were, and the window's order is lost.
+    /// [`Refused::Malformed`]; the events are then unchanged, and the window's order is lost.
     pub fn frame(&mut self, frame: &Frame<'_>, events: &mut Vec<Event>) -> Result<(), Refused> {
         let header = &frame.header;
         let is_part = |earlier: &Header| same_window(earlier, header);
@@ -91,7 +91,7 @@ impl Arrivals {
         events: &mut Vec<Event>,
     ) -> Result<(), Refused> {
         let header = &frame.header;
-        // The order follows all events.
+        // The arrival order is sent after all events of the window.
         if events.len() != header.window_events as usize {
             return Err(Refused::Malformed);
         }
@@ -115,7 +115,7 @@ impl Arrivals {
         Ok(())
     }
 
-    /// The window at hand has ended.
+    /// Ends the current window; an order that is not complete is counted as lost.
     pub fn end(&mut self) {
         if self.open.take().is_some() {
             self.lose();
@@ -137,7 +137,7 @@ impl Open {
         };
         let place = |event: &Event| place(axis, (event.x, event.y));
         let mut sorted = by_time(header, events);
-        // Those of the same pixel stay as they were.
+        // The sort is stable: events of the same pixel keep their order.
         sorted.sort_by_key(|event| (event.t_us, place(event)));
         Self {
             places: sorted.iter().map(place).collect(),
@@ -150,7 +150,7 @@ impl Open {
         }
     }
 
-    /// Reads the places of the next events, as many as are left at the most.
+    /// Decodes the places of the next `count` events; `count` is at most the number of events left.
     fn take(&mut self, count: usize, decoder: &mut RangeDecoder<'_>) -> Result<(), Refused> {
         let mut learned = Learned::START;
         for _ in 0..count {

@@ -1,4 +1,4 @@
-//! Pixels of frames whose coefficients an adaptive coder has coded.
+//! Decodes frames whose coefficients are coded by an adaptive coder.
 
 use eecvs_nostd::coder::coefficients::pixel::{Common, Pixel as Told};
 use eecvs_nostd::coder::coefficients::{CoefficientMemory, dense, fast};
@@ -9,7 +9,7 @@ use eecvs_nostd::{Coder, Descriptor, Frame};
 use super::Pixel;
 use super::hybrid::{Chain, Refused};
 
-/// Decodes such frames in the order in which they come.
+/// Decodes frames of adaptively coded coefficients, in the order in which they arrive.
 #[derive(Debug)]
 pub struct CoefficientDecoder {
     chain: Option<Chain>,
@@ -26,10 +26,10 @@ impl Default for CoefficientDecoder {
 }
 
 impl CoefficientDecoder {
-    /// A frame's pixels, in raster order.
+    /// Decodes a frame's pixels, in raster order.
     ///
     /// # Errors
-    /// [`Refused`]; nothing of the frame is returned then.
+    /// [`Refused`] if the frame does not decode; none of its pixels is returned then.
     pub fn frame(&mut self, frame: &Frame<'_>, coder: Coder) -> Result<Vec<Pixel>, Refused> {
         let mut pixels = Vec::new();
         self.descriptors(frame, coder, |descriptor| {
@@ -38,10 +38,10 @@ impl CoefficientDecoder {
         Ok(pixels)
     }
 
-    /// The same as the plain payload has them, handed to `each` as they are found.
+    /// Decodes a frame to the descriptors that a plain payload would carry, and calls `each` with each of them.
     ///
     /// # Errors
-    /// [`Refused`], where what was handed on does not count.
+    /// [`Refused`] if the frame does not decode; the descriptors passed to `each` until then are invalid.
     pub fn descriptors(
         &mut self,
         frame: &Frame<'_>,
@@ -77,7 +77,8 @@ impl CoefficientDecoder {
             each,
         )
         .map_err(|_| Refused::Malformed)?;
-        // An encoder that ran out of room has written more than what counts.
+        // A frame that was cut short for lack of room may have bytes that do not count at its end; the last frame
+        // of a window may not.
         if header.last && !reader.is_spent() {
             return Err(Refused::Malformed);
         }

@@ -1,22 +1,23 @@
 //! Event times of a crowded pixel: quantiles of the flattest densities that explain its coefficients.
 //!
-//! A pixel of more events than it has coefficients has many explanations. Of all densities a of its ON
-//! and b of its OFF events, on G points of the window, those of the greatest entropy that have
+//! A pixel with more events than coefficients has many explanations. Among all densities a of its ON events and b
+//! of its OFF events, on G points of the window, those of greatest entropy subject to
 //!
 //! ```text
 //! sum_j a_j = on,   sum_j b_j = off,   sum_j (a_j - b_j) phi_k(u_j) = c_k
 //! ```
 //!
-//! are a_j ~ exp(+(Phi^T lambda)_j) and b_j ~ exp(-(Phi^T lambda)_j), where lambda, a number for each
-//! one that was sent, is the minimum of the convex
+//! are a_j ~ exp(+(Phi^T lambda)_j) and b_j ~ exp(-(Phi^T lambda)_j). Here lambda has one element for each number
+//! that was sent, and minimises the convex function
 //!
 //! ```text
 //! D = on log sum_j exp(+(Phi^T lambda)_j) + off log sum_j exp(-(Phi^T lambda)_j) - lambda c
 //!   + eps |lambda|^2 / 2
 //! ```
 //!
-//! found by Newton's method; eps leaves room for what was quantised. The i-th ON event is where the sum
-//! of a reaches i + 1/2, or another place between i and i + 1. The work does not depend on the number of events, but for placing them.
+//! by Newton's method; eps = h^2 allows for the quantisation error. The i-th ON event is placed where the
+//! cumulative sum of a reaches i + 1/2, or another value between i and i + 1. The work does not depend on the
+//! number of events, except for placing them.
 //!
 //! Jaynes, Physical Review 106 (1957); Mead, Papanicolaou, J. Math. Phys. 25 (1984).
 
@@ -24,16 +25,16 @@ use nalgebra::{DMatrix, DVector};
 
 use super::equations::Equations;
 
-/// Points for each period of the highest atom.
+/// Points of the density for each period of the highest atom.
 const POINTS_PER_PERIOD: usize = 8;
-/// Most points.
+/// Largest number of points.
 const POINTS_MAX: usize = 512;
-/// Most rows, the lowest of more.
+/// Largest number of rows used, lowest k first.
 const ROWS_MAX: usize = 48;
-/// Newton steps at the most.
+/// Largest number of Newton steps.
 const ROUNDS: usize = 30;
 
-/// A density's points, normalised to 1, and the log of what that took.
+/// Writes the density of these exponents, normalised to a sum of 1; returns the log of the sum before normalising.
 fn normalised(exponents: &[f64], sign: f64, density: &mut Vec<f64>) -> f64 {
     let most = exponents
         .iter()
@@ -48,12 +49,12 @@ fn normalised(exponents: &[f64], sign: f64, density: &mut Vec<f64>) -> f64 {
 /// The flattest densities of a pixel's ON and OFF events that explain its coefficients.
 #[derive(Debug)]
 pub struct Densities {
-    /// Of the ON events, of the OFF ones, and how many there are.
+    /// For ON and for OFF events, the density and the number of events.
     of: [(Vec<f64>, usize); 2],
 }
 
 impl Densities {
-    /// Of equations, which need no signs.
+    /// Computes the densities for a pixel's equations, whose signs are not used.
     #[must_use]
     pub fn flattest(equations: &Equations) -> Self {
         let [on, off] = densities(equations);
@@ -62,8 +63,8 @@ impl Densities {
         }
     }
 
-    /// Times of all events, the ON ones first: the i-th of n is where (i + place) / n of its density are
-    /// before it, `place` from 0 to 1.
+    /// Returns the times u of all events, ON events first. The i-th of n events is where the cumulative density
+    /// reaches (i + `place`) / n, with `place` from 0 to 1.
     #[must_use]
     pub fn times(&self, place: f64) -> Vec<f64> {
         let all = self.of.iter();
@@ -154,7 +155,7 @@ fn densities(equations: &Equations) -> [Vec<f64>; 2] {
     densities
 }
 
-/// Where the cumulative density reaches (i + place) / n, i = 0..n.
+/// Returns where the cumulative density reaches (i + place) / n, for i in 0..n.
 fn quantiles(density: &[f64], n: usize, place: f64) -> Vec<f64> {
     let mut times = Vec::with_capacity(n);
     let (mut point, mut below) = (0, 0.0);

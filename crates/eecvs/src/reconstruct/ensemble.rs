@@ -1,8 +1,8 @@
 //! Event times of a pixel with nearly as many unknowns as equations: the median of many solutions.
 //!
-//! Least squares from different starts ends in different times that explain the coefficients equally
-//! well. Which are right the coefficients do not say; but of all that are possible, the median of each
-//! event's times, of the ON and of the OFF events in their order, is off by the least in the mean.
+//! From different starting points, least squares ends in different times that explain the coefficients equally
+//! well. The coefficients do not say which are right, but the median of each event's times over all possible
+//! solutions has the smallest mean error. Events are matched by their order within each polarity.
 
 use super::Pixel;
 use super::crowd::Densities;
@@ -10,12 +10,13 @@ use super::equations::Equations;
 use super::pursuit::Peaks;
 use super::refine::{Work, least_squares, rms};
 
-/// Where the flattest densities are sampled: i + place of n for the i-th event.
+/// Values of `place` at which the flattest densities are sampled (see [`Densities::times`]).
 const PLACES: [f64; 7] = [0.5, 0.3, 0.7, 0.15, 0.85, 0.4, 0.6];
-/// Root of the mean square, over h, of the residual of a solution that counts as one.
+/// RMS residual, in units of h, below which a result counts as a solution.
 const RMS_SOLVED: f64 = 1.0;
 
-/// Times from the flattest densities and from peaks, each refined in at most `rounds` steps.
+/// Returns the median times u, ON events first; starting points are the flattest densities and, if `peaks` is
+/// given, the peaks. Each is refined by at most `rounds` steps of least squares.
 #[must_use]
 pub fn times(
     equations: &Equations,
@@ -40,7 +41,7 @@ pub fn times(
         .collect();
     solutions.sort_by(|a, b| a.0.total_cmp(&b.0));
     let solved = solutions.partition_point(|(rms, _)| *rms < RMS_SOLVED);
-    // Where there is no solution, the nearest to one.
+    // If there is no solution, keep the one nearest to it.
     solutions.truncate(solved.max(1));
     let mut alike = Vec::with_capacity(solutions.len());
     (0..equations.events())
@@ -53,7 +54,7 @@ pub fn times(
         .collect()
 }
 
-/// Sorts the times of either polarity, within the window that the atoms go around.
+/// Sorts the times of each polarity, after wrapping them into the window for periodic atoms.
 fn in_order(equations: &Equations, times: &mut [f64]) {
     if equations.transform.is_complex() {
         times.iter_mut().for_each(|u| *u = u.rem_euclid(1.0));
@@ -70,7 +71,7 @@ mod tests {
     use super::*;
     use crate::reconstruct::test_pixel;
 
-    /// Of one train the order of events is told, and of two interleaved ones each polarity's.
+    /// The order of events within each polarity is recovered, and the times of the ON events to within 1,000 us.
     #[test]
     fn times_are_in_order_by_polarity() {
         let header = test_pixel::header(Transform::Dtft, 16, -6, 32_768);

@@ -1,12 +1,12 @@
-//! What a frame says of a pixel's event times: an equation for every number that was sent.
+//! Equations for a pixel's event times: one for every number sent in the frame.
 //!
 //! ```text
 //! | sum_i p_i a_m(u_i) - c_m | <= h,   m = 0..R
 //! ```
 //!
-//! where a_m is the real or the imaginary part of an atom phi_k, c_m the middle of the step that was
-//! received, and h half of a step, widened by what the encoder's kernel may be off. The signs p_i
-//! are known, since the counts of ON and OFF events are on the link; k = 0 says no more than these.
+//! Here a_m is the real or the imaginary part of an atom phi_k, c_m is the middle of the received quantiser step,
+//! and h is half a step plus the error bound of the encoder's kernel. The signs p_i are known, because the frames
+//! carry the counts of ON and OFF events; k = 0 adds nothing to these.
 
 use eecvs_nostd::{Header, Kernel, Transform};
 
@@ -16,28 +16,28 @@ use super::pursuit::omega;
 /// The equations of one pixel.
 #[derive(Debug, Clone)]
 pub struct Equations {
-    /// Transform: of the DCT there is a real part alone.
+    /// Transform of the window; the DCT has only real parts.
     pub transform: Transform,
-    /// k of the coefficients that were sent, ascending, without 0.
+    /// k of the coefficients sent, ascending, without 0.
     pub ks: Vec<u16>,
-    /// c_m: of each k the real part and, of a complex one, the imaginary part.
+    /// c_m: for each k the real part, followed by the imaginary part for a complex transform.
     pub middles: Vec<f64>,
-    /// ON events.
+    /// Number of ON events.
     pub on: u32,
-    /// OFF events.
+    /// Number of OFF events.
     pub off: u32,
-    /// p_i, of the events whose times are sought: none until they are asked for.
+    /// p_i of the events whose times are sought; empty until [`Self::with_signs`].
     pub signs: Vec<f64>,
-    /// Half of a step.
+    /// Half a quantiser step, in units of a coefficient.
     pub half_step: f64,
-    /// h, half of a step and the kernel's error.
+    /// h: half a step plus the kernel's error bound, in units of a coefficient.
     pub half: f64,
-    /// T.
+    /// Duration T of the window in microseconds.
     pub duration_us: u32,
 }
 
 impl Equations {
-    /// Of a pixel of several events, of which the frame has sent coefficients.
+    /// Creates the equations of a pixel with several events, whose coefficients were sent; signs are empty.
     #[must_use]
     pub fn new(header: &Header, pixel: &Pixel) -> Self {
         let transform = header.transform;
@@ -62,7 +62,7 @@ impl Equations {
         }
     }
 
-    /// The same for all of its events, the ON ones first.
+    /// Sets the signs of all events, ON events first.
     #[must_use]
     pub fn with_signs(mut self) -> Self {
         self.signs = std::iter::repeat_n(1.0, self.on as usize)
@@ -71,19 +71,19 @@ impl Equations {
         self
     }
 
-    /// n.
+    /// Returns the number of events, n.
     #[must_use]
     pub const fn events(&self) -> usize {
         self.on as usize + self.off as usize
     }
 
-    /// R.
+    /// Returns the number of equations, R.
     #[must_use]
     pub const fn rows(&self) -> usize {
         self.middles.len()
     }
 
-    /// Whether k = 1 to r - 1 were all sent.
+    /// Returns whether all k from 1 to the highest one were sent.
     #[must_use]
     pub fn are_contiguous(&self) -> bool {
         self.ks
@@ -91,12 +91,12 @@ impl Equations {
             .is_some_and(|last| usize::from(*last) == self.ks.len())
     }
 
-    /// Calls `each` with the row and with a_m and da_m/du at `u`.
+    /// Calls `each` with the row m, a_m(u) and da_m/du, for every row.
     #[inline]
     pub fn atoms(&self, u: f64, mut each: impl FnMut(usize, f64, f64)) {
         let base = omega(self.transform);
         let is_complex = self.transform.is_complex();
-        // A recurrence where it is shorter than a sine and a cosine of each.
+        // Use a recurrence where that is cheaper than a sine and a cosine for each k.
         let is_dense = usize::from(self.ks.last().copied().unwrap_or(0)) <= 8 * self.ks.len();
         let (sin_1, cos_1) = (base * u).sin_cos();
         let (mut cos, mut sin, mut at) = (1.0_f64, 0.0_f64, 0);
@@ -119,7 +119,7 @@ impl Equations {
         }
     }
 
-    /// r_m = c_m - sum_i p_i a_m(u_i).
+    /// Computes the residual r_m = c_m - sum_i p_i a_m(u_i).
     pub fn residual(&self, u: &[f64], residual: &mut Vec<f64>) {
         residual.clear();
         residual.extend_from_slice(&self.middles);
@@ -128,7 +128,7 @@ impl Equations {
         }
     }
 
-    /// The residual, and its derivatives: p_i da_m/du at [i R + m].
+    /// Computes the residual and the slopes p_i da_m/du, at index [i R + m].
     pub fn linearise(&self, u: &[f64], residual: &mut Vec<f64>, slopes: &mut Vec<f64>) {
         residual.clear();
         residual.extend_from_slice(&self.middles);
@@ -147,7 +147,7 @@ impl Equations {
         }
     }
 
-    /// The offset in microseconds nearest to u: around the window where atoms go around it.
+    /// Returns the offset in microseconds nearest to u, 0 to T - 1; wraps around the window for periodic atoms.
     #[must_use]
     pub fn offset_us(&self, u: f64) -> u32 {
         let duration = f64::from(self.duration_us);
@@ -157,7 +157,7 @@ impl Equations {
         } else {
             offset
         };
-        // A number that is none becomes 0.
+        // NaN becomes 0.
         offset.clamp(0.0, duration - 1.0) as u32
     }
 }

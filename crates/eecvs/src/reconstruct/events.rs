@@ -1,9 +1,9 @@
-//! Events from coefficients: the right number per pixel and polarity, at the times found.
+//! Recovers events from coefficients: the exact number per pixel and polarity, at the times found.
 //!
-//! The counts are on the link, so what is sought are n times. For the DCT and the DTFT
-//! [`super::recover`] finds those that the coefficients determine, or, for comparison,
-//! [`super::pursuit`] the peaks of the summed atoms. The Haar coefficients are inverted to signed
-//! counts per bin, and events are dealt to the bins that miss them most.
+//! The frames carry the counts, so n times are sought. For the DCT and the DTFT, [`super::recover`] finds the times
+//! that the coefficients determine, or, for comparison, [`super::pursuit`] finds the peaks of the summed atoms.
+//! Haar coefficients are inverted to signed counts per bin, and events are assigned one by one to the bin with the
+//! largest remaining count.
 
 use eecvs_nostd::{Event, Header, Polarity, Transform};
 use rayon::prelude::*;
@@ -14,21 +14,21 @@ use super::refine::Work;
 use super::volume::inverse::Inverse;
 use super::{DecodedWindow, Pixel, order};
 
-/// How event times are found in the coefficients of the DCT and the DTFT.
+/// Method that finds event times in the coefficients of the DCT and the DTFT.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Finder {
-    /// Solved for from all coefficients together, and verified by encoding them again.
+    /// Solves for all times jointly from all coefficients, and verifies them by encoding them again.
     #[default]
     Exact,
-    /// Peaks of the summed atoms, one after the other: faster, and a baseline.
+    /// Takes the peaks of the summed atoms one after the other: faster, and a baseline.
     Peaks,
 }
 
 impl Finder {
-    /// Every way.
+    /// All methods.
     pub const ALL: [Self; 2] = [Self::Exact, Self::Peaks];
 
-    /// The name as the command line takes it.
+    /// Returns the name used on the command line.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -37,7 +37,7 @@ impl Finder {
         }
     }
 
-    /// One line about it.
+    /// Returns a one-line description.
     #[must_use]
     pub const fn about(self) -> &'static str {
         match self {
@@ -48,14 +48,14 @@ impl Finder {
         }
     }
 
-    /// The way of a name, `None` where there is none.
+    /// Returns the method with this name, or `None` if there is none.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|finder| finder.name() == name)
     }
 }
 
-/// Decodes pixels of one transform, grid and M.
+/// Decodes pixels of one transform, grid size K and M to events.
 #[derive(Debug)]
 pub struct EventDecoder {
     transform: Transform,
@@ -66,17 +66,17 @@ pub struct EventDecoder {
     way: Way,
 }
 
-/// From coefficients to times.
+/// Tables for the step from coefficients to times.
 #[derive(Debug)]
 enum Way {
-    /// Of the DCT and the DTFT.
+    /// For the DCT and the DTFT.
     Peaks(Peaks),
     /// Haar synthesis on K bins.
     Bins(Inverse),
 }
 
 impl EventDecoder {
-    /// Tables for windows of these shapes.
+    /// Creates the tables for windows of this transform, grid size K = `grid` and M = `m`.
     #[must_use]
     pub fn new(transform: Transform, grid: u16, m: u8, finder: Finder) -> Self {
         let kept = usize::from(m).min(usize::from(grid));
@@ -94,7 +94,7 @@ impl EventDecoder {
         }
     }
 
-    /// Whether the tables fit a window.
+    /// Returns whether the tables fit a window's transform, grid size and M.
     #[must_use]
     pub fn fits(&self, window: &DecodedWindow) -> bool {
         let header = &window.header;
@@ -103,14 +103,14 @@ impl EventDecoder {
             && self.kept == usize::from(header.m).min(self.grid)
     }
 
-    /// A window's events, ordered by time, row and column.
+    /// Returns a window's events, sorted by time, row and column.
     #[must_use]
     pub fn window(&self, window: &DecodedWindow) -> Vec<Event> {
         self.window_with_confidence(window).0
     }
 
-    /// A window's events, ordered by time, row and column, and how sure the times of its pixels are:
-    /// of pixels of coefficients alone.
+    /// Returns a window's events, sorted by time, row and column, and the confidence counts of its pixels; only
+    /// pixels sent as coefficients are counted.
     #[must_use]
     pub fn window_with_confidence(&self, window: &DecodedWindow) -> (Vec<Event>, Confidences) {
         if !window.events.is_empty() {
@@ -150,8 +150,8 @@ impl EventDecoder {
         (events, confidences)
     }
 
-    /// Calls `each` with the offset, below T, and the polarity of a pixel's events: `on` of ON and
-    /// `off` of OFF, in no order.
+    /// Calls `each` for each of a pixel's `on` ON events and `off` OFF events, in no particular order, with the
+    /// offset in microseconds (0 to T - 1) and whether the event is ON. Returns the confidence of the times.
     pub fn pixel(
         &self,
         header: &Header,
@@ -181,7 +181,7 @@ impl EventDecoder {
         Confidence::Approximate
     }
 
-    /// Deals a pixel's events to the bins whose signed count they fit best.
+    /// Assigns a pixel's events to the bins whose signed counts they fit best.
     fn deal_to_bins(&self, bins: &Inverse, pixel: &Pixel) -> Vec<Placed> {
         let mut missing: Vec<f64> = (0..self.grid).map(|bin| bins.value(pixel, bin)).collect();
         let mut dealt = Vec::with_capacity((pixel.on + pixel.off) as usize);
@@ -204,7 +204,7 @@ impl EventDecoder {
             held[bin] += 1;
             dealt.push((bin, sign));
         }
-        // Events of one bin are spread over it.
+        // Spread the events of one bin evenly over it.
         let mut placed_in = vec![0_u32; self.grid];
         dealt
             .into_iter()
@@ -217,14 +217,14 @@ impl EventDecoder {
     }
 }
 
-/// The event of a pixel that has one alone: the frame tells its time.
+/// Returns the event of a pixel whose only event time is sent in the frame.
 fn placed_single(pixel: &Pixel) -> Option<Vec<Placed>> {
     let sign = if pixel.on > 0 { 1.0 } else { -1.0 };
     pixel.single_u.map(|u| vec![(u, sign)])
 }
 
-/// Middle of the first run of bins where `sign` * value is largest: pruning leaves runs of equal
-/// values, whose middle is the best guess.
+/// Returns the middle of the first run of bins where `sign` * value is largest. Pruning leaves runs of equal
+/// values, and their middle is the best guess.
 fn plateau(values: &[f64], sign: f64) -> usize {
     let most = values
         .iter()
@@ -249,7 +249,7 @@ mod tests {
         EventDecoder::new(transform, 16, 16, Finder::Peaks)
     }
 
-    /// Of one OFF event.
+    /// Returns the coefficients of one OFF event.
     fn coefficients(u: f64) -> Vec<(u16, f64, f64)> {
         let of = |k: u16| {
             let (sin, cos) = (TAU * f64::from(k) * u).sin_cos();

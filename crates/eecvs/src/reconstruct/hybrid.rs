@@ -1,4 +1,4 @@
-//! Events of hybrid frames.
+//! Decodes hybrid frames to events.
 
 use eecvs_nostd::coder::bits_msb_first::BigReader;
 use eecvs_nostd::coder::content::{Content, END, Node};
@@ -16,32 +16,32 @@ use event_types::stream::{Context, Result};
 use super::{DecodedWindow, Pixel, pixels};
 use crate::storage::HostStorage;
 
-/// Why a hybrid frame has no events.
+/// Reason why a frame was not decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refused {
-    /// Its payload contradicts its header.
+    /// The payload contradicts the header.
     Malformed,
-    /// It goes on from a frame that did not come.
+    /// The frame depends on a frame that did not arrive.
     Dependent,
 }
 
-/// Decodes hybrid frames in the order in which they come.
+/// Decodes hybrid frames in the order in which they arrive.
 #[derive(Debug, Default)]
 pub struct HybridDecoder {
     chain: Option<Chain>,
     nodes: Vec<Node>,
     positions: Vec<(u16, u16)>,
-    /// Memory for the next frame's events.
+    /// Memory reused for the next frame's events.
     spare: Vec<Event>,
 }
 
-/// What the dense coder knows after a frame.
+/// State of the dense coder after a frame.
 #[derive(Debug)]
 pub(super) struct Chain {
     pub(super) sensor: Sensor,
     pub(super) model: Box<Model>,
     pub(super) words: Vec<u32>,
-    /// Number of the frame that goes on from here.
+    /// Sequence number of the frame that continues from this state.
     pub(super) next: u32,
 }
 
@@ -55,10 +55,10 @@ impl Chain {
         }
     }
 
-    /// The chain that a frame goes on from: `before`, or of a key frame any.
+    /// Returns the state that a frame continues from: `before`, or any state for a key frame.
     ///
     /// # Errors
-    /// [`Refused::Dependent`].
+    /// [`Refused::Dependent`] if `before` is not the state after the frame before this one.
     pub(super) fn of(before: Option<Self>, header: &Header) -> Result<Self, Refused> {
         let before = before.filter(|chain| chain.sensor == header.sensor);
         if header.is_key {
@@ -72,24 +72,24 @@ impl Chain {
 }
 
 impl HybridDecoder {
-    /// Takes memory of events back.
+    /// Takes back the memory of decoded events for reuse.
     pub fn reuse(&mut self, events: Vec<Event>) {
         if self.spare.capacity() < events.capacity() {
             self.spare = events;
         }
     }
 
-    /// A frame's events, in raster order.
+    /// Decodes a frame's events, in raster order.
     ///
     /// # Errors
-    /// [`Refused`]; nothing of the frame is returned then.
+    /// [`Refused`] if the frame does not decode; none of its events is returned then.
     pub fn frame(&mut self, frame: &Frame<'_>, hybrid: Hybrid) -> Result<Vec<Event>, Refused> {
         let header = &frame.header;
         let (payload, _) = frame.sections();
         let times = Times::new(hybrid.fidelity, header.scans, header.duration_us);
         match hybrid.coder {
             Coder::Fast => fast(header, payload, times, std::mem::take(&mut self.spare)),
-            // What tells the order alone is nothing to the coder.
+            // A frame that carries only the arrival order has nothing for the dense coder.
             Coder::Dense if header.order.is_some() && header.events == 0 => {
                 self.pass(header, payload)
             }
@@ -97,7 +97,7 @@ impl HybridDecoder {
         }
     }
 
-    /// A frame without events that the next one goes on from.
+    /// Passes over a frame without events that the next frame depends on.
     fn pass(&mut self, header: &Header, payload: &[u8]) -> Result<Vec<Event>, Refused> {
         let chain = self.chain.take();
         let chain = chain.filter(|chain| chain.next == header.sequence);
@@ -137,7 +137,7 @@ impl HybridDecoder {
         };
         let mut reader = RangeDecoder::new(payload);
         let coded = dense.code(&mut reader, &mut content, times);
-        // An encoder that ran out of room has written more than what counts.
+        // A frame that was cut short for lack of room may have bytes that do not count at its end.
         let is_whole = coded.events == header.events && !reader.is_beyond();
         if !is_whole || (header.last && !reader.is_spent()) {
             return Err(Refused::Malformed);
@@ -164,7 +164,7 @@ fn event(header: &Header, times: Times, (x, y): (u16, u16), told: u32, on: bool)
     }
 }
 
-/// The fast coder's events, in the memory of `events`.
+/// Decodes a payload of the fast coder, into the memory of `events`.
 fn fast(
     header: &Header,
     payload: &[u8],
@@ -179,7 +179,7 @@ fn fast(
     }
 }
 
-/// The same, with the offsets that `offset_us` finds.
+/// As [`fast`], with the time offset of each event from `offset_us`.
 fn fast_at(
     header: &Header,
     payload: &[u8],
@@ -189,12 +189,12 @@ fn fast_at(
 ) -> Result<Vec<Event>, Refused> {
     let coder = Fast::new(header.sensor, header.window_events, times.count());
     let mut reader = BigReader::new(payload);
-    // An event takes a bit at the least: so much and no more is believed before it is read.
+    // An event takes at least one bit, which limits the memory reserved before anything is decoded.
     let believed = payload.len().saturating_mul(8).min(header.events as usize);
     events.clear();
     events.reserve(believed);
     let each = |(x, y), cell, on| {
-        // Always so; without a way on which they grow, their length stays in a register.
+        // Always true: without a path that grows the vector, its length stays in a register.
         if events.len() < events.capacity() {
             let offset_us = offset_us((x, y), cell);
             events.push(Event {
@@ -211,7 +211,7 @@ fn fast_at(
     }
 }
 
-/// The dense coder's events as they are found.
+/// Collects the dense coder's events as they are decoded.
 struct Found<'d> {
     nodes: &'d mut Vec<Node>,
     positions: &'d mut Vec<(u16, u16)>,
@@ -274,11 +274,11 @@ impl Content for Found<'_> {
 }
 
 impl DecodedWindow {
-    /// The window's kept coefficients: those of the frame or, where events came, those that the
-    /// encoder would have sent for them, to the bit.
+    /// Returns the window as kept coefficients: those of its frames or, if events were sent, exactly those that the
+    /// encoder would have sent for them, bit for bit.
     ///
     /// # Errors
-    /// A window that the encoder does not take.
+    /// Fails if the encoder does not accept the window's configuration or one of its events.
     pub fn with_pixels(&self) -> Result<Self> {
         if self.header.mode.is_transform() {
             return Ok(self.clone());

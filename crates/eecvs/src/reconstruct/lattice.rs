@@ -1,9 +1,8 @@
-//! Event times on the grid of microseconds, verified by encoding them again.
+//! Event times on the microsecond grid, verified by encoding them again.
 //!
-//! Atoms come from the encoder's own kernel in fixed point, whose sums add without rounding, so the
-//! levels of a candidate are to the bit what the encoder would have sent. Two candidates that give
-//! the same levels cannot be told apart by anyone; where no other is found next to one that agrees,
-//! its times are taken to be those of the events.
+//! Atoms come from the encoder's own fixed-point kernel, whose sums add without rounding, so the levels of a
+//! candidate are bit for bit what the encoder would have sent. No decoder can distinguish two candidates with the
+//! same levels. If no other candidate agrees next to one that does, its times are taken as those of the events.
 
 use std::collections::HashSet;
 
@@ -15,27 +14,29 @@ use eecvs_nostd::{Header, Transform};
 
 use super::equations::Equations;
 
-/// Most events of a pixel whose candidates are all looked at.
+/// Largest number of events in a pixel for which all neighbouring candidates are examined.
 const ALL_EVENTS_MAX: usize = 4;
-/// How far each event of a neighbour may be, in microseconds, by the number of events: 5^3 and 3^4
-/// neighbours are looked at.
+/// Largest move of each event in microseconds, by the number of events: 5^3 neighbours are examined for 3 events,
+/// and 3^4 for 4.
 const REACH: [i32; ALL_EVENTS_MAX + 1] = [2, 2, 2, 2, 1];
-/// Most that an event moves from one candidate to the next.
+/// Largest move of an event from one candidate to the next, in microseconds.
 const REACH_MAX: i32 = 2;
-/// Offsets whose atoms are at hand.
+/// Number of offsets per event whose atoms are stored.
 const PLACES: usize = 2 * REACH_MAX as usize + 1;
-/// Most candidates that are looked at.
+/// Largest number of agreeing candidates collected.
 const CANDIDATES_MAX: usize = 64;
-/// Rounds of the descent to a candidate that agrees.
+/// Largest number of steps in the descent to a candidate that agrees.
 const ROUNDS: usize = 40;
-/// Most events of a pixel in whose descent pairs move together.
+/// Largest number of events in a pixel for which the descent also moves pairs of events.
 const PAIRS_EVENTS_MAX: usize = 12;
 
-/// Most events that are verified: those that the encoder sums in one go.
+/// Largest number of events that can be verified, which is the number that the encoder sums in one chunk.
 pub const EVENTS_MAX: usize = CHUNK_EVENTS;
 
-/// The offset of a single event, from the middle u of the cell that was sent: the middle of those that
-/// the encoder puts into it; and whether there is one alone.
+/// Returns the offset in microseconds of a single event, and whether it is the only possible one.
+///
+/// `u` is the middle of the cell that was sent. The result is the middle of the offsets that the encoder maps to
+/// that cell.
 #[must_use]
 pub fn single(header: &Header, u: f64) -> (u32, bool) {
     let duration = u64::from(header.duration_us.max(1));
@@ -49,7 +50,7 @@ pub fn single(header: &Header, u: f64) -> (u32, bool) {
         };
         u64::from(of) == cell
     };
-    // The encoder's phase is a little below u: the edges may be off by one.
+    // The encoder's phase is slightly below u, so the edges may be off by one.
     let edge = |cell: u64| ((cell * duration) >> cells_log2).min(duration - 1);
     let (from, to) = (
         edge(cell).saturating_sub(1),
@@ -59,39 +60,39 @@ pub fn single(header: &Header, u: f64) -> (u32, bool) {
     let last = (from..=to).rev().take(4).find(|offset| is_in(*offset));
     match first.zip(last) {
         Some((first, last)) => (first.midpoint(last) as u32, first == last),
-        // A cell that no offset falls into.
+        // No offset falls into this cell.
         None => (edge(cell) as u32, false),
     }
 }
 
-/// Verifies times of one pixel.
+/// Verifies event times of one pixel.
 #[derive(Debug)]
 pub struct Lattice<'e> {
     equations: &'e Equations,
     scale: PhaseScale,
     grid: usize,
     sums: Vec<Sum>,
-    /// Of each row, the least and the greatest sum of the received level.
+    /// For each row, the smallest and the largest sum that quantise to the received level.
     rooms: Vec<(i64, i64)>,
 }
 
-/// Times that agree with what was received.
+/// Times that encode to what was received.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Agreed {
     /// Offsets in microseconds, in the order of the signs.
     pub offsets: Vec<u32>,
-    /// Whether no other times next to these agree.
+    /// Whether no other times examined next to these agree.
     pub is_unique: bool,
 }
 
 impl<'e> Lattice<'e> {
-    /// Of a pixel of at most [`EVENTS_MAX`] events.
+    /// Prepares the verification of a pixel with at most [`EVENTS_MAX`] events.
     #[must_use]
     pub fn new(header: &Header, equations: &'e Equations) -> Self {
         let grid = usize::from(header.grid);
         let step = 2.0 * equations.half_step;
         let unit = f64::from(header.quantiser.shift()).exp2();
-        // Sums of so few events are far within: whatever a frame says, nothing overflows.
+        // Sums of so few events stay far below this; it prevents overflow whatever a frame contains.
         let bound = (1_u64 << 60) as f64;
         let room = |middle: &f64| {
             let level = (middle / step - 0.5).round();
@@ -107,7 +108,7 @@ impl<'e> Lattice<'e> {
         }
     }
 
-    /// The encoder's atoms of event `i` at an offset.
+    /// Returns the encoder's atoms for event `i` at an offset.
     fn atoms(&mut self, i: usize, offset_us: u32) -> Vec<i32> {
         let impulse = Impulse {
             offset_us,
@@ -129,7 +130,8 @@ impl<'e> Lattice<'e> {
         }
     }
 
-    /// The offset a microsecond before or after; around the window where atoms go around it.
+    /// Returns the offset moved by `by` microseconds, wrapped around the window for periodic atoms; `None` outside
+    /// the window.
     fn beside(&self, offset_us: u32, by: i32) -> Option<u32> {
         let duration = i64::from(self.equations.duration_us);
         let next = i64::from(offset_us) + i64::from(by);
@@ -142,7 +144,7 @@ impl<'e> Lattice<'e> {
             .then(|| next.rem_euclid(duration) as u32)
     }
 
-    /// By how much sums are outside of what was received, in all.
+    /// Returns by how much the sums miss the received levels in total.
     fn outside(&self, sums: impl Iterator<Item = i64>) -> u64 {
         let outside = |(sum, (least, most)): (i64, &(i64, i64))| {
             (least - sum).max(sum - most).max(0).unsigned_abs()
@@ -152,7 +154,7 @@ impl<'e> Lattice<'e> {
             .fold(0, u64::saturating_add)
     }
 
-    /// Times near `start` that encode to what was received.
+    /// Searches for times near `start` that encode to what was received.
     #[must_use]
     pub fn agree(&mut self, start: &[u32]) -> Option<Agreed> {
         let mut candidate = Candidate::new(self, start)?;
@@ -163,10 +165,10 @@ impl<'e> Lattice<'e> {
     }
 }
 
-/// Times with their atoms, and those of the times beside.
+/// Candidate times with their atoms, and those of the neighbouring offsets.
 struct Candidate {
     offsets: Vec<u32>,
-    /// Of each event: its atoms, and those of the offsets before and after.
+    /// For each event, the atoms at offsets from -[`REACH_MAX`] to +[`REACH_MAX`] microseconds.
     atoms: Vec<[Vec<i32>; PLACES]>,
     sums: Vec<i64>,
 }
@@ -187,7 +189,7 @@ impl Candidate {
         Some(candidate)
     }
 
-    /// Puts event i at an offset.
+    /// Moves event `i` to an offset.
     fn place(&mut self, lattice: &mut Lattice<'_>, i: usize, offset_us: u32) {
         for (sum, atom) in self.sums.iter_mut().zip(&self.atoms[i][REACH_MAX as usize]) {
             *sum -= i64::from(*atom);
@@ -203,7 +205,7 @@ impl Candidate {
         }
     }
 
-    /// What events add that move by so many microseconds.
+    /// Returns the change of a row's sum if these events move by these microseconds.
     fn moved(&self, moves: &[(usize, i32)], row: usize) -> i64 {
         moves
             .iter()
@@ -220,7 +222,7 @@ impl Candidate {
         lattice.outside(sums.map(|(row, sum)| sum + self.moved(moves, row)))
     }
 
-    /// Whether nothing is outside, which mostly the first rows tell.
+    /// Returns whether all rows agree; mostly the first rows decide.
     fn agrees(&self, lattice: &Lattice<'_>, moves: &[(usize, i32)]) -> bool {
         let mut rows = self.sums.iter().zip(&lattice.rooms).enumerate();
         rows.all(|(row, (sum, (least, most)))| {
@@ -236,7 +238,8 @@ impl Candidate {
         }
     }
 
-    /// Moves one event or two by a microsecond, whichever leaves least outside, until all agree.
+    /// Moves one or two events at a time by a microsecond, taking the move with the smallest miss, until all rows
+    /// agree.
     fn descend(&mut self, lattice: &mut Lattice<'_>) -> bool {
         let n = self.offsets.len();
         let mut least = self.outside(lattice, &[]);
@@ -272,7 +275,7 @@ impl Candidate {
         least == 0
     }
 
-    /// Of all times that agree and are found from these on, those nearest to their mean.
+    /// Collects the agreeing times that can be reached from these, and returns those nearest to their mean.
     fn middle(mut self, lattice: &mut Lattice<'_>) -> Agreed {
         let n = self.offsets.len();
         let first = self.offsets.clone();
@@ -283,7 +286,7 @@ impl Candidate {
                 is_unique,
             };
         }
-        // Distances from the first, which do not go around the window.
+        // Distances from the first candidate, which do not wrap around the window.
         let mut found: Vec<[i32; ALL_EVENTS_MAX]> = vec![[0; ALL_EVENTS_MAX]];
         let mut seen: HashSet<[i32; ALL_EVENTS_MAX]> = HashSet::from([found[0]]);
         let mut next = 0;
@@ -334,7 +337,7 @@ impl Candidate {
         }
     }
 
-    /// Whether the times of one event or two may be moved by a microsecond.
+    /// Returns whether other times agree when one or two events move by a microsecond.
     fn has_other(&self, lattice: &Lattice<'_>) -> bool {
         let n = self.offsets.len();
         let agrees = |moves: &[(usize, i32)]| self.agrees(lattice, moves);

@@ -1,4 +1,4 @@
-//! Descriptors back to coefficients, volumes and events.
+//! Reconstructs coefficients, volumes and events from descriptors.
 
 pub mod arrival;
 pub mod coefficients;
@@ -21,31 +21,31 @@ pub mod volume;
 
 use eecvs_nostd::{Descriptor, Event, Frame, Header, UnpackError};
 
-/// One pixel's dequantised coefficients.
+/// Dequantised coefficients of one pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pixel {
     /// Column.
     pub x: u16,
     /// Row.
     pub y: u16,
-    /// ON events.
+    /// Number of ON events.
     pub on: u32,
-    /// OFF events.
+    /// Number of OFF events.
     pub off: u32,
-    /// (k, re, im) of the kept coefficients, k ascending.
+    /// (k, re, im) of the kept coefficients, in ascending order of k.
     pub coefficients: Vec<(u16, f64, f64)>,
-    /// u of the pixel's event, where there is one alone: the frame tells it.
+    /// Normalised time u of the event if the pixel has only one and the frame sends its time.
     pub single_u: Option<f64>,
 }
 
 impl Pixel {
-    /// c_0: ON minus OFF events.
+    /// Returns c_0, the number of ON events minus the number of OFF events.
     #[must_use]
     pub fn net(&self) -> f64 {
         f64::from(self.on) - f64::from(self.off)
     }
 
-    /// Dequantises a descriptor. c_0 = on - off is not rounded to a step.
+    /// Dequantises a descriptor; c_0 = on - off is exact, not rounded to a step.
     #[must_use]
     pub fn dequantise(header: &Header, descriptor: &Descriptor) -> Self {
         let packing = header.packing();
@@ -62,10 +62,10 @@ impl Pixel {
     }
 }
 
-/// All pixels of a frame.
+/// Decodes all pixels of a frame with plain descriptors.
 ///
 /// # Errors
-/// A payload that contradicts its header; nothing of the frame is returned then.
+/// [`UnpackError`] if the payload contradicts its header; no pixel of the frame is returned then.
 pub fn pixels(frame: &Frame<'_>) -> Result<Vec<Pixel>, UnpackError> {
     frame
         .descriptors()
@@ -73,26 +73,26 @@ pub fn pixels(frame: &Frame<'_>) -> Result<Vec<Pixel>, UnpackError> {
         .collect()
 }
 
-/// One window put together from its frames.
+/// A window assembled from its frames.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DecodedWindow {
-    /// Header of its first frame that came.
+    /// Header of the first of its frames that arrived.
     pub header: Header,
-    /// Pixels of all its frames that came, of each frame in raster order; none in mode `hybrid`.
+    /// Pixels of all its frames that arrived, in raster order within each frame; empty in mode `hybrid`.
     pub pixels: Vec<Pixel>,
-    /// In mode `hybrid` the events instead, of each frame in raster order, or all in the order of time and
-    /// arrival where the frames tell it.
+    /// Events, in mode `hybrid` only: in raster order within each frame, or in the order of time and arrival if the
+    /// frames send that order.
     pub events: Vec<Event>,
 }
 
 impl DecodedWindow {
-    /// Whether `header` belongs to this window too.
+    /// Returns whether a frame with this header belongs to this window.
     #[must_use]
     pub fn has_part(&self, header: &Header) -> bool {
         same_window(&self.header, header)
     }
 
-    /// Channels of its coefficient volume: K, or 2K for complex coefficients.
+    /// Returns the number of channels of the window's coefficient volume: K, or 2K for complex coefficients.
     #[must_use]
     pub fn channels(&self) -> usize {
         let grid = usize::from(self.header.grid);
@@ -104,15 +104,15 @@ impl DecodedWindow {
     }
 }
 
-/// Whether the frame of `header` belongs to the window of `earlier`, a frame before it.
+/// Returns whether the frame of `header` belongs to the same window as `earlier`, a frame before it.
 #[must_use]
 pub fn same_window(earlier: &Header, header: &Header) -> bool {
     let window = |h: &Header| (h.t0_us, h.duration_us, h.packing());
-    // Parts count up: windows that share a start are told apart by it.
+    // Parts count up from 0, which separates windows that share a start.
     window(earlier) == window(header) && header.part > 0
 }
 
-/// 2^(j/2) of Haar coefficient k = 2^j + m, and its support [start, end) in units of u.
+/// Returns the scale 2^(j/2) of Haar coefficient k = 2^j + m, and its support [start, end) in units of u.
 pub(crate) fn haar_support(k: u16) -> (f64, f64, f64) {
     if k == 0 {
         return (1.0, 0.0, 1.0);
@@ -143,7 +143,7 @@ mod tests {
                 coded: Coded::Levels(levels.into_iter().collect()),
                 ..Descriptor::EMPTY
             };
-            // The middle of the step from 16 to 24, and of that from 0 to 8; 2 steps of the Haar
+            // Middles of the step from 16 to 24 and of the step from 0 to 8. For the Haar transform, 2 steps of the
             // scale of k = 4 are 2 * 4 * 2.
             let expected = match transform {
                 Transform::Dct => (4, 20.0, 0.0),

@@ -1,31 +1,31 @@
-//! A window's events in order of time.
+//! Sorts a window's events by time.
 
 use eecvs_nostd::{Event, Header, Polarity};
 
-/// Fewer events are sorted by comparing them.
+/// Smallest number of events sorted by counting; fewer are sorted by comparison.
 const COUNTED_MIN: usize = 64;
-/// Bits of a time that are sorted by in one pass alone, whose counters then stay in the first cache.
+/// Largest number of bits of a time sorted in a single pass, so that the counters fit in the first-level cache.
 const ONE_PASS_BITS: u32 = 12;
-/// Bits that are sorted by in one of several passes.
+/// Largest number of bits sorted in each of several passes.
 const DIGIT_BITS: u32 = 8;
 const PLACES: usize = 1 << DIGIT_BITS;
-/// Bits of a key below the time's offset, for row, column and polarity.
+/// Low bits of a key, below the time offset: row, column and polarity.
 const PIXEL_BITS: u32 = 33;
-/// Bits of a key's offset.
+/// Bits of a key for the time offset.
 const OFFSET_BITS: u32 = u64::BITS - PIXEL_BITS;
 
-/// Sorts events of windows by time; those of equal times stay in their order, which is the raster's
-/// where they come from frames.
+/// Sorts the events of windows by time. The sort is stable: events of equal time stay in their order, which is
+/// raster order if they come from frames.
 ///
-/// By counting, in one pass where the window is short, else in a pass for each byte of the offset, the
-/// lowest first, with an event in 64 bits in between. Memory for these is kept from window to window.
+/// It is a counting sort: a single pass for short windows, otherwise one pass per digit of the offset, lowest
+/// first, on events packed into 64 bits. The buffers are kept from window to window.
 #[derive(Debug, Default)]
 pub struct ByTime {
     keys: Vec<u64>,
     spare: Vec<u64>,
 }
 
-/// [`ByTime::sort`] of one window.
+/// Returns a window's events sorted by [`ByTime::sort`].
 #[must_use]
 pub fn by_time(header: &Header, events: &[Event]) -> Vec<Event> {
     let mut sorted = events.to_vec();
@@ -34,9 +34,9 @@ pub fn by_time(header: &Header, events: &[Event]) -> Vec<Event> {
 }
 
 impl ByTime {
-    /// Sorts a window's events.
+    /// Sorts a window's events by time, in place; `header` gives the start and the duration of the window.
     pub fn sort(&mut self, header: &Header, events: &mut [Event]) {
-        // Of the largest offset.
+        // Bits of the largest offset.
         let bits = u32::BITS - header.duration_us.saturating_sub(1).leading_zeros();
         let is_countable = bits <= OFFSET_BITS && u32::try_from(events.len()).is_ok();
         let t0_us = header.t0_us;
@@ -53,7 +53,7 @@ impl ByTime {
         }
     }
 
-    /// To keys as they are, and from these to their places.
+    /// Packs events into keys in their order, and puts each key in its place.
     fn one_pass(&mut self, t0_us: u64, bits: u32, events: &mut [Event]) {
         let mut places = [0; 1 << ONE_PASS_BITS];
         let places = &mut places[..1 << bits];
@@ -72,7 +72,7 @@ impl ByTime {
         }
     }
 
-    /// From events to keys, from these to others, and back.
+    /// Packs events into keys in the first pass, sorts keys in the middle passes, and unpacks them in the last.
     fn passes<const DIGITS: usize>(&mut self, t0_us: u64, bits: u32, events: &mut [Event]) {
         let digit_bits = bits.div_ceil(DIGITS as u32);
         let digit = |offset_us: u64, digit: usize| {
@@ -116,7 +116,7 @@ impl ByTime {
     }
 }
 
-/// From how many there are of each to where they begin.
+/// Replaces the number of keys of each digit value by the index at which these keys begin.
 fn begins(places: &mut [u32]) {
     let mut before = 0;
     for place in places {
@@ -124,7 +124,7 @@ fn begins(places: &mut [u32]) {
     }
 }
 
-/// An event in 64 bits, with the highest for its time.
+/// Packs an event into 64 bits, with the time offset in the highest bits.
 fn key(offset_us: u64, event: &Event) -> u64 {
     let pixel = u64::from(event.y) << 17 | u64::from(event.x) << 1;
     offset_us << PIXEL_BITS | pixel | event.polarity as u64

@@ -1,18 +1,18 @@
-//! First event times from contiguous coefficients k = 0..r of the DTFT: Prony's problem with known
-//! signs.
+//! Starting points for event times from contiguous DTFT coefficients k = 0..r: Prony's problem with known signs.
 //!
-//! With z_i = exp(-i 2 pi u_i), c_k = sum_i p_i z_i^k are power sums, and c_-k = conj(c_k) as times
-//! are real.
+//! With z_i = exp(-i 2 pi u_i), the coefficients c_k = sum_i p_i z_i^k are power sums, and c_-k = conj(c_k) because
+//! times are real.
 //!
-//! *Matrix pencil.* H_ab = c_(a - b), a, b = 0..r, is V diag(p) V^H with V_ai = z_i^a: a Hermitian
-//! matrix of rank n, whose n dominant eigenvectors U span V's columns. U without its last row times
-//! Phi is U without its first row, in the least squares; the eigenvalues of Phi are the z_i
-//! (Hua, Sarkar: IEEE Trans. ASSP 38 (1990); Roy, Kailath: ESPRIT, IEEE Trans. ASSP 37 (1989)).
-//! Which of them are ON is the assignment with the least residual; of many, the largest amplitudes.
+//! *Matrix pencil.* The matrix H_ab = c_(a - b), a, b = 0..r, is V diag(p) V^H with V_ai = z_i^a. It is Hermitian
+//! and of rank n, and its n dominant eigenvectors U span the columns of V. In the least squares sense, U without
+//! its last row times Phi is U without its first row, and the eigenvalues of Phi are the z_i (Hua, Sarkar: IEEE
+//! Trans. ASSP 38 (1990); Roy, Kailath: ESPRIT, IEEE Trans. ASSP 37 (1989)). For few events the times of the ON
+//! events are found by trying all assignments for the smallest residual; for more, they are those with the largest
+//! amplitudes.
 //!
-//! *Newton's identities.* exp(-sum_(k>=1) c_k x^k / k) = prod_on (1 - z x) / prod_off (1 - z x):
-//! for events of one polarity a polynomial whose roots are their times, which needs k = 1..=n alone
-//! and no subspace; for both polarities its Pade approximant of orders `on` and `off`.
+//! *Newton's identities.* exp(-sum_(k>=1) c_k x^k / k) = prod_on (1 - z x) / prod_off (1 - z x). For events of one
+//! polarity this is a polynomial whose roots give their times; it needs only k = 1..=n and no subspace. For both
+//! polarities it is the Pade approximant of orders `on` and `off`.
 
 use nalgebra::{Complex, DMatrix, DVector};
 
@@ -20,16 +20,16 @@ use super::equations::Equations;
 
 type C64 = Complex<f64>;
 
-/// Most events: an eigenvalue problem of this size is a matter of some tens of microseconds.
+/// Largest number of events: an eigenvalue problem of this size takes some tens of microseconds.
 pub const EVENTS_MAX: usize = 24;
-/// Most coefficients that the pencil takes, the lowest of more.
+/// Largest number of coefficients used by the pencil, lowest k first.
 const ROWS_MAX: usize = 32;
-/// Most events whose assignments to signs are all tried.
+/// Largest number of events for which all assignments of signs are tried.
 const ASSIGNED_MAX: usize = 9;
-/// Iterations of an eigenvalue problem.
+/// Largest number of iterations in an eigenvalue problem.
 const ITERATIONS: usize = 1000;
 
-/// c_0 to c_(r-1).
+/// Returns c_0 to c_(r-1).
 fn coefficients(equations: &Equations) -> Vec<C64> {
     let zeroth = C64::from(f64::from(equations.on) - f64::from(equations.off));
     let (pairs, _) = equations.middles.as_chunks::<2>();
@@ -37,13 +37,15 @@ fn coefficients(equations: &Equations) -> Vec<C64> {
     std::iter::once(zeroth).chain(rest).collect()
 }
 
-/// u of z, the nearest point on the circle.
+/// Returns u of the point nearest to z on the unit circle.
 fn time_of(z: C64) -> f64 {
     (-z.arg() / std::f64::consts::TAU).rem_euclid(1.0)
 }
 
-/// Times in the order of the signs by the matrix pencil, where there are more coefficients than
-/// events and the eigenvalues are found.
+/// Returns the times u by the matrix pencil, those of the ON events first.
+///
+/// Returns `None` for the DCT, if coefficients are missing between the ones sent, for 0 or more than [`EVENTS_MAX`]
+/// events, if there are no more coefficients than events, or if the eigenvalues are not found.
 #[must_use]
 pub fn pencil(equations: &Equations) -> Option<Vec<f64>> {
     let n = equations.events();
@@ -78,7 +80,7 @@ pub fn pencil(equations: &Equations) -> Option<Vec<f64>> {
     sorted_by_sign(equations, &c, &z)
 }
 
-/// Eigenvalues of a complex matrix, all finite.
+/// Returns the eigenvalues of a complex matrix; `None` unless all are finite.
 fn eigenvalues(matrix: DMatrix<C64>) -> Option<Vec<C64>> {
     if !matrix.iter().all(|z| z.re.is_finite() && z.im.is_finite()) {
         return None;
@@ -92,8 +94,8 @@ fn eigenvalues(matrix: DMatrix<C64>) -> Option<Vec<C64>> {
         .then_some(values)
 }
 
-/// Which times are ON: of few events by the least residual of all assignments, else those with the
-/// largest amplitudes.
+/// Sorts the times of the ON events first. With few events, they are those of the assignment with the smallest
+/// residual, otherwise those with the largest amplitudes.
 fn sorted_by_sign(equations: &Equations, c: &[C64], z: &[C64]) -> Option<Vec<f64>> {
     let times: Vec<f64> = z.iter().map(|z| time_of(*z)).collect();
     let n = times.len();
@@ -110,7 +112,7 @@ fn sorted_by_sign(equations: &Equations, c: &[C64], z: &[C64]) -> Option<Vec<f64
         )
     });
     let target = DVector::from_fn(rows, |row, _| part(c[row / 2], row));
-    // |c - A p|^2 = p A^T A p - 2 p A^T c, but for what does not depend on p.
+    // |c - A p|^2 = p A^T A p - 2 p A^T c, up to a term independent of p.
     let gram = atoms.transpose() * &atoms;
     let product = atoms.transpose() * &target;
     let order_of = |is_on: &dyn Fn(usize) -> bool| -> Vec<f64> {
@@ -141,7 +143,8 @@ fn sorted_by_sign(equations: &Equations, c: &[C64], z: &[C64]) -> Option<Vec<f64
     Some(order.into_iter().map(|i| times[i]).collect())
 }
 
-/// Times in the order of the signs by Newton's identities.
+/// Returns the times u by Newton's identities, those of the ON events first; `None` as for [`pencil`], or if a
+/// linear system or an eigenvalue problem has no solution.
 #[must_use]
 pub fn newton(equations: &Equations) -> Option<Vec<f64>> {
     let (n, on, off) = (
@@ -157,13 +160,13 @@ pub fn newton(equations: &Equations) -> Option<Vec<f64>> {
     if n >= c.len() {
         return None;
     }
-    // f = exp(-sum c_k x^k / k): k f_k = -sum_(j=1..=k) c_j f_(k-j).
+    // With f = exp(-sum c_k x^k / k): k f_k = -sum_(j=1..=k) c_j f_(k-j).
     let mut f = vec![C64::from(1.0)];
     for k in 1..=n {
         let sum: C64 = (1..=k).map(|j| c[j] * f[k - j]).sum();
         f.push(-sum / k as f64);
     }
-    // f q = p with p of degree `on`, q of degree `off`, q_0 = 1: rows on + 1..=n have p = 0.
+    // f q = p, with p of degree `on`, q of degree `off` and q_0 = 1: rows on + 1..=n have p = 0.
     let at = |i: isize| if i < 0 { C64::from(0.0) } else { f[i as usize] };
     let mut q = vec![C64::from(1.0)];
     if off > 0 {
@@ -181,7 +184,7 @@ pub fn newton(equations: &Equations) -> Option<Vec<f64>> {
     Some(times)
 }
 
-/// u of the z with prod (1 - z x) = sum p_k x^k, p_0 = 1: eigenvalues of the companion matrix.
+/// Returns u of the z with prod (1 - z x) = sum p_k x^k, p_0 = 1: the eigenvalues of the companion matrix.
 fn roots(p: &[C64]) -> Option<Vec<f64>> {
     let n = p.len() - 1;
     if n == 0 {

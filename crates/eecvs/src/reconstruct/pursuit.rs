@@ -1,18 +1,18 @@
 //! Event times by matching pursuit: peaks of the summed atoms, one after the other.
 //!
-//! The counts are on the link, so what is sought are n times. They are found one by one with known
-//! amplitudes: an event p at u explains the residual c best where
+//! The frames carry the counts, so n times are sought. They are found one by one with known amplitudes: an event of
+//! polarity p at u explains the residual c best where
 //!
 //! ```text
 //! J(u) = p sum_k Re(c_k conj(phi_k(u))) - sum_k |phi_k(u)|^2 / 2
 //! ```
 //!
-//! is largest; the peak on a grid of four points per half-period of the highest frequency is
-//! polished by Newton steps, and small pixels go through further rounds in which each event is
-//! taken out and placed anew. [`Peaks::refined`] moves all of them after each, by least squares.
+//! is largest. The peak is searched on a grid of 4 K points (at least 64), which is four per half-period of the
+//! highest DCT atom or per period of the highest DTFT atom, and polished by Newton steps. In small pixels each
+//! event is then taken out and placed again in further rounds. [`Peaks::refined`] moves all events placed so far by
+//! least squares after each event.
 //!
-//! Mallat, Zhang: *Matching pursuits with time-frequency dictionaries*, IEEE Trans. Signal
-//! Processing 41 (1993).
+//! Mallat, Zhang: *Matching pursuits with time-frequency dictionaries*, IEEE Trans. Signal Processing 41 (1993).
 
 use eecvs_nostd::Transform;
 
@@ -20,39 +20,40 @@ use super::Pixel;
 use super::equations::Equations;
 use super::refine::{Work, least_squares};
 
-/// Grid points per atom: four in each half-period of the highest one.
+/// Points of the search grid for each atom.
 const POINTS_PER_ATOM: usize = 4;
-/// Newton steps of a polish.
+/// Largest number of Newton steps to polish a peak.
 const NEWTON_STEPS: usize = 12;
-/// Rounds in which every event is placed anew.
+/// Rounds in which every event is placed again.
 const ROUNDS: usize = 3;
-/// Pixels with more events are not placed anew: the rounds would cost more than they mend.
+/// Largest number of events in a pixel whose events are placed again; for more, the rounds cost more than they
+/// gain.
 const ROUNDS_EVENTS_MAX: usize = 16;
 
-/// Rounds of least squares after each event.
+/// Largest number of least-squares rounds after each event.
 const PARTIAL_ROUNDS: usize = 6;
 
-/// A decoded event of a pixel: u and p.
+/// A decoded event of a pixel: time u, normalised to the window, and polarity p (+1 or -1).
 pub type Placed = (f64, f64);
 
-/// Finds the events of pixels of one transform, grid and M by their peaks.
+/// Finds the events of pixels of one transform, grid size K and M by their peaks.
 #[derive(Debug)]
 pub struct Peaks {
     transform: Transform,
     grid: usize,
     /// r = min(M, K).
     kept: usize,
-    /// Points of the search grid.
+    /// Number of points of the search grid.
     points: usize,
-    /// phi_k(point), as re and im: [point * grid + k].
+    /// phi_k(point), real and imaginary parts: [point * grid + k].
     atoms_re: Vec<f32>,
     atoms_im: Vec<f32>,
-    /// sum_k |phi_k|^2 / 2 of the DCT at each point.
+    /// sum_k |phi_k|^2 / 2 at each point, for the DCT.
     half_energy: Vec<f32>,
 }
 
 impl Peaks {
-    /// Tables for the DCT or the DTFT of K = `grid`, of which `kept` coefficients are sent.
+    /// Creates the tables for the DCT or the DTFT with K = `grid`, of which `kept` coefficients are sent.
     #[must_use]
     pub fn new(transform: Transform, grid: usize, kept: usize) -> Self {
         let points = (POINTS_PER_ATOM * grid).max(64);
@@ -81,23 +82,23 @@ impl Peaks {
         peaks
     }
 
-    /// u and p of a pixel's events: `on` of +1 and `off` of -1, in no order.
+    /// Returns (u, p) of a pixel's events, `on` with p = +1 and `off` with p = -1, in no particular order.
     #[must_use]
     pub fn pixel(&self, pixel: &Pixel) -> Vec<Placed> {
         Pursuit::new(self, pixel).run(pixel.on, pixel.off, ROUNDS_EVENTS_MAX)
     }
 
-    /// As [`Self::pixel`], the times alone, those of the ON events first; with the further rounds
-    /// whatever the number of events is.
+    /// Returns the times u of a pixel's events, those of the ON events first. Unlike [`Self::pixel`] it places
+    /// events again whatever their number.
     #[must_use]
     pub fn times(&self, pixel: &Pixel) -> Vec<f64> {
         let placed = Pursuit::new(self, pixel).run(pixel.on, pixel.off, usize::MAX);
         on_first(&placed)
     }
 
-    /// As [`Self::times`], but after each event all that are placed so far move to where they explain
-    /// the coefficients best together: neighbours that one peak stands for part at once, and what
-    /// is left has no side lobes of theirs.
+    /// As [`Self::times`], but after each event all events placed so far move to where together they explain the
+    /// coefficients best. Neighbours that share one peak separate at once, and the remaining residual has no side
+    /// lobes from them.
     #[must_use]
     pub fn refined(&self, pixel: &Pixel, equations: &Equations, work: &mut Work) -> Vec<f64> {
         let mut partial = equations.clone();
@@ -126,13 +127,13 @@ impl Peaks {
         on_first(&placed)
     }
 
-    /// Angle per u of atom k.
+    /// Angle of atom k per unit of u.
     fn omega(&self, k: usize) -> f64 {
         omega(self.transform) * k as f64
     }
 }
 
-/// The times of ON events, then those of OFF ones.
+/// Returns the times of the ON events, followed by those of the OFF events.
 fn on_first(placed: &[Placed]) -> Vec<f64> {
     let of = |is_on: bool| {
         placed
@@ -142,7 +143,7 @@ fn on_first(placed: &[Placed]) -> Vec<f64> {
     of(true).chain(of(false)).map(|(u, _)| *u).collect()
 }
 
-/// Angle per u of atom k = 1: pi of the DCT, 2 pi of the DTFT.
+/// Returns the angle of atom k = 1 per unit of u: pi for the DCT, 2 pi for the DTFT.
 pub(super) fn omega(transform: Transform) -> f64 {
     match transform {
         Transform::Dct => std::f64::consts::PI,
@@ -153,9 +154,9 @@ pub(super) fn omega(transform: Transform) -> f64 {
 /// Matching pursuit of one pixel.
 struct Pursuit<'d> {
     peaks: &'d Peaks,
-    /// Indices of the known coefficients, ascending; k = 0 tells nothing of times.
+    /// Indices of the known coefficients, ascending; without k = 0, which says nothing about times.
     known: Vec<usize>,
-    /// What the events placed so far leave of the coefficients.
+    /// Residual coefficients after the events placed so far.
     re: Vec<f32>,
     im: Vec<f32>,
 }
@@ -168,7 +169,7 @@ impl<'d> Pursuit<'d> {
             (re[usize::from(*k)], im[usize::from(*k)]) = (*of_re as f32, *of_im as f32);
         }
         let known = if peaks.transform == Transform::Dct {
-            // The DCT keeps every k < r: a coefficient that was not sent is known to be 0.
+            // The DCT keeps every k < r, so a coefficient that was not sent is known to be 0.
             (1..peaks.kept).collect()
         } else {
             let sent = pixel.coefficients.iter().map(|(k, ..)| usize::from(*k));
@@ -183,15 +184,16 @@ impl<'d> Pursuit<'d> {
         }
     }
 
-    /// One more than the highest known k.
+    /// Returns the highest known k plus 1.
     fn limit(&self) -> usize {
         self.known.last().map_or(0, |k| k + 1)
     }
 
-    /// sum_k a_k b_k over the known coefficients, of which the others of `a` are 0.
+    /// Returns sum_k a_k b_k over the known coefficients; all others of `a` are 0.
     fn dot_known(&self, a: &[f32], b: &[f32]) -> f32 {
         let limit = self.limit();
-        // A few of a large grid are picked out; else all are faster in vector registers.
+        // A few coefficients of a large grid are picked out; otherwise summing all of them in vector registers is
+        // faster.
         if limit > 8 * self.known.len() {
             self.known.iter().map(|k| a[*k] * b[*k]).sum()
         } else {
@@ -241,7 +243,7 @@ impl<'d> Pursuit<'d> {
         }
     }
 
-    /// The event that explains the residual best.
+    /// Returns the event that explains the residual best.
     fn best(&self, may_be_on: bool, may_be_off: bool) -> Placed {
         let peaks = self.peaks;
         let mut best = (f32::NEG_INFINITY, 0, 1.0);
@@ -266,7 +268,7 @@ impl<'d> Pursuit<'d> {
         (self.polish(u, sign), sign)
     }
 
-    /// Newton steps on J from a grid point, staying within its cell and the two beside it.
+    /// Takes Newton steps on J from a grid point, within one grid spacing of it.
     fn polish(&self, start: f64, sign: f64) -> f64 {
         let reach = 1.0 / self.peaks.points as f64;
         let mut u = start;
@@ -287,15 +289,15 @@ impl<'d> Pursuit<'d> {
         u
     }
 
-    /// J' and J''.
+    /// Returns J'(u) and J''(u).
     fn derivatives(&self, u: f64, sign: f64) -> (f64, f64) {
         let base = self.peaks.omega(1);
         let complex = self.peaks.transform.is_complex();
         let (sin_1, cos_1) = (base * u).sin_cos();
         let (mut cos, mut sin) = (1.0, 0.0);
         let (mut slope, mut curvature) = (0.0, 0.0);
-        // What is not known adds nothing: k = 0 has omega = 0, the DCT knows all others, and
-        // re = im = 0 for those that the DTFT does not know.
+        // Unknown coefficients add nothing: k = 0 has omega = 0, the DCT knows all others, and those that the DTFT
+        // does not know have re = im = 0.
         for k in 0..self.limit() {
             let omega = base * k as f64;
             let (re, im) = (f64::from(self.re[k]), f64::from(self.im[k]));

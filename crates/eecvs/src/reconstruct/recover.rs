@@ -1,16 +1,15 @@
-//! A pixel's event times from its coefficients: the stages in their order.
+//! Recovers a pixel's event times from its coefficients; this module runs the stages in order.
 //!
 //! ```text
 //! crowd  <- too many events -- equations -> pursuit, refined pursuit, pencil, Newton -> refine -> lattice
 //!                                        -> ensemble (many events) ------------------------^
 //! ```
 //!
-//! Starts are tried one after the other ([`super::pursuit`], [`super::prony`]) until one, after least
-//! squares ([`super::refine`]), explains the coefficients as well as quantised ones can be; its times go
-//! to the middle of what is possible and then to the grid of microseconds ([`super::lattice`]), where
-//! encoding them again tells whether they are right. Of many events, whose coefficients have many
-//! explanations, it is the median of these ([`super::ensemble`]). Pixels of more events than that can work for get
-//! the flattest densities ([`super::crowd`]).
+//! Starting points ([`super::pursuit`], [`super::prony`]) are tried one after the other until one, refined by least
+//! squares ([`super::refine`]), explains the coefficients to within the quantisation error. Its times move to the
+//! centre of the possible times, and then to the microsecond grid ([`super::lattice`]), where they are verified by
+//! encoding them again. With many events the coefficients have many solutions, and their median is taken
+//! ([`super::ensemble`]). Pixels with too many events for that get the flattest densities ([`super::crowd`]).
 
 use eecvs_nostd::Header;
 use serde::Serialize;
@@ -23,33 +22,36 @@ use super::pursuit::Peaks;
 use super::refine::{LEAST_SQUARES_ROUNDS, Work, centre, largest, least_squares, rms};
 use super::{ensemble, prony};
 
-/// Most events whose times are sought one by one.
+/// Largest number of events whose times are solved for one by one.
 pub const EVENTS_MAX: usize = 40;
-/// Share of the numbers sent, in fifths, up to which they are. More unknowns than equations have many
-/// solutions, of which one from the right start is still nearer than none.
+/// Largest ratio, in fifths, of such events to the numbers sent. With more unknowns than equations there are many
+/// solutions, but one from the right starting point is still closer than no solution.
 const EVENTS_FIFTHS: usize = 8;
-/// Pixels of so many events or more have the median of many solutions.
+/// Number of events from which the median of many solutions is taken.
 const MEDIAN_FROM: usize = 17;
-/// Root of the mean square, over h, of a residual that is the quantiser's: uniform errors have 0.58,
-/// with a deviation of 0.05 over 30 rows.
+/// RMS residual, in units of h, below which the residual is taken to be quantisation error. Uniform errors have an
+/// RMS of 0.58, with a standard deviation of 0.05 over 30 rows.
 const RMS_QUANTISED: f64 = 0.75;
-/// Rounds of least squares of a crowded pixel, and most events of one that is refined.
+/// Rounds of least squares for a crowded pixel, and the largest number of events of a crowded pixel that is
+/// refined.
 const CROWD_ROUNDS: usize = 4;
 const CROWD_EVENTS_MAX: usize = 64;
 
-/// How sure the times of a pixel are.
+/// Confidence in a pixel's event times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Confidence {
-    /// They encode to exactly what was received, and none a microsecond or two beside them do.
+    /// The times encode to exactly what was received, and no neighbouring times that were searched do: with up to 4
+    /// events all times within 1 or 2 us, with more all moves of one or two events by 1 us.
     Exact,
-    /// They encode to exactly what was received, and so do others nearby, of which they are the middle.
+    /// The times encode to exactly what was received, but so do other times nearby; with up to 4 events these are
+    /// near the mean of the times found.
     Consistent,
-    /// They explain the coefficients as well as was found.
+    /// The times are the best explanation of the coefficients that was found.
     Approximate,
 }
 
 impl Confidence {
-    /// Of times that agree with what was received.
+    /// Returns the confidence of times that encode to what was received.
     const fn of(is_unique: bool) -> Self {
         if is_unique {
             Self::Exact
@@ -59,19 +61,19 @@ impl Confidence {
     }
 }
 
-/// How many pixels have come back how; the fields are JSON keys.
+/// Number of pixels by the confidence of their times; the fields are JSON keys.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 pub struct Confidences {
-    /// [`Confidence::Exact`]
+    /// Pixels with [`Confidence::Exact`].
     pub pixels_exact: u64,
-    /// [`Confidence::Consistent`]
+    /// Pixels with [`Confidence::Consistent`].
     pub pixels_consistent: u64,
-    /// [`Confidence::Approximate`], and all pixels whose times are not verified.
+    /// Pixels with [`Confidence::Approximate`], which includes all pixels whose times are not verified.
     pub pixels_approximate: u64,
 }
 
 impl Confidences {
-    /// Counts a pixel.
+    /// Adds one pixel with this confidence.
     pub const fn count(&mut self, confidence: Confidence) {
         match confidence {
             Confidence::Exact => self.pixels_exact += 1,
@@ -80,7 +82,7 @@ impl Confidences {
         }
     }
 
-    /// Adds others.
+    /// Adds the counts of `others` to these.
     pub const fn add(&mut self, others: Self) {
         self.pixels_exact += others.pixels_exact;
         self.pixels_consistent += others.pixels_consistent;
@@ -88,19 +90,19 @@ impl Confidences {
     }
 }
 
-/// A pixel's events.
+/// Recovered events of a pixel.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recovered {
-    /// Offsets in microseconds, below T, those of the ON events first.
+    /// Offsets from the start of the window in microseconds, below T; those of the ON events come first.
     pub offsets_us: Vec<u32>,
-    /// How sure they are.
+    /// Confidence in the offsets.
     pub confidence: Confidence,
-    /// Largest difference of a coefficient from the received one, in steps: up to a half is rounding.
-    /// `None` where it was not looked at.
+    /// Largest deviation from a received coefficient, in quantiser steps; up to 0.5 is explained by rounding.
+    /// `None` if it was not computed.
     pub residual_steps: Option<f64>,
 }
 
-/// Events of a pixel of the DCT or the DTFT. The work is bounded whatever the coefficients are.
+/// Recovers the events of a pixel of the DCT or the DTFT. The work is bounded, whatever the coefficients are.
 #[must_use]
 pub fn pixel(header: &Header, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> Recovered {
     if let Some(u) = pixel.single_u {
@@ -141,7 +143,7 @@ pub fn pixel(header: &Header, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> 
     approximate(&equations, &times, work)
 }
 
-/// The first start that least squares bring to the quantiser's error, or the best of all.
+/// Returns the first solution whose residual is down to the quantisation error, or the best of all solutions.
 fn fitted(equations: &Equations, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> Vec<f64> {
     let mut best: Option<(f64, Vec<f64>)> = None;
     for start in 0..5 {
@@ -229,7 +231,7 @@ mod tests {
         train
     }
 
-    /// Events a part of the window from each other, around it too.
+    /// Generates events that are a part of the window apart, also across the end of the window.
     fn apart(duration_us: u32, most: usize) -> impl Strategy<Value = Train> {
         let gaps = proptest::collection::vec((8..40_u32, any::<bool>()), 2..=most);
         (gaps, 0..duration_us).prop_map(move |(gaps, start)| {
@@ -247,7 +249,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
-        /// Exactly, and known to be: as far apart as a period of the highest atom is long.
+        /// Events spaced at least a period of the highest atom apart are recovered exactly and reported as exact.
         #[test]
         fn trains_come_back_exactly_at_fine_steps(
             (duration_us, events) in (1000_u32..40_000).prop_flat_map(|t| (Just(t), apart(t, 6))),
@@ -259,7 +261,7 @@ mod tests {
             prop_assert_eq!(found.confidence, Confidence::Exact);
         }
 
-        /// Whatever is not called approximate encodes to what was received.
+        /// Times that are not reported as approximate encode to what was received.
         #[test]
         fn what_is_verified_encodes_to_what_was_received(
             events in proptest::collection::vec((0..5000_u32, any::<bool>()), 2..26),
@@ -279,7 +281,7 @@ mod tests {
             }
         }
 
-        /// No coefficients make it panic or leave the window.
+        /// No coefficients cause a panic or times outside the window.
         #[test]
         fn any_coefficients_give_events_in_the_window(
             coefficients in proptest::collection::btree_map(
@@ -321,7 +323,7 @@ mod tests {
         }
     }
 
-    /// Of opposite signs they leave 0.003 at the most, of which the kernel's error is a part.
+    /// The coefficients of two opposite events are at most 0.003, including the kernel's error.
     #[test]
     fn opposite_events_a_microsecond_apart_come_back_nearby() {
         let header = test_pixel::header(Transform::Dtft, 16, -15, 32_768);
@@ -345,14 +347,14 @@ mod tests {
         }
     }
 
-    /// Nothing tells where they were, but that they were at one time.
+    /// The coefficients say nothing about the times, except that they are equal.
     #[test]
     fn opposite_signs_that_cancel_are_not_called_exact() {
         let header = test_pixel::header(Transform::Dtft, 16, -12, 32_768);
         let (train, found) = recovered(&header, &[(12_345, true), (12_345, false)]);
         assert_ne!(found.confidence, Confidence::Exact);
         assert!(train[0].0.abs_diff(train[1].0) <= 2, "{train:?}");
-        // Beside a third event that can be told.
+        // Next to a third event that can be recovered.
         let (train, _) = recovered(&header, &[(9000, true), (20_000, true), (9000, false)]);
         assert!(train.contains(&(20_000, true)), "{train:?}");
     }
@@ -367,7 +369,7 @@ mod tests {
                 vec![(30_010, false), (9_000, false), (500, true)],
             ] {
                 let (train, found) = recovered(&header, &events);
-                // The DCT is flat at both ends: an event moves there without being noticed.
+                // The DCT is flat at both ends: there, moving an event changes nothing.
                 let most = if transform == Transform::Dct { 12 } else { 0 };
                 for (found, event) in train.iter().zip(&sorted(&events)) {
                     assert!(found.0.abs_diff(event.0) <= most, "{transform:?} {train:?}");

@@ -1,14 +1,13 @@
-//! Event times refined until the pixel's equations hold: least squares, then the middle of what is
-//! possible.
+//! Refines event times until the pixel's equations hold: least squares, then the centre of the possible times.
 //!
-//! [`least_squares`] is Levenberg's and Marquardt's damped Gauss-Newton method on
-//! F(u) = sum_m r_m(u)^2, each step solving (J^T J + lambda diag) d = J^T r.
+//! [`least_squares`] is the Levenberg-Marquardt damped Gauss-Newton method on F(u) = sum_m r_m(u)^2; each step
+//! solves (J^T J + lambda diag) d = J^T r.
 //!
-//! What was sent was quantised, so the residual is not Gaussian: any times whose residual is within
-//! h = D / 2 in all rows are as likely as any others, and none but these are possible. [`centre`]
-//! goes to the analytic centre of these, the minimum of B(u) = -sum_m log(h^2 - r_m^2), by Newton
-//! steps with J^T W J for the second derivatives; where least squares does not end among them, it
-//! first weights the rows by (r_m / h)^6, which brings the largest residuals down.
+//! The coefficients were quantised, so the residual is not Gaussian: all times whose residual is within h (half a
+//! step plus the kernel's error bound) in every row are equally likely, and no others are possible. [`centre`] moves
+//! to the analytic centre of these times, the minimum of B(u) = -sum_m log(h^2 - r_m^2), by Newton steps with
+//! J^T W J as the second derivatives. If least squares ends outside of them, it first weights the rows by
+//! (|r_m| / max |r|)^6, at least 0.05^6, which reduces the largest residuals.
 //!
 //! Marquardt, SIAM J. Appl. Math. 11 (1963); Boyd, Vandenberghe: *Convex Optimization*, 8.5.3.
 
@@ -16,16 +15,16 @@ use nalgebra::{DMatrix, DVector};
 
 use super::equations::Equations;
 
-/// Rounds of least squares that end by themselves in nearly all pixels.
+/// Largest number of least-squares rounds; nearly all pixels converge earlier.
 pub const LEAST_SQUARES_ROUNDS: usize = 40;
-/// Rounds with weights.
+/// Largest number of weighted rounds.
 const WEIGHTED_ROUNDS: usize = 24;
-/// Rounds of Newton's method on the barrier.
+/// Largest number of Newton rounds on the barrier.
 const CENTRE_ROUNDS: usize = 10;
-/// A step that moves no event by more of the window ends the rounds.
+/// The rounds end once a step moves no event by more than this fraction of the window.
 const STILL: f64 = 1e-10;
 
-/// Memory that is used again.
+/// Buffers reused from pixel to pixel.
 #[derive(Debug, Default)]
 pub struct Work {
     residual: Vec<f64>,
@@ -34,7 +33,7 @@ pub struct Work {
     weights: Vec<f64>,
 }
 
-/// J^T diag(w) J and J^T diag(w) v.
+/// Returns J^T diag(w) J and J^T diag(w) v.
 fn normal(
     slopes: &[f64],
     rows: usize,
@@ -61,7 +60,7 @@ fn normal(
     (matrix, vector)
 }
 
-/// (matrix + lambda diag) d = vector, or `None` where that is not positive definite.
+/// Solves (matrix + lambda diag) d = vector; `None` if that matrix is not positive definite.
 fn damped(matrix: &DMatrix<f64>, vector: &DVector<f64>, lambda: f64) -> Option<DVector<f64>> {
     let mut damped = matrix.clone();
     let mean = matrix.trace() / matrix.nrows().max(1) as f64;
@@ -76,7 +75,7 @@ fn squares(weights: &[f64], residual: &[f64]) -> f64 {
     weights.iter().zip(residual).map(|(w, r)| w * r * r).sum()
 }
 
-/// Largest |r_m|.
+/// Returns the largest |r_m|, in units of a coefficient.
 pub fn largest(equations: &Equations, u: &[f64], work: &mut Work) -> f64 {
     equations.residual(u, &mut work.residual);
     most(&work.residual)
@@ -86,21 +85,21 @@ fn most(residual: &[f64]) -> f64 {
     residual.iter().fold(0.0, |most, r| r.abs().max(most))
 }
 
-/// Root of the mean of r_m^2, over h.
+/// Returns the root mean square of r_m in units of h.
 pub fn rms(equations: &Equations, u: &[f64], work: &mut Work) -> f64 {
     equations.residual(u, &mut work.residual);
     let sum: f64 = work.residual.iter().map(|r| r * r).sum();
     (sum / equations.rows().max(1) as f64).sqrt() / equations.half
 }
 
-/// Moves `u` to where sum_m r_m^2 is least nearby, in at most `rounds` steps.
+/// Moves the times `u` (normalised to the window) to a nearby minimum of sum_m r_m^2, in at most `rounds` steps.
 pub fn least_squares(equations: &Equations, u: &mut [f64], rounds: usize, work: &mut Work) {
     work.weights.clear();
     work.weights.resize(equations.rows(), 1.0);
     weighted(equations, u, work, rounds, None);
 }
 
-/// Levenberg-Marquardt; with `power` the weights follow the residual, and it ends where all rows hold.
+/// Runs Levenberg-Marquardt. With `power` the weights follow the residual, and it ends once all rows hold.
 fn weighted(
     equations: &Equations,
     u: &mut [f64],
@@ -109,7 +108,8 @@ fn weighted(
     power: Option<i32>,
 ) {
     let (rows, n) = (equations.rows(), u.len());
-    // No event moves by more than a period of the highest atom in one step.
+    // In one step no event moves by more than half a period of the highest DTFT atom, or a quarter of that of the
+    // DCT.
     let reach = 0.5 / f64::from(equations.ks.last().copied().unwrap_or(1).max(1));
     let mut lambda = 1e-3;
     let mut next = vec![0.0; n];
@@ -160,8 +160,8 @@ fn weighted(
     }
 }
 
-/// Moves `u` to the analytic centre of the times whose residual is within h, as far as such are
-/// found nearby; whether they are.
+/// Moves the times `u` (normalised to the window) to the analytic centre of the times whose residual is within h;
+/// returns whether times within h were found nearby. If not, `u` is unchanged.
 pub fn centre(equations: &Equations, u: &mut [f64], work: &mut Work) -> bool {
     let half = equations.half;
     if largest(equations, u, work) >= half {

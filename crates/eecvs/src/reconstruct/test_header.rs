@@ -1,8 +1,8 @@
-//! A header for tests.
+//! A frame header for tests.
 
 use eecvs_nostd::{Header, Mode, Quantiser, Regime, Sensor, Transform};
 
-/// A DTFT window of an 8 x 4 sensor from 5,000 us, K = M = 16, step 2^3.
+/// Returns the header of a DTFT window of an 8 x 4 sensor that starts at 5,000 us, with K = M = 16 and step 2^3.
 pub fn header(duration_us: u32) -> Header {
     Header {
         truncated: false,

@@ -1,4 +1,4 @@
-//! A pixel as the encoder sends it, for tests.
+//! A pixel as the encoder would send it, for tests.
 
 use eecvs_nostd::fixed_point::Sum;
 use eecvs_nostd::group::Impulse;
@@ -8,7 +8,7 @@ use eecvs_nostd::{Header, Level, Quantiser, Transform};
 
 use super::{Pixel, test_header};
 
-/// Header of a window of `duration_us`, K = M = `m`.
+/// Returns the header of a window of `duration_us`, with K = M = `m`.
 pub fn header(transform: Transform, m: u8, step_log2: i8, duration_us: u32) -> Header {
     Header {
         transform,
@@ -19,7 +19,7 @@ pub fn header(transform: Transform, m: u8, step_log2: i8, duration_us: u32) -> H
     }
 }
 
-/// Levels of k = 1.. of up to 63 events, offset and whether ON.
+/// Returns the levels of k from 1 on, for up to 63 events given as (offset in microseconds, whether ON).
 pub fn levels(header: &Header, events: &[(u32, bool)]) -> Vec<Level> {
     let grid = usize::from(header.grid);
     let mut sums = vec![Sum::ZERO; 2 * grid];
@@ -46,7 +46,7 @@ pub fn levels(header: &Header, events: &[(u32, bool)]) -> Vec<Level> {
         .collect()
 }
 
-/// What a decoder gets of them.
+/// Returns the pixel that a decoder receives for these events.
 pub fn pixel(header: &Header, events: &[(u32, bool)]) -> Pixel {
     let on = events.iter().filter(|(_, is_on)| *is_on).count() as u32;
     let off = events.len() as u32 - on;

@@ -1,21 +1,23 @@
-//! The kept coefficients of a window in basis order.
+//! Planes of a window's kept coefficients, in basis order.
 
 use event_types::stream::Result;
 
 use super::super::DecodedWindow;
 
-/// The pixels of a window, as coefficients.
+/// A window whose pixels are coefficients.
 #[derive(Debug)]
 pub(super) struct Coefficients(DecodedWindow);
 
 impl Coefficients {
-    /// The coefficients of `window`'s frames or, where events came, those that the encoder would have sent for them.
+    /// Takes the coefficients of `window`'s frames or, if events were sent, those that the encoder would have sent
+    /// for them.
     pub fn new(window: &DecodedWindow) -> Result<Self> {
         Ok(Self(window.with_pixels()?))
     }
 
-    /// Adds channel `channel` to a plane of zeros: coefficient k of a real transform; re of c_(channel / 2) or, for odd
-    /// channels, its im, of a complex one. c_0 is ON minus OFF, whether it was kept or not.
+    /// Writes channel `channel` into a plane of zeros. For a real transform this is coefficient k = `channel`; for
+    /// a complex one it is re of c_(channel / 2), or im for odd channels. c_0 is ON minus OFF, whether it was kept
+    /// or not.
     pub fn plane(&self, channel: usize, plane: &mut [f32]) {
         let window = &self.0;
         let width = usize::from(window.header.sensor.width);
@@ -55,7 +57,7 @@ mod tests {
                 y: 3,
                 on: 3,
                 off: 1,
-                // c_0 was pruned: the counts have it.
+                // c_0 was pruned, but the counts give it.
                 coefficients: vec![(5, 0.25, -0.75)],
                 single_u: None,
             }],

@@ -1,14 +1,14 @@
-//! The inverse transform as a volume of B time bins, the same array for every transform.
+//! Inverse transform to a volume of B time bins, with the same layout for every transform.
 //!
-//! `V[b]` is the integral of `s_hat(u)` over `[b/B, (b+1)/B)`, where `s_hat` is the signal that
-//! the kept coefficients describe:
+//! `V[b]` is the integral of `s_hat(u)` over `[b/B, (b+1)/B)`, where `s_hat` is the signal that the kept
+//! coefficients describe:
 //!
 //! * DCT: s_hat(u) = c_0 + 2 sum_k c_k cos(pi k u)
 //! * DTFT: s_hat(u) = c_0 + 2 Re sum_k c_k exp(i 2 pi k u)
 //! * Haar: s_hat(u) = c_0 + sum_(j,m) c_(j,m) 2^(j/2) h(2^j u - m)
 //!
-//! c_0 is ON minus OFF, which every pixel tells, whether k = 0 was kept or not; so a pixel's bins sum to it. With
-//! every Haar coefficient and B = K they are the exact sums of polarities.
+//! c_0 is ON minus OFF, which is sent for every pixel whether k = 0 was kept or not, so a pixel's bins sum to it.
+//! With all Haar coefficients and B = K, the bins are the exact sums of polarities.
 
 use std::f64::consts::{PI, TAU};
 
@@ -22,12 +22,12 @@ pub struct Inverse {
     transform: Transform,
     grid: u16,
     bins: usize,
-    /// `[k * bins + b]`: weights of re and of im.
+    /// Weights of re and im, at `[k * bins + b]`.
     weights: Vec<(f64, f64)>,
 }
 
 impl Inverse {
-    /// Weights of K = `grid` atoms on `bins` bins.
+    /// Computes the weights of K = `grid` atoms on `bins` bins.
     #[must_use]
     pub fn new(transform: Transform, grid: u16, bins: usize) -> Self {
         let weights = (0..grid)
@@ -47,13 +47,13 @@ impl Inverse {
         }
     }
 
-    /// Whether the table is that of these.
+    /// Returns whether the table has this transform, grid size and number of bins.
     #[must_use]
     pub fn fits(&self, transform: Transform, grid: u16, bins: usize) -> bool {
         (self.transform, self.grid, self.bins) == (transform, grid, bins)
     }
 
-    /// `V[b]` of one pixel, for one bin.
+    /// Returns `V[b]` of one pixel for b = `bin`, in events.
     #[must_use]
     pub fn value(&self, pixel: &Pixel, bin: usize) -> f64 {
         let weights = |k: u16| self.weights[usize::from(k) * self.bins + bin];
@@ -65,7 +65,7 @@ impl Inverse {
         pixel.net() * weights(0).0 + others.sum::<f64>()
     }
 
-    /// Adds bin `bin` of a window to an H x W plane of zeros.
+    /// Writes bin `bin` of a window into `plane`, an H x W plane of zeros in raster order.
     pub fn plane(&self, window: &DecodedWindow, bin: usize, plane: &mut [f32]) {
         let width = usize::from(window.header.sensor.width);
         for pixel in &window.pixels {
@@ -75,7 +75,7 @@ impl Inverse {
     }
 }
 
-/// Integrals over [from, to) of what re and im of coefficient k are multiplied with.
+/// Integrals over [from, to) of the factors of re and im of coefficient k.
 fn weight(transform: Transform, k: u16, from: f64, to: f64) -> (f64, f64) {
     if k == 0 {
         return (to - from, 0.0);
@@ -135,7 +135,7 @@ mod tests {
         }
     }
 
-    /// The sums of the module's formulas, integrated numerically.
+    /// Compares with the module's formulas, integrated numerically.
     #[test]
     fn bins_are_integrals_of_the_synthesis() {
         let coefficients = vec![(0, 3.0, 0.0), (1, 0.7, -0.4), (3, -1.2, 0.9)];

@@ -1,14 +1,14 @@
-//! The dense volume of a window: C x H x W of f32, a plane at a time.
+//! Dense volume of a window: C x H x W of f32, computed a plane at a time.
 //!
 //! | form | channels | value |
 //! |---|---|---|
-//! | coefficients | K, or 2 K of complex ones (re and im in turn) | c_k of eq. 6; pruned ones are 0, c_0 is ON minus OFF |
-//! | sums | B, or 2 B with polarities apart | sum of the polarities of the bin's events |
-//! | bilinear | the same | sum over the pixel's events of p max(0, 1 - \|b - (B - 1) u\|) |
+//! | coefficients | K, or 2 K (re, im in turn) if complex | c_k of eq. 6; pruned ones are 0, c_0 is ON minus OFF |
+//! | sums | B, or 2 B with separate polarities | sum of the polarities of the bin's events |
+//! | bilinear | as for sums | sum over the pixel's events of p max(0, 1 - \|b - (B - 1) u\|) |
 //!
-//! Sums and bilinear values are made of events. So they are exact wherever events are, whatever M is. Where
-//! a window travelled as coefficients alone, its sums are the inverse transform ([`inverse`]), and its bilinear
-//! values are those of the event times that are solved for.
+//! Sums and bilinear values are computed from events, so they are as exact as the events, whatever M is. If a
+//! window was sent as coefficients, its sums come from the inverse transform ([`inverse`]), and its bilinear values
+//! from the event times that are solved for.
 
 pub mod coefficients;
 pub mod inverse;
@@ -27,43 +27,44 @@ use super::DecodedWindow;
 use super::events::Finder;
 use crate::decode::WindowEvents;
 
-/// What the channels of a volume are.
+/// Meaning of a volume's channels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Channels {
     /// The kept coefficients, in basis order.
     Coefficients,
-    /// Bins in time.
+    /// Time bins.
     Bins {
-        /// B, at least 1.
+        /// Number of bins B, at least 1.
         count: u16,
-        /// What an event adds to which bins.
+        /// How an event is distributed over the bins.
         weights: Weights,
-        /// Whether ON events have B channels, and OFF events, counted as positive, the B after them.
+        /// Whether polarities are separate: B channels of ON events, followed by B of OFF events, both counted as
+        /// positive.
         split: bool,
     },
 }
 
-/// Which volume is made of a window.
+/// Form of the volume computed from a window.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Form {
-    /// Its channels.
+    /// Meaning of the channels.
     pub channels: Channels,
-    /// Whether the values that are not 0 are scaled to a mean of 0 and a standard deviation of 1 over the volume; where
-    /// all are the same, only the mean is taken off. The deviation is that of the population.
+    /// Whether nonzero values are scaled to a mean of 0 and a (population) standard deviation of 1 over the volume.
+    /// If all are equal, only the mean is subtracted.
     pub normalised: bool,
 }
 
-/// Makes volumes of one form.
+/// Computes volumes of one form.
 #[derive(Debug)]
 pub struct Maker {
     form: Form,
-    /// Finds the events of windows that came as coefficients.
+    /// Recovers the events of windows sent as coefficients.
     events: WindowEvents,
-    /// The table that fitted the last window.
+    /// Table for the shape of the last window.
     inverse: Option<Inverse>,
 }
 
-/// The volume of one window.
+/// The volume of one window, whose planes are computed on request.
 #[derive(Debug)]
 pub struct Volume<'m> {
     shape: [usize; 3],
@@ -71,7 +72,7 @@ pub struct Volume<'m> {
     scale: Option<Scale>,
 }
 
-/// How the planes of a volume are filled.
+/// Source of the values of a volume's planes.
 #[derive(Debug)]
 enum Values<'m> {
     Coefficients(Coefficients),
@@ -80,7 +81,7 @@ enum Values<'m> {
 }
 
 impl Maker {
-    /// Volumes of `form`; `finder` is for the event times of windows of coefficients.
+    /// Creates a maker of volumes of `form`; `finder` finds the event times of windows of coefficients.
     #[must_use]
     pub fn new(form: Form, finder: Finder) -> Self {
         Self {
@@ -90,10 +91,11 @@ impl Maker {
         }
     }
 
-    /// The volume of `window`.
+    /// Prepares the volume of `window`.
     ///
     /// # Errors
-    /// Polarities apart of a window whose coefficients hold their difference alone.
+    /// Fails for sums with separate polarities if the window was sent as coefficients, which hold only ON minus
+    /// OFF, and for coefficients if the encoder does not accept the window's events.
     pub fn volume<'m>(&'m mut self, window: &'m DecodedWindow) -> Result<Volume<'m>> {
         let sensor = window.header.sensor;
         let sides = [usize::from(sensor.height), usize::from(sensor.width)];
@@ -155,13 +157,13 @@ impl Maker {
 }
 
 impl Volume<'_> {
-    /// C, H and W.
+    /// Returns the shape: channels C, height H and width W.
     #[must_use]
     pub const fn shape(&self) -> [usize; 3] {
         self.shape
     }
 
-    /// Fills channel `channel`, an H x W plane, rows from the top.
+    /// Fills `plane` with channel `channel`: H x W values in raster order from the top row.
     pub fn plane(&self, channel: usize, plane: &mut [f32]) {
         plane.fill(0.0);
         match &self.values {
@@ -292,7 +294,7 @@ mod tests {
         let form = bins(4, Weights::Nearest, true, false);
         let mut maker = Maker::new(form, Finder::Exact);
         assert!(maker.volume(&window).is_err());
-        // c_0 is the counts', kept or not.
+        // c_0 comes from the counts, whether it was kept or not.
         let sums = values(bins(4, Weights::Nearest, false, false), &window);
         let of_pixel: Vec<f32> = (0..4).map(|bin| sums[32 * bin]).collect();
         assert_eq!(of_pixel, [0.25; 4]);

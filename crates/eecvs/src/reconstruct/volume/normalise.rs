@@ -1,18 +1,18 @@
-//! Values that are not 0, scaled to a mean of 0 and a standard deviation of 1.
+//! Scales nonzero values to a mean of 0 and a standard deviation of 1.
 
 use super::Volume;
 
-/// What is taken off, and what is divided by.
+/// The mean to subtract and the deviation to divide by.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Scale {
     mean: f64,
-    /// `None` where all values are the same.
+    /// `None` if all values are equal.
     deviation: Option<f64>,
 }
 
 impl Scale {
-    /// Of the values of a volume that are not 0: mean = sum v / n, deviation = sqrt(sum v^2 / n - mean^2), in f64, in
-    /// the order of the array.
+    /// Computes the scale of a volume's nonzero values in f64, in the order of the array: mean = sum v / n,
+    /// deviation = sqrt(sum v^2 / n - mean^2).
     pub fn of(volume: &Volume<'_>) -> Self {
         let [channels, height, width] = volume.shape();
         let mut plane = vec![0.0; height * width];
@@ -29,7 +29,7 @@ impl Scale {
         let count = count.max(1) as f64;
         let mean = sum / count;
         let variance = squares / count - mean * mean;
-        // What rounding alone leaves of a variance of 0.
+        // Bound on what rounding alone leaves of a variance of 0.
         let least = f64::EPSILON * 8.0 * mean * mean;
         Self {
             mean,
@@ -37,7 +37,7 @@ impl Scale {
         }
     }
 
-    /// Scales the values of a plane that are not 0.
+    /// Scales the nonzero values of a plane.
     pub fn apply(self, plane: &mut [f32]) {
         for value in plane.iter_mut().filter(|value| **value != 0.0) {
             *value = ((f64::from(*value) - self.mean) / self.deviation.unwrap_or(1.0)) as f32;

@@ -1,29 +1,30 @@
-//! Events in bins of time, exactly: sums of polarities, or of bilinear weights.
+//! Time bins of events, computed exactly: sums of polarities, or of bilinear weights.
 //!
 //! ```text
 //! nearest:  V[b, y, x] = sum of p over the pixel's events with floor(B (t - t0) / T) = b
 //! bilinear: V[b, y, x] = sum of p max(0, 1 - |b - tau|), tau = (B - 1) (t - t0) / T
 //! ```
 //!
-//! T is the window's duration, so that windows of one length have bins of one length; the bilinear weights are those of
-//! Zhu et al. (2019), who let the first and the last event span the bins in its place. All sums are of integers (those
-//! of bilinear weights in units of 1 / T), so a value is rounded once and does not depend on the order of events.
+//! T is the window's duration, so windows of equal length have bins of equal length. The bilinear weights are those
+//! of Zhu et al. (2019), except that there the first and the last event span the bins. All sums are of integers
+//! (bilinear weights in units of 1 / T), so each value is rounded only once and does not depend on the order of the
+//! events.
 
 use eecvs_nostd::{Event, Polarity};
 
 use super::super::DecodedWindow;
 
-/// What an event adds to which bins.
+/// How an event is distributed over the bins.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Weights {
-    /// 1 to the bin that its time is in.
+    /// Adds 1 to the bin that contains its time.
     #[default]
     Nearest,
-    /// Parts of 1 to the two bins that its time is between.
+    /// Splits 1 between the two bins nearest to its time.
     Bilinear,
 }
 
-/// Bins and what their channels are.
+/// Bins and the layout of their channels.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Form {
     pub bins: u16,
@@ -37,7 +38,7 @@ impl Form {
     }
 }
 
-/// What is added in one place.
+/// A contribution to one value.
 #[derive(Debug, Clone, Copy)]
 struct Part {
     channel: u32,
@@ -47,10 +48,10 @@ struct Part {
     value: i64,
 }
 
-/// The values of a window that are not 0.
+/// The nonzero values of a window.
 #[derive(Debug)]
 pub(super) struct Voxels {
-    /// By channel and pixel.
+    /// Sorted by channel and pixel.
     parts: Vec<Part>,
     scale: f64,
 }
@@ -65,7 +66,7 @@ impl Voxels {
         for event in &window.events {
             let pixel = u32::from(event.y) * width + u32::from(event.x);
             let (first, value) = sign(event, form);
-            // Decoded times lie in their window.
+            // Decoded times lie within their window.
             let since_us = event.t_us.saturating_sub(header.t0_us).min(duration_us - 1);
             let mut add = |bin: u64, value: i64| {
                 if value != 0 {
@@ -91,7 +92,7 @@ impl Voxels {
         parts.dedup_by(|part, sum| {
             let same = (part.channel, part.pixel) == (sum.channel, sum.pixel);
             if same {
-                // At most 2^24 events of 2^32 each.
+                // The sum fits: at most 2^24 events with a weight of at most 2^32 each.
                 sum.value += part.value;
             }
             same
@@ -103,7 +104,7 @@ impl Voxels {
         Self { parts, scale }
     }
 
-    /// Adds channel `channel` to a plane of zeros.
+    /// Writes channel `channel` into a plane of zeros.
     pub fn plane(&self, channel: usize, plane: &mut [f32]) {
         let start = self
             .parts
@@ -117,7 +118,7 @@ impl Voxels {
     }
 }
 
-/// The first channel of an event's polarity, and the event's sign there.
+/// Returns the first channel of an event's polarity, and the event's sign there.
 fn sign(event: &Event, form: Form) -> (u32, i64) {
     match (event.polarity, form.split) {
         (Polarity::On, _) => (0, 1),
@@ -149,7 +150,7 @@ mod tests {
         }
     }
 
-    /// The module's formulas, an event at a time in f64.
+    /// Evaluates the module's formulas in f64, one event at a time.
     fn formula(window: &DecodedWindow, form: Form) -> Vec<f64> {
         let (bins, duration_us) = (usize::from(form.bins), f64::from(window.header.duration_us));
         let mut values = vec![0.0; form.channels() * 32];
