@@ -5,7 +5,7 @@ use event_types::{Sensor, bail, error};
 use hdf5_reader::{Dataset, Datatype, error::Error};
 
 use super::file::{Hdf5, fields, join, number_type, plain, read_column, read_records, read_table};
-use super::prophesee::{self, Packed};
+use super::prophesee;
 use crate::mat::Range;
 use crate::numpy::npy_header::{Dtype, Number};
 use crate::reading::{Columns, Reading, TimeUnit};
@@ -308,18 +308,12 @@ impl Plan {
         file.stated_unit(&paths)
     }
 
-    /// Returns the first rows, or those before the first damage; for compounds in `packed`, from the chunk that is
-    /// read next anyway.
+    /// Returns the first rows, or those before the first damage.
     ///
     /// # Errors
     /// The first row is damaged.
-    pub fn sample(&self, file: &Hdf5, packed: Option<&mut Packed>) -> Result<Vec<Row>> {
+    pub fn sample(&self, file: &Hdf5) -> Result<Vec<Row>> {
         let count = self.events.min(SAMPLE_TIMES as u64);
-        if let Some(packed) = packed
-            && let Some(rows) = packed.first_rows(count as usize)
-        {
-            return Ok(rows);
-        }
         self.read_whole(0, count)
             .map_err(|error| self.error(file, 0, &error))
     }

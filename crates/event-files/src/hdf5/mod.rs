@@ -52,7 +52,7 @@ use crate::format::{Format, Limits, Opening, Start};
 use crate::input::{Batch, Decode, ReadSeek, Reader};
 use crate::reading::Reading;
 use crate::table::event_numbers::T;
-use crate::table::row_events::RowEvents;
+use crate::table::row_events::{RowEvents, Scale};
 use crate::{Assumption, BATCH_EVENTS, Skipped};
 
 /// This format in the table of formats.
@@ -103,11 +103,18 @@ impl Hdf5Reader {
         reading: &Reading,
     ) -> Result<Self> {
         let file = Hdf5::open(source, name)?;
-        let plan = Plan::find(&file, place, reading)?;
+        let mut plan = Plan::find(&file, place, reading)?;
         let (stated, sizes) = file.stated_size(&plan.place);
         let compounds = plan.compounds();
-        let mut packed = compounds.and_then(|dataset| Packed::find(&file, dataset));
-        let sample = plan.sample(&file, packed.as_mut())?;
+        let packed = compounds.and_then(|dataset| Packed::find(&file, dataset));
+        let sample = match packed {
+            // ECF codes times in us and polarities as bits: there is nothing to find out from a sample.
+            Some(_) => {
+                plan.times.scale.get_or_insert(Scale::US);
+                Vec::new()
+            }
+            None => plan.sample(&file)?,
+        };
         let base = plan.base(&file, reading, stated)?;
         let rows = RowEvents::new(reading, plan.times, base, &sample);
         let mut rows = rows.map_err(|what| match plan.dataset(T) {

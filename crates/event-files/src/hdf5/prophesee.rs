@@ -9,8 +9,6 @@ use super::ecf::{Columns, RECORD_BYTES};
 use super::file::{Hdf5, read_rows};
 use super::filters;
 use crate::input::Batch;
-use crate::numpy::npy_header::Number;
-use crate::table::event_numbers::Row;
 
 /// A compound as stored in the file.
 #[derive(Clone)]
@@ -127,23 +125,6 @@ impl Packed {
         let events = read.and_then(|()| self.columns.read(&self.bytes).ok());
         self.held = Some((first, events));
         events
-    }
-
-    /// Returns t, x, y and p of the first `count` events, if the first chunk holds them all and is not damaged.
-    pub fn first_rows(&mut self, count: usize) -> Option<Vec<Row>> {
-        let events = self.hold(0)?;
-        if count > events {
-            return None;
-        }
-        let numbers = |event: Event| {
-            let [x, y] = [event.x, event.y].map(i64::from);
-            [event.t_us.cast_signed(), x, y, event.polarity as i64]
-        };
-        let rows = self.columns.events(0..count).map(numbers);
-        Some(
-            rows.map(|row| row.map(|number| Some(Number::Whole(number))))
-                .collect(),
-        )
     }
 
     /// Appends the `count` events from row `start` on, all in the chunk that begins at row `first`, to `batch`.
