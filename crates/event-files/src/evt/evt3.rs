@@ -9,6 +9,10 @@
 //! | 6 `TIME_LOW`, 8 `TIME_HIGH` | time bits 11..0, 23..12 |
 //! | A `EXT_TRIGGER`, 7 and F CONTINUED, E OTHERS | skipped and counted |
 //!
+//! Sensors send vectors as `VECT_BASE_X` and then always `VECT_12`, `VECT_12`, `VECT_8`, and so does the writer
+//! (`evt3_group.rs`). The reader also takes vectors of any other words, which other decoders misread: files that
+//! earlier writers made have a lone `VECT_12`.
+//!
 //! Only `TIME_HIGH` carries the overflow: a `TIME_LOW` may step back by a few microseconds after a `TIME_HIGH`,
 //! and to take that for a wrap would stretch a recording. A new `TIME_HIGH` value sets the low bits to 0 until a
 //! `TIME_LOW` follows; a repeated one keeps them. The 24 bits of time wrap every 16.8 s; the wraps are counted.
@@ -28,6 +32,7 @@ use std::path::Path;
 use event_types::stream::Result;
 use event_types::{Event, Polarity, Sensor};
 
+use crate::evt::evt3_group::Group;
 use crate::evt::header as raw_header;
 use crate::evt::header::RawFile;
 use crate::evt::row::{Outside, Row};
@@ -419,7 +424,7 @@ impl WordDecoder {
     }
 }
 
-/// A writer of EVT 3.0 files; runs of at least three events in one row become vectors.
+/// A writer of EVT 3.0 files; five events or more of one row and time become vectors ([`Group`]).
 ///
 /// It holds any times up to 2^60 us, in any order as long as a reader can follow the wraps. Up to 4,096 wraps from
 /// time 0 are written out for every reader. Beyond that, the header's `% time_base_us` carries what exceeds 24
@@ -452,9 +457,9 @@ impl Evt3Writer {
 impl EventWriter for Evt3Writer {
     fn write(&mut self, events: &[Event]) -> Result<()> {
         let mut rest = events;
-        while let Some(first) = rest.first() {
-            let (count, bits) = run(rest);
-            let (now, later) = rest.split_at(count);
+        let width = self.raw.sensor().width;
+        while let (Some(first), Some(group)) = (rest.first(), Group::of(rest, width)) {
+            let (now, later) = rest.split_at(group.events);
             // `high` is below 2^12, and so are the lower bits.
             let time = |high: u64| (TIME_HIGH << 12 | high as u16).to_le_bytes();
             let new_high = self.raw.begin(now, time)?;
@@ -469,14 +474,8 @@ impl EventWriter for Evt3Writer {
                 self.word(ADDR_Y, first.y)?;
                 self.y = Some(first.y);
             }
-            let polarity = u16::from(first.polarity == Polarity::On) << 11;
-            if count >= 3 {
-                self.word(VECT_BASE_X, polarity | first.x)?;
-                self.word(VECT_12, bits)?;
-            } else {
-                for event in now {
-                    self.word(ADDR_X, polarity | event.x)?;
-                }
+            for word in group.words() {
+                self.raw.put(&word.to_le_bytes())?;
             }
             rest = later;
         }
@@ -486,27 +485,6 @@ impl EventWriter for Evt3Writer {
     fn finish(self: Box<Self>) -> Result<()> {
         self.raw.finish()
     }
-}
-
-/// Returns how many events at the start of `events` one `VECT_12` can hold in their order (the same time, row and
-/// polarity, with x rising within 12 columns), and the vector's bits.
-fn run(events: &[Event]) -> (usize, u16) {
-    let Some(first) = events.first() else {
-        return (0, 0);
-    };
-    let (mut count, mut bits, mut last) = (1, 1, 0);
-    for event in events.iter().skip(1) {
-        let alike = (event.t_us, event.y, event.polarity) == (first.t_us, first.y, first.polarity);
-        match event.x.checked_sub(first.x) {
-            Some(column) if alike && column > last && column < VECTOR_EVENTS as u16 => {
-                bits |= 1 << column;
-                last = column;
-                count += 1;
-            }
-            _ => break,
-        }
-    }
-    (count, bits)
 }
 
 #[cfg(test)]

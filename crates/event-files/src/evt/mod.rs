@@ -4,6 +4,7 @@ pub mod evt2;
 pub mod evt21;
 pub mod evt21_word;
 pub mod evt3;
+pub mod evt3_group;
 pub mod evt4;
 pub mod header;
 pub(crate) mod row;

@@ -3,21 +3,18 @@
 //! `TIME_HIGH` is written when it changes, and again before the first event of every further 16 us (a sensor sends
 //! it every 16 us, with or without events). `TIME_LOW` and `ADDR_Y` follow it, and are written again when they
 //! change, so that a receiver is correct again 16 us after a loss. In a silence of up to 2^32 us every value of
-//! `TIME_HIGH` is written, one per 4,096 us; in a longer silence one every 2 s. Three or more consecutive events of
-//! the same time, row and polarity in increasing columns form a vector of up to 32 columns, as a sensor sends them,
-//! if that is not longer than single events. The order of events is kept.
+//! `TIME_HIGH` is written, one per 4,096 us; in a longer silence one every 2 s. Five or more consecutive events of
+//! the same time, row and polarity in increasing columns form a vector, as in files
+//! ([`event_files::evt::evt3_group`]). The order of events is kept.
 
 use anyhow::{Context, Result};
-use eecvs_nostd::{Event, Polarity, Sensor};
-use event_files::evt::evt3::{
-    ADDR_X, ADDR_Y, TIME_BITS, TIME_HIGH, TIME_LOW, VECT_8, VECT_12, VECT_BASE_X,
-};
+use eecvs_nostd::{Event, Sensor};
+use event_files::evt::evt3::{ADDR_Y, TIME_BITS, TIME_HIGH, TIME_LOW};
+use event_files::evt::evt3_group::Group;
 
 use super::high_time::Way;
 use crate::device::WriteStream;
 
-/// Columns of a full vector: words of 12, 12 and 8.
-const VECTOR_COLUMNS: u16 = 32;
 /// Interval after which `TIME_HIGH` is repeated with the next event: 2^4 us.
 const REPEAT_BITS: u32 = 4;
 /// Longest silence in which every `TIME_HIGH` is written: 2^32 us.
@@ -84,9 +81,8 @@ fn put(bytes: &mut Vec<u8>, kind: u16, value: u16) {
 impl WriteStream for Evt3Stream {
     fn write(&mut self, events: &[Event], bytes: &mut Vec<u8>) -> Result<()> {
         let mut rest = events;
-        while let Some(first) = rest.first() {
-            let (count, columns) = run(rest);
-            let (now, later) = rest.split_at(count);
+        while let (Some(first), Some(group)) = (rest.first(), Group::of(rest, self.sensor.width)) {
+            let (now, later) = rest.split_at(group.events);
             for (event, index) in now.iter().zip(self.events..) {
                 super::check_inside(index, event, self.sensor)?;
             }
@@ -95,16 +91,10 @@ impl WriteStream for Evt3Stream {
                 put(bytes, ADDR_Y, first.y);
                 self.row = Some(first.y);
             }
-            let polarity = u16::from(first.polarity == Polarity::On) << 11;
-            if count >= 3 && words(columns) <= count {
-                put(bytes, VECT_BASE_X, polarity | first.x);
-                vectors(columns, bytes);
-            } else {
-                for event in now {
-                    put(bytes, ADDR_X, polarity | event.x);
-                }
+            for word in group.words() {
+                bytes.extend(word.to_le_bytes());
             }
-            self.events += count as u64;
+            self.events += group.events as u64;
             rest = later;
         }
         Ok(())
@@ -115,51 +105,11 @@ impl WriteStream for Evt3Stream {
     }
 }
 
-/// Returns how many events at the start of `events` fit one vector in their order, and the vector's columns.
-fn run(events: &[Event]) -> (usize, u32) {
-    let Some(first) = events.first() else {
-        return (0, 0);
-    };
-    let (mut count, mut columns, mut last) = (1, 1, 0);
-    for event in &events[1..] {
-        let alike = (event.t_us, event.y, event.polarity) == (first.t_us, first.y, first.polarity);
-        match event.x.checked_sub(first.x) {
-            Some(column) if alike && column > last && column < VECTOR_COLUMNS => {
-                columns |= 1 << column;
-                last = column;
-                count += 1;
-            }
-            _ => break,
-        }
-    }
-    (count, columns)
-}
-
-/// Returns the number of words of a vector, including the one of its first column.
-const fn words(columns: u32) -> usize {
-    match 32 - columns.leading_zeros() {
-        0..=12 => 2,
-        13..=24 => 3,
-        _ => 4,
-    }
-}
-
-fn vectors(columns: u32, bytes: &mut Vec<u8>) {
-    let mut left = columns;
-    while left != 0 {
-        let width = match 32 - left.leading_zeros() {
-            0..=8 => 8,
-            _ => 12,
-        };
-        let kind = if width == 8 { VECT_8 } else { VECT_12 };
-        put(bytes, kind, (left & ((1 << width) - 1)) as u16);
-        left >>= width;
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::parse_evt3::Evt3Parser;
+    use eecvs_nostd::Polarity;
+
     use super::*;
     use crate::device::Parse;
 
@@ -210,15 +160,11 @@ mod tests {
             words_of(&events)[3..].to_vec()
         };
         assert_eq!(row(&[10, 11]), [0x280a, 0x280b]);
-        assert_eq!(row(&[10, 11, 14]), [0x380a, 0x5013]);
-        assert_eq!(row(&[10, 11, 20]), [0x380a, 0x4403]);
-        assert_eq!(row(&[10, 22, 23]), [0x380a, 0x4001, 0x5003]);
-        assert_eq!(row(&[10, 11, 34, 41]), [0x380a, 0x4003, 0x4000, 0x5081]);
-        // Longer than the single events.
-        assert_eq!(row(&[10, 11, 41]), [0x280a, 0x280b, 0x2829]);
-        // Columns that decrease, and a column that occurs twice.
-        assert_eq!(row(&[12, 11, 10]), [0x280c, 0x280b, 0x280a]);
-        assert_eq!(row(&[12, 12, 13]), [0x280c, 0x280c, 0x280d]);
+        assert_eq!(row(&[10, 11, 14, 40, 41]), [0x380a, 0x4013, 0x4000, 0x50c0]);
+        assert_eq!(
+            row(&[1275, 1276, 1277, 1278, 1279]),
+            [0x3ce0, 0x4000, 0x4000, 0x50f8]
+        );
     }
 
     #[test]
