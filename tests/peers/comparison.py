@@ -63,6 +63,12 @@ def check(name, got, want):
     print(f"differs  {name}: {len(got)} and {len(want)} events, {len(wrong)} differ{at}")
 
 
+def verdict(name, is_right):
+    global failures
+    print(f"{'ok      ' if is_right else 'differs '} {name}")
+    failures += not is_right
+
+
 def eecvs_run(*arguments):
     run = subprocess.run([eecvs, *map(str, arguments)], capture_output=True, text=True)
     if run.returncode != 0:

@@ -1,5 +1,7 @@
 //! `eecvs-usb simulate`: a simulated camera that sends a recording.
 
+#[cfg(all(target_os = "linux", target_pointer_width = "64"))]
+use std::ffi::{OsStr, OsString};
 use std::net::TcpListener;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -18,15 +20,22 @@ use crate::peripheral::Peripheral;
 use crate::peripheral::server::{Service, serve_usbip};
 use crate::peripheral::socket::Report;
 use crate::peripheral::stream::{Pace, Recording, Sent};
+#[cfg(all(target_os = "linux", target_pointer_width = "64"))]
+use crate::peripheral::usbfs::MockedUsb;
 use crate::stop::Stop;
 
 /// Bytes taken from the stream at once when no host is connected.
 const ROOM: usize = 1 << 16;
+/// Time in which a program ends by itself after Ctrl-C.
+#[cfg(all(target_os = "linux", target_pointer_width = "64"))]
+const GRACE: Duration = Duration::from_secs(2);
 
 /// Simulate a camera that sends a recording
 ///
-/// With --usbredir or --usbip, the camera is offered to a virtual machine or a kernel, and each host that connects
-/// gets the recording from its beginning, until Ctrl-C. Without them, reports what the camera would send.
+/// With --usbredir or --usbip, the camera is offered to a virtual machine or a kernel, until Ctrl-C; with --run, to one
+/// program on this machine. Each start of the
+/// camera plays the recording from its beginning; after its end the camera stays on and shows its time, as one that sees
+/// nothing. Without them, reports what the camera would send.
 #[derive(Debug, Args)]
 pub struct Simulate {
     /// Model of the camera
@@ -57,6 +66,23 @@ pub struct Simulate {
     /// Offer the camera over USB/IP, at this address and port (hosts try port 3240)
     #[arg(long, value_name = "ADDR")]
     usbip: Option<String>,
+
+    /// Run this program, with the arguments that follow, which sees the camera on its USB and no other device; its exit
+    /// status is that of the simulation. It reaches USB through libusb, and umockdev must be installed
+    #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
+    #[arg(
+        long,
+        value_names = ["PROGRAM", "ARGUMENT"],
+        num_args = 1..,
+        allow_hyphen_values = true,
+        conflicts_with_all = ["usbip", "usbredir", "once"]
+    )]
+    run: Vec<OsString>,
+
+    /// Send the first event this many milliseconds after the host has started the camera: for hosts that start it
+    /// before they take its data
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    delay_ms: u64,
 
     /// End when the first host has disconnected
     #[arg(long)]
@@ -116,6 +142,10 @@ impl Simulate {
             source.announce(&format!("{address}"));
             return source.serve(&stop, |service| serve_usbip(&listener, service));
         }
+        #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
+        if let Some((program, arguments)) = self.run.split_first() {
+            return source.run(program, arguments, &stop);
+        }
         let sent = self.drain(&source, &stop)?;
         source.print(&sent)
     }
@@ -165,14 +195,53 @@ impl Source<'_> {
         let reading = self.command.reading.reading();
         let open = Box::new(move || Ok(event_files::open(&file, &reading)?));
         let command = self.command;
-        Ok(Recording::new(open, writer, command.rate, command.start_us).repeat(command.repeat))
+        Ok(Recording::new(open, writer, command.rate, command.start_us)
+            .repeat(command.repeat)
+            .delay(Duration::from_millis(command.delay_ms)))
     }
 
     fn device(&self) -> Result<Box<dyn Peripheral>> {
-        let recording = self.recording()?;
+        let recording = self.recording()?.stay(true);
         *self.sent.lock().unwrap_or_else(PoisonError::into_inner) = recording.sent();
         let camera = self.model.camera(self.sensor, Box::new(recording));
         camera.with_context(|| format!("{}: has no camera of this size", self.model.name()))
+    }
+
+    /// Runs a program that sees the camera, and ends as it does.
+    #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
+    fn run(&self, program: &OsStr, arguments: &[OsString], stop: &Stop) -> Result<()> {
+        let usb = MockedUsb::new(self.device()?)?;
+        let name = program.display();
+        let mut child = usb
+            .command(program)
+            .args(arguments)
+            .spawn()
+            .with_context(|| format!("{name}: cannot be run"))?;
+        let status = loop {
+            if let Some(status) = child.try_wait().with_context(|| format!("{name}"))? {
+                break status;
+            }
+            if stop.is_asked() {
+                // A signal from the terminal reaches the program as well, which may end in order.
+                std::thread::sleep(GRACE);
+                // It may have ended meanwhile.
+                let _ = child.kill();
+            }
+            std::thread::sleep(Duration::from_millis(10));
+        };
+        // It has a folder, which an exit would leave.
+        drop(usb);
+        let sent = Arc::clone(&self.sent.lock().unwrap_or_else(PoisonError::into_inner));
+        // The program has stdout.
+        eprintln!("{} events, {} bytes sent", sent.events(), sent.bytes());
+        if let Some(error) = sent.error() {
+            bail!("the stream ended: {error}");
+        }
+        match status.code() {
+            Some(0) => Ok(()),
+            Some(code) => std::process::exit(code),
+            None => bail!("{name}: {status}"),
+        }
     }
 
     fn announce(&self, address: &str) {

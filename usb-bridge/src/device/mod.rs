@@ -11,6 +11,7 @@ pub mod dvxplorer_mipi;
 pub mod inivation;
 pub mod mcu;
 pub mod prophesee;
+pub mod stream_endpoint;
 
 use std::time::Duration;
 
@@ -147,6 +148,12 @@ pub trait Stream: Send {
     /// # Errors
     /// The recording cannot be read.
     fn take(&mut self, room: usize, bytes: &mut Vec<u8>) -> Result<Due>;
+
+    /// Begins anew: the device has been started.
+    fn start(&mut self) {}
+
+    /// Sets the device's clock to 0, as the host has asked.
+    fn reset_time(&mut self) {}
 }
 
 /// Whether a [`Stream`] continues.
@@ -202,6 +209,17 @@ pub trait WriteStream: Send {
     /// # Errors
     /// The device's stream cannot hold an event; the message names the event's number and field.
     fn write(&mut self, events: &[Event], bytes: &mut Vec<u8>) -> Result<()>;
+
+    /// Appends the words of time that the device has sent by `t_us` without an event. A time before that of the last
+    /// words adds none.
+    fn advance(&mut self, t_us: u64, bytes: &mut Vec<u8>);
+
+    /// Appends the word that reports a reset of the device's clock; the times of later events count from 0. Returns
+    /// `false` if the device has no such word, and then keeps its clock.
+    fn reset_time(&mut self, bytes: &mut Vec<u8>) -> bool;
+
+    /// Returns to the state of a device that has just been started.
+    fn restart(&mut self);
 
     /// Appends what the device sends when it stops.
     ///

@@ -180,7 +180,7 @@ mod tests {
             }
         }
         let [written, lagging, read] =
-            <[Report; 3]>::try_from(fan_out.finish(Duration::from_millis(300), true)).unwrap();
+            <[Report; 3]>::try_from(fan_out.finish(Duration::from_secs(2), true)).unwrap();
         for report in [&written, &read] {
             assert_eq!(report.lost.messages, 0, "{report:?}");
             assert_eq!(report.sent.messages, u64::from(count));

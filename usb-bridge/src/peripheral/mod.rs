@@ -1,7 +1,7 @@
 //! The device end of a USB cable: simulated devices, down to their descriptors.
 //!
 //! A [`Peripheral`] answers a host's requests. Separate modules carry those requests: inside the process, over
-//! usbredir to a virtual machine, or over USB/IP to a kernel.
+//! usbredir to a virtual machine, over USB/IP to a kernel, or to a program whose libusb has a library before it.
 //!
 //! ```text
 //! descriptors  a device's descriptors, from a few lines
@@ -9,6 +9,7 @@
 //! attached     a device on its bus: requests, halts, transfers in flight
 //! usbredir     ... for QEMU's usb-redir device
 //! usbip        ... for Linux's vhci-hcd
+//! usbfs        ... for a program on this machine, through umockdev's library
 //! socket       one host at the other end of a socket
 //! server       hosts that come and go, over TCP; unix_server over a Unix socket
 //! stream       a recording as the bytes that a device sends, at its pace
@@ -25,6 +26,8 @@ pub mod standard;
 pub mod stream;
 #[cfg(unix)]
 pub mod unix_server;
+#[cfg(all(target_os = "linux", target_pointer_width = "64"))]
+pub mod usbfs;
 pub mod usbip;
 pub mod usbredir;
 

@@ -10,6 +10,10 @@
 //!
 //! A slower host makes the stream late ([`Sent::late_us`]) but loses nothing. At most a batch of events and the
 //! words of [`WRITE_EVENTS`] events wait in memory.
+//!
+//! A device shows its time in a silence too: while no event is due, the stream has the words of time up to now, which
+//! is t_0 + f e as recorded. At other paces the device's time follows the events, and goes on by the host's clock after
+//! the last one, if the device stays on ([`Recording::stay`]).
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -125,6 +129,8 @@ pub struct Recording {
     writer: Box<dyn WriteStream>,
     pace: Pace,
     repeats: bool,
+    stays: bool,
+    delay: Duration,
     start_us: Option<u64>,
     /// Events that were read, at the stream's times; those from `next` on are not yet written.
     events: Vec<Event>,
@@ -136,8 +142,16 @@ pub struct Recording {
     span: Option<(u64, u64)>,
     /// Stream time of the recording's first event, in this round.
     base_us: u64,
-    /// Value of `base_us` in the first round, from which the pace counts.
-    origin_us: u64,
+    /// Value of `base_us` in the first round, from which the pace counts; `None` before the first event.
+    origin_us: Option<u64>,
+    /// Number of events whose words were written since the start.
+    written: u64,
+    /// Stream time up to which words were written.
+    shown_us: u64,
+    /// Stream time at which the host last reset the device's clock.
+    reset_us: u64,
+    /// When the recording was over, after the start.
+    over: Option<Duration>,
     due: Due,
     clock: Option<Instant>,
     sent: Arc<Sent>,
@@ -159,6 +173,8 @@ impl Recording {
             writer,
             pace,
             repeats: false,
+            stays: false,
+            delay: Duration::ZERO,
             start_us,
             events: Vec::with_capacity(BATCH_EVENTS),
             next: 0,
@@ -166,7 +182,11 @@ impl Recording {
             given: 0,
             span: None,
             base_us: 0,
-            origin_us: 0,
+            origin_us: None,
+            written: 0,
+            shown_us: 0,
+            reset_us: 0,
+            over: None,
             due: Due::More,
             clock: None,
             sent: Arc::default(),
@@ -177,6 +197,21 @@ impl Recording {
     #[must_use]
     pub fn repeat(mut self, repeats: bool) -> Self {
         self.repeats = repeats;
+        self
+    }
+
+    /// Sets whether the device stays on after the recording, like a camera that sees nothing: its stream does not end,
+    /// and shows its time.
+    #[must_use]
+    pub fn stay(mut self, stays: bool) -> Self {
+        self.stays = stays;
+        self
+    }
+
+    /// Sets how long after its start the device is silent, and its clock stands still.
+    #[must_use]
+    pub fn delay(mut self, delay: Duration) -> Self {
+        self.delay = delay;
         self
     }
 
@@ -192,9 +227,10 @@ impl Recording {
     /// The recording cannot be read, or an event cannot be represented in the device's stream. The stream has then
     /// ended.
     pub fn take_at(&mut self, elapsed: Duration, room: usize, bytes: &mut Vec<u8>) -> Result<Due> {
-        let before = bytes.len();
+        let (before, was_over) = (bytes.len(), self.over.is_some());
         let result = self.fill(elapsed, room, bytes);
-        if bytes.len() > before {
+        // Not for the words of time after the recording.
+        if bytes.len() > before && !was_over {
             let elapsed_us = u64::try_from(elapsed.as_micros()).unwrap_or(u64::MAX);
             self.sent.elapsed_us.store(elapsed_us, Ordering::Relaxed);
         }
@@ -224,23 +260,58 @@ impl Recording {
             if self.due == Due::Ended || bytes.len() == end {
                 return Ok(self.due);
             }
-            if self.next == self.events.len() && !self.read()? {
+            if self.over.is_none() && self.next == self.events.len() && !self.read(elapsed)? {
                 continue;
             }
             let count = self.count_due(elapsed);
-            if count == 0 {
+            if count > 0 {
+                self.write(count)?;
+                continue;
+            }
+            self.show_time(elapsed);
+            if self.words.is_empty() {
                 return Ok(Due::More);
             }
-            let events = &self.events[self.next..self.next + count];
-            self.writer.write(events, &mut self.words)?;
-            self.next += count;
-            self.sent.events.fetch_add(count as u64, Ordering::Relaxed);
         }
+    }
+
+    /// Writes the next `count` events.
+    fn write(&mut self, count: usize) -> Result<()> {
+        let events = &mut self.events[self.next..self.next + count];
+        for event in &mut *events {
+            self.shown_us = self.shown_us.max(event.t_us);
+            event.t_us = event.t_us.saturating_sub(self.reset_us);
+        }
+        self.writer.write(events, &mut self.words)?;
+        self.next += count;
+        self.written += count as u64;
+        self.sent.events.fetch_add(count as u64, Ordering::Relaxed);
+        Ok(())
+    }
+
+    /// Writes the words of time up to now.
+    fn show_time(&mut self, elapsed: Duration) {
+        let passed_us = |since: Duration, factor: f64| {
+            (elapsed.saturating_sub(since).as_secs_f64() * 1e6 * factor) as u64
+        };
+        let now_us = match (self.pace, self.origin_us, self.over) {
+            (Pace::Recorded(factor), Some(origin_us), _) => {
+                origin_us.saturating_add(passed_us(Duration::ZERO, factor))
+            }
+            (_, _, Some(over)) => self.shown_us.saturating_add(passed_us(over, 1.0)),
+            _ => return,
+        };
+        if self.over.is_some() && !matches!(self.pace, Pace::Recorded(_)) {
+            self.over = Some(elapsed);
+        }
+        self.shown_us = self.shown_us.max(now_us);
+        self.writer
+            .advance(self.shown_us.saturating_sub(self.reset_us), &mut self.words);
     }
 
     /// Reads the next events; returns `false` at an end of the recording, where there may be words that close the
     /// stream.
-    fn read(&mut self) -> Result<bool> {
+    fn read(&mut self, elapsed: Duration) -> Result<bool> {
         self.events.clear();
         self.next = 0;
         let reader = match &mut self.reader {
@@ -259,7 +330,10 @@ impl Recording {
             }
             _ => {
                 self.writer.finish(&mut self.words)?;
-                self.due = Due::Ended;
+                self.over = Some(elapsed);
+                if !self.stays {
+                    self.due = Due::Ended;
+                }
             }
         }
         Ok(false)
@@ -271,12 +345,12 @@ impl Recording {
             return Ok(());
         };
         let (first, mut latest) = *self.span.get_or_insert((event.t_us, event.t_us));
-        if self.sent.first_us.get().is_none() {
+        if self.origin_us.is_none() {
             let own = if first < OWN_TIME_MAX_US { first } else { 0 };
-            self.origin_us = self.start_us.unwrap_or(own);
-            self.base_us = self.origin_us;
-            // Nothing else sets it.
-            let _ = self.sent.first_us.set((first, self.origin_us));
+            self.base_us = self.start_us.unwrap_or(own);
+            self.origin_us = Some(self.base_us);
+            // Every start has the same.
+            let _ = self.sent.first_us.set((first, self.base_us));
         }
         for event in &mut self.events {
             latest = latest.max(event.t_us);
@@ -297,11 +371,14 @@ impl Recording {
     fn count_due(&self, elapsed: Duration) -> usize {
         let events = &self.events[self.next..];
         let events = &events[..events.len().min(WRITE_EVENTS)];
+        if events.is_empty() {
+            return 0;
+        }
         match self.pace {
             Pace::Max => events.len(),
             Pace::Rate(rate) => {
                 let all = (elapsed.as_secs_f64() * rate) as u64;
-                let late = all.saturating_sub(self.sent.events());
+                let late = all.saturating_sub(self.written);
                 self.note_late(late as f64 / rate * 1e6);
                 usize::try_from(late)
                     .unwrap_or(usize::MAX)
@@ -309,7 +386,7 @@ impl Recording {
             }
             Pace::Recorded(factor) => {
                 let passed = elapsed.as_secs_f64() * 1e6 * factor;
-                let now = self.origin_us.saturating_add(passed as u64);
+                let now = self.origin_us.unwrap_or(0).saturating_add(passed as u64);
                 if let Some(first) = events.first() {
                     self.note_late(now.saturating_sub(first.t_us) as f64 / factor);
                 }
@@ -328,7 +405,27 @@ impl Recording {
 impl Stream for Recording {
     fn take(&mut self, room: usize, bytes: &mut Vec<u8>) -> Result<Due> {
         let elapsed = self.clock.get_or_insert_with(Instant::now).elapsed();
-        self.take_at(elapsed, room, bytes)
+        match elapsed.checked_sub(self.delay) {
+            Some(elapsed) => self.take_at(elapsed, room, bytes),
+            None => Ok(Due::More),
+        }
+    }
+
+    fn start(&mut self) {
+        self.reader = None;
+        self.events.clear();
+        self.words.clear();
+        (self.next, self.given, self.written) = (0, 0, 0);
+        (self.span, self.origin_us, self.over, self.clock) = (None, None, None, None);
+        (self.base_us, self.shown_us, self.reset_us) = (0, 0, 0);
+        self.due = Due::More;
+        self.writer.restart();
+    }
+
+    fn reset_time(&mut self) {
+        if self.writer.reset_time(&mut self.words) {
+            self.reset_us = self.shown_us;
+        }
     }
 }
 
@@ -367,16 +464,39 @@ mod tests {
         }
     }
 
-    /// Eight bytes per event, and 0xEE at the end; refuses the time 666,666.
-    struct Writer;
+    /// Marks a word of time without an event, which is written when more than 1,000 us have passed.
+    const TIME: u64 = 1 << 62;
+    /// The word of a reset of the clock.
+    const RESET: u64 = 1 << 63;
+
+    /// Eight bytes per event or word of time, and 0xEE at the end; refuses the time 666,666.
+    #[derive(Default)]
+    struct Writer {
+        shown_us: u64,
+    }
 
     impl WriteStream for Writer {
         fn write(&mut self, events: &[Event], bytes: &mut Vec<u8>) -> Result<()> {
             for event in events {
                 anyhow::ensure!(event.t_us != 666_666, "event at 666666 us");
+                self.shown_us = event.t_us;
                 bytes.extend(event.t_us.to_le_bytes());
             }
             Ok(())
+        }
+        fn advance(&mut self, t_us: u64, bytes: &mut Vec<u8>) {
+            if t_us > self.shown_us + 1000 {
+                self.shown_us = t_us;
+                bytes.extend((t_us | TIME).to_le_bytes());
+            }
+        }
+        fn reset_time(&mut self, bytes: &mut Vec<u8>) -> bool {
+            self.shown_us = 0;
+            bytes.extend(RESET.to_le_bytes());
+            true
+        }
+        fn restart(&mut self) {
+            self.shown_us = 0;
         }
         fn finish(&mut self, bytes: &mut Vec<u8>) -> Result<()> {
             bytes.push(0xEE);
@@ -392,7 +512,7 @@ mod tests {
                 skipped: Skipped::default(),
             }) as Box<dyn EventReader>)
         });
-        Recording::new(open, Box::new(Writer), pace, start_us)
+        Recording::new(open, Box::new(Writer::default()), pace, start_us)
     }
 
     fn times(bytes: &[u8]) -> Vec<u64> {
@@ -452,6 +572,59 @@ mod tests {
         assert_eq!(times(&bytes), [1 << 40, (1 << 40) - 10, (1 << 40) + 10]);
         let mut stream = recording(&[50, 40, 60], Pace::Max, Some(0));
         assert!(stream.take_at(AT(0), 24, &mut bytes).is_err());
+    }
+
+    fn words_at(stream: &mut Recording, at_us: u64) -> Vec<u64> {
+        let mut bytes = Vec::new();
+        let due = stream
+            .take_at(AT(at_us), 1 << 20, &mut bytes)
+            .expect("good");
+        assert_eq!(due, Due::More);
+        times(&bytes)
+    }
+
+    #[test]
+    fn time_is_shown_in_a_silence() {
+        let mut stream = recording(&[100, 9_000], Pace::Recorded(1.0), None).stay(true);
+        assert_eq!(words_at(&mut stream, 0), [100]);
+        assert_eq!(words_at(&mut stream, 900), [0_u64; 0]);
+        assert_eq!(words_at(&mut stream, 2_000), [TIME | 2_100]);
+        assert_eq!(words_at(&mut stream, 2_500), [0_u64; 0]);
+        assert_eq!(words_at(&mut stream, 9_000), [9_000]);
+        // After its end, whose mark is no whole word.
+        assert_eq!(words_at(&mut stream, 12_000), [TIME | 12_100]);
+        assert_eq!(words_at(&mut stream, 1_000_000), [TIME | 1_000_100]);
+        let mut stream = recording(&[100, 9_000], Pace::Max, None).stay(true);
+        assert_eq!(words_at(&mut stream, 50), [100, 9_000]);
+        assert_eq!(words_at(&mut stream, 500), [0_u64; 0]);
+        assert_eq!(words_at(&mut stream, 1_150), [TIME | 10_100]);
+        assert_eq!(words_at(&mut stream, 5_050), [TIME | 14_000]);
+    }
+
+    #[test]
+    fn a_reset_of_the_clock_is_shown_and_times_count_from_it() {
+        let mut stream = recording(&[100, 9_000, 9_500], Pace::Recorded(1.0), None).stay(true);
+        assert_eq!(words_at(&mut stream, 2_000), [100, TIME | 2_100]);
+        stream.reset_time();
+        assert_eq!(words_at(&mut stream, 8_900), [RESET, 6_900]);
+        assert_eq!(words_at(&mut stream, 9_400), [7_400]);
+    }
+
+    #[test]
+    fn every_start_plays_from_the_start() {
+        for pace in [Pace::Max, Pace::Rate(1e6), Pace::Recorded(1.0)] {
+            let mut stream = recording(&[100, 150, 200], pace, None).stay(true);
+            assert_eq!(words_at(&mut stream, 100), [100, 150, 200], "{pace:?}");
+            stream.reset_time();
+            stream.start();
+            assert_eq!(words_at(&mut stream, 100), [100, 150, 200], "{pace:?}");
+            stream.start();
+            // Half way.
+            let mut bytes = Vec::new();
+            stream.take_at(AT(100), 12, &mut bytes).expect("good");
+            stream.start();
+            assert_eq!(words_at(&mut stream, 100), [100, 150, 200], "{pace:?}");
+        }
     }
 
     #[test]

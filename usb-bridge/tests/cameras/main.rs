@@ -8,6 +8,7 @@ mod mcu;
 mod order;
 mod prophesee_cameras;
 mod prophesee_streams;
+mod silence;
 mod simulate;
 mod stream;
 mod support;

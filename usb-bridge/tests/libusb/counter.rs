@@ -9,8 +9,8 @@ use usb_bridge::link::usb::{Attached, Bus, Device, UsbControl, UsbLink};
 use usb_bridge::link::{Link, LinkError, Loss, Received};
 use usb_bridge::peripheral::{Bulk, Descriptors, Peripheral, Reply, Speed};
 
-use crate::umockdev::usbfs::Usbfs;
 use crate::umockdev::{Mocked, under_umockdev};
+use usb_bridge::peripheral::usbfs::kernel::Usbfs;
 
 pub const ENDPOINT: u8 = 0x82;
 pub const START: u8 = 0xB3;

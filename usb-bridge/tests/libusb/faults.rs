@@ -5,7 +5,7 @@ use std::time::Duration;
 use usb_bridge::link::{Link, LinkError, Loss};
 
 use crate::counter::{Host, STOP, both, counts_from_zero};
-use crate::umockdev::usbfs::Fault;
+use usb_bridge::peripheral::usbfs::kernel::Fault;
 
 #[test]
 fn an_unplugged_device_gives_what_it_sent_and_then_says_so() {

@@ -13,6 +13,7 @@ mod faults;
 mod models;
 #[path = "../../guest/recordings.rs"]
 mod recordings;
+mod run;
 mod stream;
 #[path = "../umockdev/mod.rs"]
 mod umockdev;

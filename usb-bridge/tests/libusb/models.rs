@@ -190,10 +190,10 @@ fn capture_has_every_event() {
             return;
         };
         assert_same(model, got, events, "cuts of the recordings");
-        // A word may stand for many wraps of 2^15 us: 2^31 us are 2^16 of them.
+        // A word may stand for many wraps of 2^15 us: 2^31 us are 2^16 of them. Those of a pause come one by one.
         if ["davis240", "davis346", "dvxplorer"].contains(&model.name()) {
             let wraps = said["words"]["wraps"].as_u64().unwrap_or(0);
-            assert!((16..4096).contains(&wraps), "{said}");
+            assert!((16..16_384).contains(&wraps), "{said}");
         }
     });
 }

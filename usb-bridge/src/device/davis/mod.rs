@@ -19,7 +19,7 @@ use self::write::DavisWriter;
 use super::inivation::registers::{
     APS_RUN, DVS_RUN, ENDPOINT, IMU_ACCELEROMETER_RUN, IMU_GYROSCOPE_RUN, IMU_TEMPERATURE_RUN,
     INPUT_RUN, MUX_CHIP_RUN, MUX_DROP_EVENTS, MUX_DROP_INPUTS, MUX_RUN, MUX_TIME_RUN, Register,
-    USB_RUN, VENDOR, clear_all, write, write_all,
+    USB_RUN, VENDOR, clear_all, end_transfers_early, write, write_all,
 };
 use super::inivation::system::{Versions, found};
 use super::{Identity, Info, Model, Parse, Stream, Transfers, WriteStream};
@@ -129,8 +129,8 @@ impl Model for Davis {
         Transfers {
             endpoint: ENDPOINT,
             interface: 0,
-            count: 8,
-            bytes: 8192,
+            count: 16,
+            bytes: 1 << 16,
             timeout: Duration::from_millis(100),
         }
     }
@@ -139,7 +139,10 @@ impl Model for Davis {
         let found = found(self.name, &self.versions, &RUNS, control)?;
         let inverted = found.inverted;
         Ok(Info {
-            name: biases::chip_name(found.chip).map_or_else(|| self.label.into(), String::from),
+            name: found
+                .chip
+                .and_then(biases::chip_name)
+                .map_or_else(|| self.label.into(), String::from),
             serial: control.serial(),
             firmware: found.firmware,
             sensor: found.sensor,
@@ -151,6 +154,7 @@ impl Model for Davis {
         write_all(control, biases::of(&info.name))?;
         write(control, MUX_CHIP_RUN, 1)?;
         control.wait(SETTLE);
+        end_transfers_early(control)?;
         let stream = [
             (USB_RUN, 1),
             (MUX_DROP_EVENTS, 1),

@@ -50,6 +50,23 @@ impl WriteStream for DavisWriter {
         Ok(())
     }
 
+    fn advance(&mut self, t_us: u64, bytes: &mut Vec<u8>) {
+        self.time.advance(t_us, bytes);
+    }
+
+    fn reset_time(&mut self, bytes: &mut Vec<u8>) -> bool {
+        self.time.reset(bytes);
+        self.order.reset_time();
+        self.row = None;
+        true
+    }
+
+    fn restart(&mut self) {
+        self.time = Time16::new();
+        self.order.restart();
+        self.row = None;
+    }
+
     fn finish(&mut self, _: &mut Vec<u8>) -> Result<()> {
         Ok(())
     }

@@ -4,7 +4,9 @@ use super::{
     BIAS_BYTES, BIASES, ENDPOINT, MASTER, PRODUCT, RESET_PIXELS, RESET_TIME, START, STOP, VENDOR,
 };
 use crate::device::Stream;
-use crate::device::inivation::camera::{Source, descriptors};
+use crate::device::inivation::camera::descriptors;
+use crate::device::inivation::registers::{DROP_DATA, LOG_LEVEL};
+use crate::device::stream_endpoint::StreamEndpoint;
 use crate::link::control::Request;
 use crate::peripheral::descriptors::Endpoint;
 use crate::peripheral::{Bulk, Descriptors, Peripheral, Reply, Speed};
@@ -15,8 +17,7 @@ const RELEASE: u16 = 14;
 /// A DVS128 that sends a [`Stream`] between start and stop.
 pub struct Dvs128Camera {
     descriptors: Descriptors,
-    source: Source,
-    started: bool,
+    stream: StreamEndpoint,
 }
 
 impl Dvs128Camera {
@@ -30,8 +31,7 @@ impl Dvs128Camera {
                 ["iniLabs", "DVS128", "00000001"],
                 &[Endpoint::bulk(ENDPOINT)],
             ),
-            source: Source::new(stream),
-            started: false,
+            stream: StreamEndpoint::new(stream),
         }
     }
 }
@@ -54,9 +54,10 @@ impl Peripheral for Dvs128Camera {
             return Reply::Stall;
         }
         match request.request {
-            START => self.started = true,
-            STOP => self.started = false,
-            BIASES | RESET_TIME | RESET_PIXELS | MASTER => {}
+            START => self.stream.set_running(true),
+            STOP => self.stream.set_running(false),
+            RESET_TIME => self.stream.reset_time(),
+            BIASES | RESET_PIXELS | MASTER | LOG_LEVEL | DROP_DATA => {}
             _ => return Reply::Stall,
         }
         Reply::Data(Vec::new())
@@ -70,17 +71,17 @@ impl Peripheral for Dvs128Camera {
         if endpoint != ENDPOINT {
             return Bulk::Stall;
         }
-        self.source.send(self.started, room, data)
+        self.stream.send(room, data)
     }
 
     fn clear_halt(&mut self, endpoint: u8) {
         if endpoint == ENDPOINT {
-            self.source.clear_halt();
+            self.stream.clear_halt();
         }
     }
 
     fn reset(&mut self) {
-        self.started = false;
-        self.source.clear_halt();
+        self.stream.set_running(false);
+        self.stream.clear_halt();
     }
 }

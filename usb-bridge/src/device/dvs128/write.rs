@@ -11,6 +11,9 @@ use crate::device::inivation::writer::Order;
 /// The record of a wrapped counter.
 const WRAP: u32 = 1 << 31;
 
+/// The record of a reset of the counter.
+const RESET: u32 = 1 << 30;
+
 /// Writes the stream of a DVS128.
 #[derive(Debug)]
 pub struct Dvs128Writer {
@@ -35,11 +38,8 @@ impl WriteStream for Dvs128Writer {
         for event in events {
             self.order.check(event)?;
             let periods = event.t_us >> TIME_BITS;
-            self.order.check_gap(periods - self.periods)?;
-            for _ in self.periods..periods {
-                bytes.extend(WRAP.to_le_bytes());
-            }
-            self.periods = periods;
+            self.order.check_gap(periods.saturating_sub(self.periods))?;
+            self.advance(event.t_us, bytes);
             let time = (event.t_us & ((1 << TIME_BITS) - 1)) as u32;
             let x = u32::from(SENSOR.width - 1 - event.x);
             let y = u32::from(SENSOR.height - 1 - event.y);
@@ -47,6 +47,26 @@ impl WriteStream for Dvs128Writer {
             bytes.extend((time << 16 | y << 8 | x << 1 | off).to_le_bytes());
         }
         Ok(())
+    }
+
+    fn advance(&mut self, t_us: u64, bytes: &mut Vec<u8>) {
+        let periods = t_us >> TIME_BITS;
+        for _ in self.periods..periods {
+            bytes.extend(WRAP.to_le_bytes());
+        }
+        self.periods = self.periods.max(periods);
+    }
+
+    fn reset_time(&mut self, bytes: &mut Vec<u8>) -> bool {
+        bytes.extend(RESET.to_le_bytes());
+        self.order.reset_time();
+        self.periods = 0;
+        true
+    }
+
+    fn restart(&mut self) {
+        self.order.restart();
+        self.periods = 0;
     }
 
     fn finish(&mut self, _: &mut Vec<u8>) -> Result<()> {

@@ -2,18 +2,19 @@
 
 use eecvs_nostd::Sensor;
 
-use super::{
-    CHIP_FULL, CHIP_LITE, MODE_STREAM, PRODUCT, SENSOR_LITE, SENSOR_MODE, VERSIONS, label,
-};
+use super::{CHIP_FULL, CHIP_LITE, MODE_STREAM, PRODUCT, SENSOR_LITE, SENSOR_MODE, label};
 use crate::device::Stream;
 use crate::device::inivation::camera::{LogicCamera, messages};
 use crate::device::inivation::registers::{
     CHIP, CLOCK_DEVIATION, DEBUG_ENDPOINT, DVS_COLUMNS, DVS_ORIENTATION, DVS_ROWS, DVS_RUN,
-    ENDPOINT, LOGIC_CLOCK, LOGIC_KNOWN, LOGIC_PATCH, LOGIC_VERSION, MUX_CHIP_RUN, MUX_RUN,
-    MUX_TIME_RUN, RegisterFile, USB_CLOCK, USB_RUN, VENDOR,
+    ENDPOINT, IS_MASTER, LOGIC_CLOCK, LOGIC_KNOWN, LOGIC_PATCH, LOGIC_VERSION, MUX_CHIP_RUN,
+    MUX_RUN, MUX_TIME_RUN, RegisterFile, USB_CLOCK, USB_RUN, VENDOR, are_long,
 };
 use crate::peripheral::Speed;
 use crate::peripheral::descriptors::Endpoint;
+
+/// Release of the FX3 variant with firmware 9, the only ones that some hosts accept.
+const RELEASE: u16 = 0x0309;
 
 /// Returns a camera with a sensor of this size, as just plugged in.
 pub(super) fn camera(sensor: Sensor, stream: Box<dyn Stream>) -> LogicCamera {
@@ -21,12 +22,12 @@ pub(super) fn camera(sensor: Sensor, stream: Box<dyn Stream>) -> LogicCamera {
         registers.all_set(&[USB_RUN, MUX_RUN, MUX_TIME_RUN, MUX_CHIP_RUN, DVS_RUN])
             && registers.get(SENSOR_MODE) == MODE_STREAM
     };
-    of_release(0, sensor, stream, runs)
+    of_release(RELEASE, sensor, stream, runs)
 }
 
-/// Returns a camera whose release has this major number; it sends while `runs` returns true.
+/// Returns a camera with this `bcdDevice`; it sends while `runs` returns true.
 pub(in crate::device) fn of_release(
-    major: u8,
+    release: u16,
     sensor: Sensor,
     stream: Box<dyn Stream>,
     runs: fn(&RegisterFile) -> bool,
@@ -43,14 +44,16 @@ pub(in crate::device) fn of_release(
         (LOGIC_CLOCK, 100),
         (USB_CLOCK, 80),
         (CLOCK_DEVIATION, 1000),
+        (IS_MASTER, 1),
     ]);
+    let registers = if are_long(release) {
+        registers.with_long()
+    } else {
+        registers
+    };
     LogicCamera::new(
         Speed::Super,
-        (
-            VENDOR,
-            PRODUCT,
-            u16::from(major) << 8 | (VERSIONS.firmware_min + 1),
-        ),
+        (VENDOR, PRODUCT, release),
         label(chip),
         &[Endpoint::bulk(ENDPOINT), messages(DEBUG_ENDPOINT)],
         registers,

@@ -21,7 +21,7 @@ use self::write::DvxplorerWriter;
 use super::inivation::registers::{
     DVS_RUN, ENDPOINT, IMU_ACCELEROMETER_RUN, IMU_GYROSCOPE_RUN, IMU_TEMPERATURE_RUN, INPUT_RUN,
     MUX_CHIP_RUN, MUX_DROP_EVENTS, MUX_DROP_INPUTS, MUX_RUN, MUX_TIME_RUN, Register, USB_RUN,
-    VENDOR, clear_all, write, write_all,
+    VENDOR, clear_all, end_transfers_early, write, write_all,
 };
 use super::inivation::system::{Versions, found};
 use super::{Identity, Info, Model, Parse, Stream, Transfers, WriteStream};
@@ -51,7 +51,7 @@ pub(super) const PRODUCT: u16 = 0x8419;
 
 /// Numbers of the chips.
 pub(super) const CHIP_FULL: u32 = 20;
-pub(super) const CHIP_LITE: u32 = 21;
+pub(super) const CHIP_LITE: u32 = 19;
 
 /// Oldest versions whose stream is known.
 pub(super) const VERSIONS: Versions = Versions {
@@ -125,7 +125,7 @@ impl Model for Dvxplorer {
             endpoint: ENDPOINT,
             interface: 0,
             count: 16,
-            bytes: 8192,
+            bytes: 1 << 16,
             timeout: Duration::from_millis(100),
         }
     }
@@ -134,7 +134,7 @@ impl Model for Dvxplorer {
         let found = found(NAME, &VERSIONS, &RUNS, control)?;
         let inverted = found.inverted;
         Ok(Info {
-            name: label(found.chip).into(),
+            name: found.chip.map_or("DVXplorer", label).into(),
             serial: control.serial(),
             firmware: found.firmware,
             sensor: found.sensor,
@@ -146,6 +146,7 @@ impl Model for Dvxplorer {
         write(control, MUX_CHIP_RUN, 1)?;
         control.wait(SHORT);
         write_all(control, &SENSOR_REGISTERS)?;
+        end_transfers_early(control)?;
         let stream = [
             (MUX_DROP_INPUTS, 1),
             (MUX_DROP_EVENTS, 0),

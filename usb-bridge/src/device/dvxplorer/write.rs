@@ -84,6 +84,23 @@ impl WriteStream for DvxplorerWriter {
         Ok(())
     }
 
+    fn advance(&mut self, t_us: u64, bytes: &mut Vec<u8>) {
+        self.time.advance(t_us, bytes);
+    }
+
+    fn reset_time(&mut self, bytes: &mut Vec<u8>) -> bool {
+        self.time.reset(bytes);
+        self.order.reset_time();
+        self.column = None;
+        true
+    }
+
+    fn restart(&mut self) {
+        self.time = Time16::new();
+        self.order.restart();
+        self.column = None;
+    }
+
     fn finish(&mut self, _: &mut Vec<u8>) -> Result<()> {
         Ok(())
     }

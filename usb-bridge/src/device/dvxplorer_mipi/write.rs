@@ -50,18 +50,19 @@ impl MipiWriter {
             let low = (reference & ((1 << REFERENCE_BITS) - 1)) as u32;
             bytes.extend((REFERENCE | low).to_le_bytes());
         };
-        let mut last = match self.reference.replace(wanted) {
-            Some(last) if last == wanted => return,
+        let mut last = match self.reference {
+            Some(last) if last >= wanted => return,
             Some(last) => last,
             None => {
                 // The device counts from 0.
                 write(0);
-                if wanted == 0 {
-                    return;
-                }
                 0
             }
         };
+        self.reference = Some(wanted);
+        if wanted == last {
+            return;
+        }
         let step = if wanted - last > QUIET_MS { STEP_MS } else { 1 };
         while wanted - last > step {
             last += step;
@@ -118,7 +119,7 @@ impl WriteStream for MipiWriter {
             {
                 self.write_frame(bytes);
             }
-            let gap = event.t_us / 1000 - self.reference.unwrap_or(0);
+            let gap = (event.t_us / 1000).saturating_sub(self.reference.unwrap_or(0));
             self.order.check_gap(gap / STEP_MS)?;
             ensure!(
                 self.frame.len() < FRAME_EVENTS_MAX,
@@ -130,6 +131,25 @@ impl WriteStream for MipiWriter {
             self.frame.push(*event);
         }
         Ok(())
+    }
+
+    fn advance(&mut self, t_us: u64, bytes: &mut Vec<u8>) {
+        if self.frame.first().is_some_and(|first| first.t_us < t_us) {
+            self.write_frame(bytes);
+        }
+        if self.frame.is_empty() && self.reference.is_none_or(|last| last < t_us / 1000) {
+            self.references(t_us / 1000, bytes);
+        }
+    }
+
+    fn reset_time(&mut self, _: &mut Vec<u8>) -> bool {
+        false
+    }
+
+    fn restart(&mut self) {
+        self.order.restart();
+        self.frame.clear();
+        self.reference = None;
     }
 
     fn finish(&mut self, bytes: &mut Vec<u8>) -> Result<()> {

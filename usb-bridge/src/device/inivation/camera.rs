@@ -1,55 +1,11 @@
-//! Simulated cameras: an endpoint that sends a stream, and the registers that control it.
+//! Simulated cameras that are controlled by the registers of their logic.
 
 use super::registers::RegisterFile;
-use crate::device::{Due, Stream};
+use crate::device::Stream;
+use crate::device::stream_endpoint::StreamEndpoint;
 use crate::link::control::Request;
 use crate::peripheral::descriptors::{Device, Endpoint, Interface};
 use crate::peripheral::{Bulk, Descriptors, Peripheral, Reply, Speed};
-
-/// The stream that an endpoint sends.
-pub struct Source {
-    stream: Box<dyn Stream>,
-    ended: bool,
-    halted: bool,
-}
-
-impl Source {
-    pub fn new(stream: Box<dyn Stream>) -> Self {
-        Self {
-            stream,
-            ended: false,
-            halted: false,
-        }
-    }
-
-    /// Sends what is due while the camera is `started`. After the end of the recording the camera stays quiet, like
-    /// one that sees nothing; if the recording cannot be read, the endpoint halts.
-    pub fn send(&mut self, started: bool, room: usize, data: &mut Vec<u8>) -> Bulk {
-        if self.halted {
-            return Bulk::Stall;
-        }
-        if !started || self.ended || room == 0 {
-            return Bulk::Wait;
-        }
-        let before = data.len();
-        match self.stream.take(room, data) {
-            Ok(due) => self.ended = due == Due::Ended,
-            Err(_) => {
-                self.ended = true;
-                self.halted = true;
-            }
-        }
-        match (data.len() > before, self.halted) {
-            (true, _) => Bulk::Data,
-            (false, true) => Bulk::Stall,
-            (false, false) => Bulk::Wait,
-        }
-    }
-
-    pub fn clear_halt(&mut self) {
-        self.halted = false;
-    }
-}
 
 /// Creates the descriptors of a camera with one vendor-class interface. `ids` are vendor, product and release;
 /// `names` are manufacturer, product and serial number.
@@ -82,7 +38,7 @@ pub const fn messages(address: u8) -> Endpoint {
 pub struct LogicCamera {
     descriptors: Descriptors,
     registers: RegisterFile,
-    source: Source,
+    stream: StreamEndpoint,
     endpoint: u8,
     /// Returns whether the registers let the camera send.
     runs: fn(&RegisterFile) -> bool,
@@ -102,7 +58,7 @@ impl LogicCamera {
         Self {
             descriptors: descriptors(speed, ids, names, endpoints),
             registers,
-            source: Source::new(stream),
+            stream: StreamEndpoint::new(stream),
             endpoint: super::registers::ENDPOINT,
             runs,
         }
@@ -115,7 +71,12 @@ impl Peripheral for LogicCamera {
     }
 
     fn control(&mut self, request: Request, data: &[u8], length: usize) -> Reply {
-        self.registers.control(request, data, length)
+        let reply = self.registers.control(request, data, length);
+        self.stream.set_running((self.runs)(&self.registers));
+        if self.registers.take_time_reset() {
+            self.stream.reset_time();
+        }
+        reply
     }
 
     fn bulk_out(&mut self, _: u8, _: &[u8]) -> bool {
@@ -127,18 +88,18 @@ impl Peripheral for LogicCamera {
             // The endpoint for the firmware's own messages has none to send.
             return Bulk::Wait;
         }
-        let started = (self.runs)(&self.registers);
-        self.source.send(started, room, data)
+        self.stream.send(room, data)
     }
 
     fn clear_halt(&mut self, endpoint: u8) {
         if endpoint == self.endpoint {
-            self.source.clear_halt();
+            self.stream.clear_halt();
         }
     }
 
     fn reset(&mut self) {
         self.registers.reset();
-        self.source.clear_halt();
+        self.stream.set_running(false);
+        self.stream.clear_halt();
     }
 }

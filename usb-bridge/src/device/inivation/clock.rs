@@ -9,6 +9,7 @@
 //!
 //! | what happens | what the clock does |
 //! |---|---|
+//! | the stream begins without a word of time | the counter is 0: a device sends no word for that
 //! | the device resets its counter | time continues from the last time seen: base = now |
 //! | low falls by more than half a period without a wrap | a wrap is missing: base += period |
 //! | low falls by less | it is taken as it is: time runs back by at most half a period, until the next time word |
@@ -37,6 +38,8 @@ pub struct Clock {
     now: u64,
     /// Least time that [`Clock::take`] accepts: `now`, or a maximum that forces [`Clock::settle`].
     floor: u64,
+    /// Whether the stream has only begun: no time was seen, and nothing was lost.
+    begins: bool,
     /// Whether any time was seen.
     seen: bool,
     /// The host's time at a loss.
@@ -77,6 +80,7 @@ impl Clock {
             base: 0,
             now: 0,
             floor: u64::MAX,
+            begins: true,
             seen: false,
             anchor: None,
             before_reset: None,
@@ -100,6 +104,15 @@ impl Clock {
     #[must_use]
     pub const fn is_known(&self) -> bool {
         self.floor != u64::MAX
+    }
+
+    /// Returns whether the time of what follows is known, which it also is where a stream begins: at 0.
+    #[cold]
+    pub const fn is_known_or_zero(&mut self) -> bool {
+        if self.begins {
+            self.know(0);
+        }
+        self.is_known()
     }
 
     /// Returns whether a low part that [`Clock::take`] refused makes time run back.
@@ -151,7 +164,7 @@ impl Clock {
         {
             before.ran_on |= count == 1 && last > self.period / 2;
         }
-        if self.is_known() {
+        if self.is_known() || self.begins {
             self.base = (self.base + count * self.period).min(BASE_MAX);
             self.know(self.base.max(self.now));
         } else if let Some(anchor) = self.anchor {
@@ -193,6 +206,7 @@ impl Clock {
     /// Records a loss: time is unknown until the next low part. `host` is the device time by the host's clock.
     #[cold]
     pub fn lose(&mut self, host: Option<u64>) {
+        self.begins = false;
         self.floor = u64::MAX;
         if let Some(host) = host {
             self.anchor = Some(host.min(BASE_MAX));
@@ -206,7 +220,8 @@ impl Clock {
         self.lose(None);
     }
 
-    fn know(&mut self, time: u64) {
+    const fn know(&mut self, time: u64) {
+        self.begins = false;
         self.now = time;
         self.floor = time;
         self.seen = true;

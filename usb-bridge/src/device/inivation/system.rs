@@ -7,7 +7,7 @@ use eecvs_nostd::Sensor;
 
 use super::registers::{
     CHIP, DVS_COLUMNS, DVS_ORIENTATION, DVS_ROWS, ENDPOINT, LOGIC_KNOWN, LOGIC_PATCH,
-    LOGIC_VERSION, Register, clear_all, read,
+    LOGIC_VERSION, Register, are_long, clear_all, read,
 };
 use crate::link::control::Control;
 
@@ -29,6 +29,10 @@ const EXCHANGED: u32 = 1 << 2;
 /// The versions are too old, or the logic has another version.
 fn check_versions(known: &Versions, control: &mut dyn Control) -> Result<String> {
     let firmware = control.release() & 0xFF;
+    if are_long(control.release()) {
+        // Its firmware has the stream to itself.
+        return Ok(format!("firmware {firmware}"));
+    }
     let logic = read(control, LOGIC_VERSION)?;
     let patch = read(control, LOGIC_PATCH)?;
     ensure!(
@@ -51,8 +55,8 @@ pub struct Found {
     pub sensor: Sensor,
     /// Whether the logic exchanges columns and rows.
     pub inverted: bool,
-    /// Number of the chip.
-    pub chip: u32,
+    /// Number of the chip, if the camera reports it.
+    pub chip: Option<u32>,
 }
 
 /// Time in which the logic's buffers drain.
@@ -71,7 +75,11 @@ pub fn found(
 ) -> Result<Found> {
     let firmware = check_versions(known, control)?;
     let (sensor, inverted) = sensor(control)?;
-    let chip = read(control, CHIP)?;
+    let chip = if are_long(control.release()) {
+        None
+    } else {
+        Some(read(control, CHIP)?)
+    };
     clear_all(control, runs)?;
     control.wait(EMPTY);
     control

@@ -37,6 +37,9 @@ pub const ON: u16 = 0x3000;
 /// Code of a wrap.
 pub const WRAP: u16 = 0x7000;
 
+/// The counter was reset.
+pub const RESET: u16 = 0x0001;
+
 /// Takes a time word. Returns whether reading goes on.
 #[inline(always)]
 pub fn time(word: Word, state: &mut State) -> bool {

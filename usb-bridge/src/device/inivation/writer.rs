@@ -9,6 +9,9 @@ use super::words16;
 /// times begin at an epoch has to be shifted.
 pub const GAP_WORDS_MAX: u64 = 1 << 20;
 
+/// Most wraps of one gap that are sent one by one: 36 minutes.
+const SINGLE_WRAPS_MAX: u64 = 1 << 16;
+
 /// Checks the order and the place of events.
 #[derive(Debug)]
 pub struct Order {
@@ -26,6 +29,16 @@ impl Order {
             events: 0,
             time: 0,
         }
+    }
+
+    /// Returns to the state before the first event, with times from 0.
+    pub fn restart(&mut self) {
+        (self.events, self.time) = (0, 0);
+    }
+
+    /// Accepts times from 0 again, after a reset of the device's clock.
+    pub fn reset_time(&mut self) {
+        self.time = 0;
     }
 
     /// Checks the next event.
@@ -95,17 +108,45 @@ impl Time16 {
         if self.time == Some(t_us) {
             return Ok(false);
         }
-        let periods = t_us >> words16::TIME_BITS;
-        let mut wraps = periods - self.periods;
+        let wraps = (t_us >> words16::TIME_BITS).saturating_sub(self.periods);
         order.check_gap(wraps.div_ceil(words16::WRAPS_MAX))?;
+        self.advance(t_us, bytes);
+        self.time = Some(t_us);
+        // The logic sends no time of 0: a start, a reset or a wrap is that time.
+        let low = (t_us & 0x7FFF) as u16;
+        if low != 0 {
+            bytes.extend((words16::TIME | low).to_le_bytes());
+        }
+        Ok(true)
+    }
+
+    /// Writes the wraps up to `t_us`.
+    pub fn advance(&mut self, t_us: u64, bytes: &mut Vec<u8>) {
+        let periods = t_us >> words16::TIME_BITS;
+        let mut wraps = periods.saturating_sub(self.periods);
+        if wraps == 0 {
+            return;
+        }
+        // A device sends each wrap as it comes, and some hosts count every word as one. A clock that starts late, as
+        // none does, would take too many.
+        let most = if wraps > SINGLE_WRAPS_MAX || self.time.is_none() && wraps > words16::WRAPS_MAX
+        {
+            words16::WRAPS_MAX
+        } else {
+            1
+        };
         while wraps > 0 {
-            let some = wraps.min(words16::WRAPS_MAX);
+            let some = wraps.min(most);
             bytes.extend((words16::WRAP | some as u16).to_le_bytes());
             wraps -= some;
         }
         self.periods = periods;
-        self.time = Some(t_us);
-        bytes.extend((words16::TIME | (t_us & 0x7FFF) as u16).to_le_bytes());
-        Ok(true)
+        self.time = Some(periods << words16::TIME_BITS);
+    }
+
+    /// Writes a reset of the clock, after which times count from 0.
+    pub fn reset(&mut self, bytes: &mut Vec<u8>) {
+        bytes.extend(words16::RESET.to_le_bytes());
+        *self = Self::new();
     }
 }

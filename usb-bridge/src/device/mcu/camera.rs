@@ -1,5 +1,5 @@
 //! A simulated encoder whose sensor has its own port. It accepts a setup that asks for what it does anyway, and
-//! refuses others. Between a host's restart and setup it is silent, so that no event is lost.
+//! refuses others. Between a host's restart and setup it is silent; its stream then begins anew.
 
 use std::collections::VecDeque;
 
@@ -10,7 +10,8 @@ use eecvs_nostd::event_link::{
 
 use super::write;
 use super::{COUNTS, COUNTS_BYTES, COUNTS_LAYOUT, FROM_HOST, IDENTITY, RESTART, TO_HOST};
-use crate::device::{Due, Stream};
+use crate::device::Stream;
+use crate::device::stream_endpoint::StreamEndpoint;
 use crate::link::control::Request;
 use crate::peripheral::descriptors::{Device, Endpoint, Interface};
 use crate::peripheral::{Bulk, Descriptors, Peripheral, Reply, Speed};
@@ -21,15 +22,11 @@ const ANSWERS_MAX: usize = 1 << 14;
 /// A simulated encoder.
 pub struct McuCamera {
     descriptors: Descriptors,
-    stream: Box<dyn Stream>,
+    stream: StreamEndpoint,
     sensor: Sensor,
     receiver: Receiver,
     /// Answers that wait for the host.
     answers: VecDeque<u8>,
-    /// Whether a host has restarted it and not set it up since.
-    is_silent: bool,
-    has_ended: bool,
-    is_halted: bool,
     sessions: u32,
     bytes_sent: u32,
     bytes_received: u32,
@@ -50,15 +47,14 @@ impl McuCamera {
             ..Device::default()
         }
         .describe();
+        let mut stream = StreamEndpoint::new(stream);
+        stream.set_running(true);
         Self {
             descriptors,
             stream,
             sensor,
             receiver: Receiver::new(),
             answers: VecDeque::new(),
-            is_silent: false,
-            has_ended: false,
-            is_halted: false,
             sessions: 1,
             bytes_sent: 0,
             bytes_received: 0,
@@ -82,7 +78,7 @@ impl McuCamera {
             Ok(asked) if asked.filter != own.filter => Some(Refusal::Mode),
             Ok(_) => None,
         };
-        self.is_silent = refusal.is_some();
+        self.stream.set_running(refusal.is_none());
         let status = Status {
             answers: kind as u8,
             running: refusal.is_none(),
@@ -119,7 +115,7 @@ impl Peripheral for McuCamera {
             (Request::VENDOR_OUT, RESTART) => {
                 self.sessions = self.sessions.wrapping_add(1);
                 self.answers.clear();
-                self.is_silent = true;
+                self.stream.set_running(false);
                 return Reply::Data(Vec::new());
             }
             _ => return Reply::Stall,
@@ -151,41 +147,32 @@ impl Peripheral for McuCamera {
     }
 
     fn bulk_in(&mut self, endpoint: u8, room: usize, data: &mut Vec<u8>) -> Bulk {
-        if endpoint != TO_HOST || self.is_halted {
+        if endpoint != TO_HOST {
             return Bulk::Stall;
         }
-        let before = data.len();
         if !self.answers.is_empty() {
             let length = self.answers.len().min(room);
             data.extend(self.answers.drain(..length));
             self.bytes_sent = self.bytes_sent.wrapping_add(length as u32);
             return Bulk::Data;
         }
-        if self.has_ended || self.is_silent {
-            return Bulk::Wait;
-        }
-        match self.stream.take(room, data) {
-            Ok(Due::More) => {}
-            Ok(Due::Ended) => self.has_ended = true,
-            Err(_) => {
-                self.is_halted = true;
-                return Bulk::Stall;
-            }
-        }
+        let before = data.len();
+        let sent = self.stream.send(room, data);
         self.bytes_sent = self.bytes_sent.wrapping_add((data.len() - before) as u32);
-        if data.len() == before {
-            Bulk::Wait
-        } else {
-            Bulk::Data
-        }
+        sent
     }
 
-    fn clear_halt(&mut self, _: u8) {}
+    fn clear_halt(&mut self, endpoint: u8) {
+        if endpoint == TO_HOST {
+            self.stream.clear_halt();
+        }
+    }
 
     fn reset(&mut self) {
         self.sessions = self.sessions.wrapping_add(1);
         self.receiver.restart();
         self.answers.clear();
-        self.is_silent = false;
+        self.stream.set_running(false);
+        self.stream.set_running(true);
     }
 }

@@ -94,6 +94,17 @@ impl WriteStream for McuStream {
         self.ask(Work::Events(now), bytes)
     }
 
+    /// An encoder sends frames of windows with events, and nothing in a silence.
+    fn advance(&mut self, _: u64, _: &mut Vec<u8>) {}
+
+    fn reset_time(&mut self, _: &mut Vec<u8>) -> bool {
+        false
+    }
+
+    fn restart(&mut self) {
+        *self = Self::new(self.sensor);
+    }
+
     fn finish(&mut self, bytes: &mut Vec<u8>) -> Result<()> {
         let rest = std::mem::take(&mut self.held);
         self.ask(Work::Events(rest), bytes)?;

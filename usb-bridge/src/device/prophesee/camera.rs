@@ -5,14 +5,17 @@ use std::collections::HashMap;
 
 use event_files::evt::evt21_word::Order;
 
-use super::registers::{CHIP, FORMAT, FORMAT_EVT21, PIXELS_GO, READOUT, TIME_BASE};
-use super::sensor::{Chip, STREAMER};
+use super::registers::{
+    CHIP, FORMAT, FORMAT_EVT21, GENX320_EVT21, GENX320_FORMAT, PIXELS_GO, READOUT, TIME_BASE,
+};
+use super::sensor::{Chip, EVK2_SYSTEM, EVK2_WITH_IMX636, STREAMER};
 use super::treuzell::{
     BUILD_DATE, COMPATIBLE, DEVICES, FAILED, FRAME_BYTES_MAX, IN, NAME, OUT, REGISTERS, RELEASE,
     SERIAL, STREAM, WRITE, frame, number, parse, payload,
 };
 use super::{Format, KIND_REQUEST, STREAM_IN};
-use crate::device::{Due, Identity, Stream};
+use crate::device::stream_endpoint::StreamEndpoint;
+use crate::device::{Identity, Stream};
 use crate::link::control::Request;
 use crate::peripheral::descriptors::{Device, Endpoint, Interface};
 use crate::peripheral::{Bulk, Descriptors, Peripheral, Reply, Speed};
@@ -31,6 +34,56 @@ const INVALID: u32 = 22;
 const NO_DEVICE: u32 = 19;
 const NO_MEMORY: u32 = 12;
 
+/// Properties of older boards: a register of the board to read or to write, and whether its logic is ready.
+const BOARD_READ: u32 = 0x55;
+const BOARD_WRITE: u32 = 0x56;
+const LOGIC_STATE: u32 = 0x71;
+/// Requests of older boards: the version of the firmware, and whether the logic is ready.
+const VERSION_REQUEST: u8 = 0x70;
+const LOGIC_STATE_REQUEST: u8 = 0x71;
+/// Version of the boards that have a Gen 4.1.
+const VERSION: u8 = 3;
+
+/// What the sensors' registers hold after the camera was switched on, as hosts ask for it: factory values of biases, which
+/// hosts add to, and measurements, each with the bit that says it is valid. The values are plausible; those of a device
+/// are not known here.
+const IMX636_STATE: &[(u32, u32)] = &[
+    // Biases: pr, fo, hpf, diff_on, diff, diff_off, inv, refr.
+    (0x1000, 0x7D),
+    (0x1004, 0x4A),
+    (0x100C, 0x00),
+    (0x1010, 0x66),
+    (0x1014, 0x4D),
+    (0x1018, 0x49),
+    (0x101C, 0x5B),
+    (0x1020, 0x14),
+    // Illumination: about 300 lx.
+    (0x0010, 1 << 29 | 2849),
+    // Dead time of a pixel: 20 us.
+    (0x0020, 1 << 28 | 4000),
+    // Temperature: 30 degrees Celsius.
+    (0x0050, 1 << 11 | 453),
+    // The filters of flicker and of trails are ready.
+    (0xC0C4, 1 << 2),
+    (0xD0C4, 1 << 2),
+];
+const GENX320_STATE: &[(u32, u32)] = &[
+    (GENX320_FORMAT, GENX320_EVT21),
+    // Biases: pr, fo, fes, hpf, diff_on, each in bits 6..0.
+    (0x1000, 0x3D),
+    (0x1004, 0x27),
+    (0x1008, 0x3F),
+    (0x100C, 0x00),
+    (0x1010, 0x18),
+];
+
+const fn sensor_state(chip: Chip) -> &'static [(u32, u32)] {
+    match chip {
+        Chip::Genx320 => GENX320_STATE,
+        _ => IMX636_STATE,
+    }
+}
+
 /// A simulated camera of Prophesee.
 pub struct TreuzellCamera {
     descriptors: Descriptors,
@@ -39,10 +92,7 @@ pub struct TreuzellCamera {
     /// Whether the streamer runs, if the board has one.
     is_streaming: bool,
     answers: std::collections::VecDeque<Vec<u8>>,
-    stream: Box<dyn Stream>,
-    /// Whether the recording has ended.
-    has_ended: bool,
-    is_halted: bool,
+    stream: StreamEndpoint,
 }
 
 impl TreuzellCamera {
@@ -78,12 +128,17 @@ impl TreuzellCamera {
             registers: HashMap::new(),
             is_streaming: false,
             answers: std::collections::VecDeque::new(),
-            stream,
-            has_ended: false,
-            is_halted: false,
+            stream: StreamEndpoint::new(stream),
         };
-        camera.registers.insert(chip.base() + CHIP, chip.number());
-        camera.registers.insert(chip.base() + READOUT, 2);
+        for (address, value) in [(CHIP, chip.number()), (READOUT, 2)]
+            .iter()
+            .chain(sensor_state(chip))
+        {
+            camera.registers.insert(chip.base() + address, *value);
+        }
+        if chip == Chip::Evk2Imx636 {
+            camera.registers.insert(EVK2_SYSTEM, EVK2_WITH_IMX636);
+        }
         if format == Format::Evt21(Order::UpperFirst) {
             let format = chip.base() + FORMAT;
             camera.registers.insert(format, FORMAT_EVT21);
@@ -112,6 +167,12 @@ impl TreuzellCamera {
     }
 
     fn answer(&mut self, question: &[u8]) -> Vec<u8> {
+        // Such a question has the register's address where others have their length.
+        if let [BOARD_READ, address] = [0, 1].map(|at| number(question, at).unwrap_or(0))
+            && self.chip == Chip::Gen41
+        {
+            return frame(BOARD_READ, &payload(&[self.register(address)]));
+        }
         let Some((property, content)) = parse(question) else {
             return frame(FAILED, &[]);
         };
@@ -180,6 +241,9 @@ impl TreuzellCamera {
             STREAM if !is_sensor && is_device => {
                 frame(property, &payload(&[device, self.is_streaming.into()]))
             }
+            BOARD_WRITE | LOGIC_STATE if self.chip == Chip::Gen41 => {
+                frame(property, &payload(&[1]))
+            }
             _ => frame(FAILED, &[]),
         }
     }
@@ -191,11 +255,17 @@ impl Peripheral for TreuzellCamera {
     }
 
     fn control(&mut self, request: Request, _: &[u8], length: usize) -> Reply {
-        let is_kind = request.kind == Request::VENDOR_IN && request.request == KIND_REQUEST;
-        match self.chip.kind() {
-            Some(kind) if is_kind => Reply::Data([kind, 0][..length.min(2)].to_vec()),
-            _ => Reply::Stall,
-        }
+        let answer = match (request.kind, request.request, self.chip.kind()) {
+            (Request::VENDOR_IN, KIND_REQUEST, Some(kind)) => [kind, 0],
+            (Request::VENDOR_IN, VERSION_REQUEST, Some(_)) if self.chip == Chip::Gen41 => {
+                [VERSION, 0]
+            }
+            (Request::VENDOR_IN, LOGIC_STATE_REQUEST, Some(_)) if self.chip == Chip::Gen41 => {
+                [1, 0]
+            }
+            _ => return Reply::Stall,
+        };
+        Reply::Data(answer[..length.min(2)].to_vec())
     }
 
     fn bulk_out(&mut self, endpoint: u8, data: &[u8]) -> bool {
@@ -205,6 +275,7 @@ impl Peripheral for TreuzellCamera {
         let waiting: usize = self.answers.iter().map(Vec::len).sum();
         if waiting < ANSWERS_BYTES_MAX {
             let answer = self.answer(data);
+            self.stream.set_running(self.is_started());
             self.answers.push_back(answer);
         }
         true
@@ -220,34 +291,23 @@ impl Peripheral for TreuzellCamera {
                 }
                 None => Bulk::Wait,
             },
-            STREAM_IN if self.is_halted => Bulk::Stall,
-            STREAM_IN if self.has_ended || !self.is_started() => Bulk::Wait,
-            STREAM_IN => {
-                let before = data.len();
-                match self.stream.take(room, data) {
-                    Ok(Due::More) => {}
-                    Ok(Due::Ended) => self.has_ended = true,
-                    Err(_) => {
-                        self.is_halted = true;
-                        return Bulk::Stall;
-                    }
-                }
-                if data.len() == before {
-                    Bulk::Wait
-                } else {
-                    Bulk::Data
-                }
-            }
+            STREAM_IN => self.stream.send(room, data),
             _ => Bulk::Stall,
         }
     }
 
-    fn clear_halt(&mut self, _: u8) {}
+    fn clear_halt(&mut self, endpoint: u8) {
+        if endpoint == STREAM_IN {
+            self.stream.clear_halt();
+        }
+    }
 
     fn reset(&mut self) {
         self.answers.clear();
         // A new host finds a silent camera.
         self.registers.insert(self.chip.base() + READOUT, 2);
         self.is_streaming = false;
+        self.stream.set_running(false);
+        self.stream.clear_halt();
     }
 }

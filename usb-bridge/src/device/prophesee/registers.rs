@@ -86,6 +86,10 @@ pub const PIXELS_GO: u32 = 1 << 10;
 pub const FORMAT: u32 = 0x7000;
 /// Bit of [`FORMAT`] that selects EVT 2.1.
 pub const FORMAT_EVT21: u32 = 1 << 1;
+/// Stream format of the GenX320, in bits 1 and 0: 0 EVT 2, 1 EVT 3, 2 EVT 2.1.
+pub const GENX320_FORMAT: u32 = 0x7044;
+/// Value of [`GENX320_FORMAT`] for EVT 2.1.
+pub const GENX320_EVT21: u32 = 2;
 const OUTPUT: u32 = 0x8000;
 
 /// Selects EVT 3.0.

@@ -29,6 +29,8 @@ pub enum Chip {
 
 /// Register of an EVK2's FPGA with the number of the system.
 pub const EVK2_SYSTEM: u32 = 0x800;
+/// Number of a system with an IMX636.
+pub const EVK2_WITH_IMX636: u32 = 0x32;
 
 impl Chip {
     /// Returns the size of the sensor.
@@ -180,9 +182,9 @@ impl Found {
     fn chip(board: &mut Board<'_>, device: u32, names: &[String]) -> Result<Option<Chip>> {
         let has = |compatible: &str| names.iter().any(|name| name == compatible);
         if has(Chip::Evk2Imx636.compatible()) {
-            // The expected value is not documented, so only the fact of an answer is checked.
-            board.read(device, EVK2_SYSTEM)?;
-            return Ok(Some(Chip::Evk2Imx636));
+            // Boards with other sensors have other numbers.
+            let system = board.read(device, EVK2_SYSTEM)?;
+            return Ok((system == EVK2_WITH_IMX636).then_some(Chip::Evk2Imx636));
         }
         let families = ["psee,ccam5_", "psee,cx3_"];
         let is_sensor = |name: &String| families.iter().any(|family| name.starts_with(family));

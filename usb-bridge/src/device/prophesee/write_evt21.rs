@@ -59,6 +59,26 @@ impl WriteStream for Evt21Stream {
         Ok(())
     }
 
+    fn advance(&mut self, t_us: u64, bytes: &mut Vec<u8>) {
+        let high = t_us >> LOW_BITS;
+        let high = high - high % SILENCE.0;
+        if self.high.last().is_some_and(|last| last >= high) {
+            return;
+        }
+        let order = self.order;
+        let time = |high| bytes.extend(order.bytes(time_word(high)));
+        // A silence so long that no receiver could follow is shown as far as one can.
+        let _ = self.high.go(high, SILENCE, time);
+    }
+
+    fn reset_time(&mut self, _: &mut Vec<u8>) -> bool {
+        false
+    }
+
+    fn restart(&mut self) {
+        *self = Self::new(self.sensor, self.order);
+    }
+
     fn finish(&mut self, _: &mut Vec<u8>) -> Result<()> {
         Ok(())
     }

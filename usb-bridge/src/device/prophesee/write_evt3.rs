@@ -100,6 +100,25 @@ impl WriteStream for Evt3Stream {
         Ok(())
     }
 
+    fn advance(&mut self, t_us: u64, bytes: &mut Vec<u8>) {
+        let high = t_us >> TIME_BITS;
+        if self.high.last().is_some_and(|last| last >= high) {
+            return;
+        }
+        let time = |low| put(bytes, TIME_HIGH, low as u16);
+        // A silence so long that no receiver could follow is shown as far as one can.
+        let _ = self.high.go(high, (1, SILENCE), time);
+        self.block = None;
+    }
+
+    fn reset_time(&mut self, _: &mut Vec<u8>) -> bool {
+        false
+    }
+
+    fn restart(&mut self) {
+        *self = Self::new(self.sensor);
+    }
+
     fn finish(&mut self, _: &mut Vec<u8>) -> Result<()> {
         Ok(())
     }

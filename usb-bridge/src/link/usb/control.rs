@@ -8,8 +8,9 @@ use super::device::Opened;
 use crate::link::LinkError;
 use crate::link::control::{Control, Request};
 
-/// A device that does not answer within this time has failed.
-const ANSWER: Duration = Duration::from_secs(1);
+/// A device that does not answer within this time has failed: the longest that USB 2.0 allows (9.2.6.1), which a host
+/// that is busy may take as well.
+const ANSWER: Duration = Duration::from_secs(5);
 
 /// Sends control requests and commands to an opened device.
 #[derive(Debug, Clone)]

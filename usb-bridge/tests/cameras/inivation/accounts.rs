@@ -97,6 +97,8 @@ fn words_are_named() {
     ];
     let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
     let mut parser = DavisParser::begin(sensor(240, 180), false);
+    // Where a stream begins, the time is 0, not unknown.
+    parser.resume(None);
     let mut events = Vec::new();
     parser.parse(&bytes, &mut events);
     let counts = |skipped: &event_files::Skipped| skipped.iter().collect::<Vec<_>>();

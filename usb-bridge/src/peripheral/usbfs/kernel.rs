@@ -1,10 +1,9 @@
-//! The kernel's usbfs as libusb sees it, for one device: URBs and the other ioctls.
+//! The kernel's usbfs as libusb sees it, for one device: transfers (URBs) and the other ioctls.
 
 use std::collections::VecDeque;
-use std::time::Duration;
 
-use usb_bridge::link::control::Request;
-use usb_bridge::peripheral::{Bulk, Peripheral, Reply};
+use crate::link::control::Request;
+use crate::peripheral::{Bulk, Peripheral, Reply};
 
 /// Errors of Linux.
 const ENOENT: i32 = 2;
@@ -19,6 +18,16 @@ const ENODATA: i32 = 61;
 const EPROTO: i32 = 71;
 const EOVERFLOW: i32 = 75;
 const ESHUTDOWN: i32 = 108;
+
+/// Type of an interrupt transfer.
+pub const INTERRUPT: u8 = 1;
+/// Type of a control transfer.
+pub const CONTROL: u8 = 2;
+/// Type of a bulk transfer.
+pub const BULK: u8 = 3;
+
+/// Bytes of a setup packet.
+const SETUP_BYTES: usize = 8;
 
 /// What the next transfer to the host meets.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,7 +44,7 @@ pub enum Fault {
 pub struct Usbfs {
     peripheral: Box<dyn Peripheral>,
     /// URBs to the host that wait, in order.
-    waiting: Vec<Urb>,
+    waiting: Vec<Submitted>,
     /// URBs that have ended, until they are reaped.
     ended: VecDeque<Ended>,
     halted: Vec<u8>,
@@ -59,30 +68,72 @@ pub struct Usbfs {
     scratch: Vec<u8>,
 }
 
-struct Urb {
-    address: u64,
-    endpoint: u8,
-    length: usize,
+/// A transfer that a program submits.
+#[derive(Debug)]
+pub struct Submitted {
+    /// Address of the URB in the program, by which the program knows it.
+    pub address: u64,
+    /// Type: [`INTERRUPT`], [`CONTROL`] or [`BULK`].
+    pub kind: u8,
+    /// Endpoint, with the direction bit.
+    pub endpoint: u8,
+    /// Flags of usbfs.
+    pub flags: u32,
+    /// Address of the buffer in the program.
+    pub buffer: u64,
+    /// Bytes of the buffer, with the setup packet of a control transfer.
+    pub length: usize,
+    /// Bytes that go to the device: those of the buffer, if [`Submitted::is_sent`].
+    pub data: Vec<u8>,
 }
 
-struct Ended {
-    address: u64,
-    status: i32,
-    actual: u32,
-    data: Vec<u8>,
+impl Submitted {
+    /// Returns whether the buffer's bytes go to the device: to an OUT endpoint, or with a setup packet.
+    #[must_use]
+    pub const fn is_sent(kind: u8, endpoint: u8) -> bool {
+        kind == CONTROL || endpoint & 0x80 == 0
+    }
+}
+
+/// A transfer that has ended.
+#[derive(Debug)]
+pub struct Ended {
+    /// [`Submitted::address`].
+    pub address: u64,
+    /// [`Submitted::buffer`].
+    pub buffer: u64,
+    /// Whether it is a control transfer, whose data follow the setup packet in the buffer.
+    pub is_control: bool,
+    /// 0, or an error of the system as a negative number.
+    pub status: i32,
+    /// Bytes that were transferred, without a setup packet.
+    pub actual: u32,
+    /// Bytes that go to the program.
+    pub data: Vec<u8>,
+}
+
+impl Ended {
+    fn new(urb: &Submitted, status: i32, actual: usize, data: Vec<u8>) -> Self {
+        Self {
+            address: urb.address,
+            buffer: urb.buffer,
+            is_control: urb.kind == CONTROL,
+            status,
+            // No buffer has 2^32 bytes.
+            actual: actual as u32,
+            data,
+        }
+    }
 }
 
 fn word(bytes: &[u8], at: usize) -> u32 {
-    let word = bytes.get(at..at + 4).and_then(|word| word.try_into().ok());
-    u32::from_ne_bytes(word.unwrap_or_default())
-}
-
-fn address(bytes: &[u8]) -> u64 {
-    let word = bytes.get(..8).and_then(|word| word.try_into().ok());
-    u64::from_ne_bytes(word.unwrap_or_default())
+    let word = bytes.get(at..).and_then(<[u8]>::first_chunk);
+    u32::from_ne_bytes(word.copied().unwrap_or_default())
 }
 
 impl Usbfs {
+    /// Creates a device that meets no fault.
+    #[must_use]
     pub fn new(peripheral: Box<dyn Peripheral>) -> Self {
         Self {
             peripheral,
@@ -102,26 +153,20 @@ impl Usbfs {
         }
     }
 
-    /// The device goes: what waits ends, and is reaped before anything else fails.
+    /// Takes the device away: what waits ends, and is reaped before anything else fails.
     pub fn unplug(&mut self) {
         self.gone = true;
         for urb in self.waiting.drain(..) {
-            self.ended.push_back(Ended {
-                address: urb.address,
-                status: -ESHUTDOWN,
-                actual: 0,
-                data: Vec::new(),
-            });
+            self.ended
+                .push_back(Ended::new(&urb, -ESHUTDOWN, 0, Vec::new()));
         }
     }
 
-    /// One ioctl by its number: its result, and what its argument becomes.
+    /// Answers an ioctl that is not about a transfer, by its number, and returns its result and what its argument
+    /// becomes.
     pub fn ioctl(&mut self, what: u32, bytes: &[u8]) -> (i32, Vec<u8>) {
         match what {
-            13 => return self.reap(),
             _ if self.gone => return (-ENODEV, Vec::new()),
-            10 => return (self.submit(bytes), Vec::new()),
-            11 => return (self.discard(address(bytes)), Vec::new()),
             // Capabilities: zero packets, no limit of sizes, scatter and gather, reaping after the end.
             26 => return (0, (0x1u32 | 0x4 | 0x8 | 0x10).to_ne_bytes().to_vec()),
             _ => {}
@@ -151,52 +196,39 @@ impl Usbfs {
         0
     }
 
-    fn submit(&mut self, bytes: &[u8]) -> i32 {
-        if bytes.len() < 20 {
-            return -EINVAL;
+    /// Submits a transfer; returns 0, or an error as a negative number.
+    pub fn submit(&mut self, urb: Submitted) -> i32 {
+        if self.gone {
+            return -ENODEV;
         }
-        let (address, kind, endpoint) = (address(bytes), bytes[8], bytes[9]);
-        let length = word(bytes, 16) as usize;
-        let data = &bytes[20..];
-        let (status, answer) = match kind {
-            2 => self.control(data),
-            3 if endpoint & 0x80 == 0 => {
-                if self.peripheral.bulk_out(endpoint, data) {
-                    (0, Vec::new())
-                } else {
-                    (-EPIPE, Vec::new())
-                }
+        let (status, actual, data) = match urb.kind {
+            CONTROL if urb.data.len() >= SETUP_BYTES => {
+                let (status, answer) = self.control(&urb.data);
+                let is_in = urb.data[0] & 0x80 != 0;
+                let sent = urb.length - SETUP_BYTES;
+                (status, if is_in { answer.len() } else { sent }, answer)
             }
-            3 => {
-                let in_flight = self.waiting.iter().filter(|urb| urb.endpoint == endpoint);
-                if in_flight.count() >= self.urbs_max {
+            BULK | INTERRUPT if Submitted::is_sent(urb.kind, urb.endpoint) => {
+                let is_taken = self.peripheral.bulk_out(urb.endpoint, &urb.data);
+                let status = if is_taken { 0 } else { -EPIPE };
+                (status, urb.data.len(), Vec::new())
+            }
+            BULK | INTERRUPT => {
+                let same = |other: &&Submitted| other.endpoint == urb.endpoint;
+                if self.waiting.iter().filter(same).count() >= self.urbs_max {
                     return -ENOMEM;
                 }
-                self.waiting.push(Urb {
-                    address,
-                    endpoint,
-                    length,
-                });
+                self.waiting.push(urb);
                 self.waiting_max = self.waiting_max.max(self.waiting.len());
                 return 0;
             }
             _ => return -EINVAL,
         };
-        let sent = if kind == 2 { answer.len() } else { data.len() };
-        let wrote = kind == 2 && data.first().is_some_and(|kind| kind & 0x80 == 0);
-        self.ended.push_back(Ended {
-            address,
-            status,
-            actual: if wrote { length - 8 } else { sent } as u32,
-            data: answer,
-        });
+        self.ended.push_back(Ended::new(&urb, status, actual, data));
         0
     }
 
     fn control(&mut self, setup: &[u8]) -> (i32, Vec<u8>) {
-        if setup.len() < 8 {
-            return (-EINVAL, Vec::new());
-        }
         let short = |at: usize| u16::from_le_bytes([setup[at], setup[at + 1]]);
         let request = Request {
             kind: setup[0],
@@ -208,7 +240,11 @@ impl Usbfs {
         let reply = if request.kind & 0x60 == 0 {
             self.standard(request)
         } else {
-            let data = if request.is_in() { &[] } else { &setup[8..] };
+            let data = if request.is_in() {
+                &[]
+            } else {
+                &setup[SETUP_BYTES..]
+            };
             self.peripheral.control(request, data, length)
         };
         match reply {
@@ -243,45 +279,38 @@ impl Usbfs {
         }
     }
 
-    fn discard(&mut self, address: u64) -> i32 {
+    /// Takes a transfer back that has not ended; returns 0, or an error as a negative number.
+    pub fn discard(&mut self, address: u64) -> i32 {
+        if self.gone {
+            return -ENODEV;
+        }
         let Some(index) = self.waiting.iter().position(|urb| urb.address == address) else {
             return -EINVAL;
         };
-        self.waiting.remove(index);
+        let urb = self.waiting.remove(index);
         self.discarded += 1;
-        self.ended.push_back(Ended {
-            address,
-            status: -ENOENT,
-            actual: 0,
-            data: Vec::new(),
-        });
+        self.ended
+            .push_back(Ended::new(&urb, -ENOENT, 0, Vec::new()));
         0
     }
 
-    fn reap(&mut self) -> (i32, Vec<u8>) {
+    /// Returns the next transfer that has ended.
+    ///
+    /// # Errors
+    /// `EAGAIN`: none has; `ENODEV`: none will, for the device has gone.
+    pub fn reap(&mut self) -> Result<Ended, i32> {
         if self.ended.is_empty() && !self.gone {
             self.serve_one();
         }
-        let Some(ended) = self.ended.pop_front() else {
-            if self.gone {
-                return (-ENODEV, Vec::new());
-            }
-            // The mocked node is always ready, so libusb asks without a pause: one is made here.
-            std::thread::sleep(Duration::from_micros(50));
-            return (-EAGAIN, Vec::new());
-        };
-        let mut answer = ended.address.to_ne_bytes().to_vec();
-        answer.extend(ended.status.to_ne_bytes());
-        answer.extend(ended.actual.to_ne_bytes());
-        answer.extend(ended.data);
-        (0, answer)
+        let none = if self.gone { ENODEV } else { EAGAIN };
+        self.ended.pop_front().ok_or(none)
     }
 
     /// Ends the oldest URB of an endpoint that has something.
     fn serve_one(&mut self) {
         let mut asked = Vec::new();
         for index in 0..self.waiting.len() {
-            let Urb {
+            let Submitted {
                 endpoint, length, ..
             } = self.waiting[index];
             if asked.contains(&endpoint) || self.halted.contains(&endpoint) {
@@ -306,12 +335,9 @@ impl Usbfs {
                 self.halted.push(endpoint);
             }
             let urb = self.waiting.remove(index);
-            self.ended.push_back(Ended {
-                address: urb.address,
-                status,
-                actual: self.scratch.len() as u32,
-                data: self.scratch.clone(),
-            });
+            let data = std::mem::take(&mut self.scratch);
+            self.ended
+                .push_back(Ended::new(&urb, status, data.len(), data));
             if let Some(left) = &mut self.unplug_after {
                 *left = left.saturating_sub(1);
                 if *left == 0 {

@@ -1,0 +1,174 @@
+"""Simulated cameras against the drivers of others: dv-processing, neuromorphic-drivers.
+
+    python tests/peers/cameras.py EECVS-USB
+
+`eecvs-usb simulate MODEL RECORDING --run` serves each camera to this script, run again as
+
+    python tests/peers/cameras.py --client DRIVER MODEL SECONDS EVENTS
+
+which opens it by the driver, unmodified, and prints what came as one line of JSON. Checked are each event by its time
+since the first one, its pixel and its polarity; that time goes on while no event comes; and that a setting which was
+written is read back. comparison.py says what is printed.
+"""
+
+import json
+import subprocess
+import sys
+import time
+
+import comparison
+from comparison import check, events, np, package
+
+# A host discards what comes before its own start: events begin after this time.
+DELAY_MS = 1500
+# Events come for as long, and none for as long, in the middle and at the end.
+BUSY_US, QUIET_US = 400_000, 700_000
+EVENTS = 20_000
+
+DV = {
+    "davis346": (346, 260),
+    "davis240": (240, 180),
+    "dvxplorer": (640, 480),
+    "dvxplorer-mipi": (640, 480),
+    "dvs128": (128, 128),
+}
+ND = {
+    "davis346": (346, 260),
+    "dvxplorer": (640, 480),
+    "evk4": (1280, 720),
+    "evk3-hd": (1280, 720),
+}
+
+
+def scene(size):
+    """Events of ascending times, with a silence in the middle, some at multiples of the counters' periods."""
+    random = np.random.default_rng(7)
+    half = EVENTS // 2
+    t = np.sort(random.integers(0, BUSY_US, EVENTS))
+    t[half:] += BUSY_US + QUIET_US - t[half]
+    # The first event 1 ms after the clock's start: frames of the MIPI variant count milliseconds from 1.
+    t += 1000 - t[0]
+    for period in (1 << 14, 1 << 15):
+        near = np.abs(t % period) < 20
+        t[near] -= t[near] % period
+    t = np.sort(t)
+    array = events(t, random.integers(0, size[0], EVENTS), random.integers(0, size[1], EVENTS), np.zeros(EVENTS))
+    array["p"] = random.integers(0, 2, EVENTS)
+    # A pixel has one event at a time, and cameras that send rows or frames have an order of their own.
+    array = np.unique(array)
+    _, first = np.unique(array[["t", "x", "y"]], return_index=True)
+    return array[np.sort(first)]
+
+
+def relative(array):
+    array = np.sort(array, order=["t", "x", "y", "p"])
+    array["t"] -= array["t"][0] if len(array) else 0
+    return array
+
+
+def client_dv(model, seconds, wanted):
+    import dv_processing as dv
+
+    camera = dv.io.camera.open()
+    result = {"name": camera.getCameraName(), "size": list(camera.getEventResolution())}
+    parts, seen = [], []
+    end = time.monotonic() + seconds
+    count = 0
+    while time.monotonic() < end and camera.isRunning():
+        batch = camera.getNextEventBatch()
+        if batch is not None and len(batch) > 0:
+            parts.append(batch.numpy())
+            count += len(batch)
+        else:
+            time.sleep(0.002)
+            seen.append(camera.getEventSeekTime())
+    result["running"] = camera.isRunning()
+    # Time goes on after the last event: the driver hands over no events then, but knows a later time.
+    result["times_in_silence"] = len({t for t in seen if t and t > 0})
+    if model.startswith("dvxplorer"):
+        camera.setContrastThresholdOn(7)
+        result["setting"] = [7, camera.getContrastThresholdOn()]
+    elif model == "dvs128":
+        bias = dv.io.camera.DVS128.Bias.DIFF_ON
+        camera.setBias(bias, 210000)
+        result["setting"] = [210000, camera.getBias(bias)]
+    elif model == "davis346":
+        bias = dv.io.camera.DAVIS.Davis346BiasCF.On
+        camera.setDavis346BiasCoarseFine(bias, 5, 100)
+        result["setting"] = [[5, 100], [int(v) for v in camera.getDavis346BiasCoarseFine(bias)[:2]]]
+    array = np.concatenate(parts) if parts else np.empty(0)
+    if len(array):
+        array = events(array["timestamp"], array["x"], array["y"], array["polarity"])
+    return result, array
+
+
+def client_nd(model, seconds, wanted):
+    import neuromorphic_drivers as nd
+
+    parts = []
+    count = 0
+    result = {}
+    with nd.open(iterator_timeout=0.1) as device:
+        result["name"] = type(device).__name__
+        end = time.monotonic() + seconds
+        for _, packet in device:
+            if packet is not None and packet.polarity_events is not None:
+                parts.append(packet.polarity_events.copy())
+                count += len(packet.polarity_events)
+            if time.monotonic() >= end:
+                break
+    array = np.concatenate(parts) if parts else np.empty(0)
+    if len(array):
+        array = events(array["t"], array["x"], array["y"], array["on"])
+    return result, array
+
+
+def client(driver, model, seconds, out):
+    result, array = {"dv": client_dv, "nd": client_nd}[driver](model, float(seconds), EVENTS)
+    np.save(out, array)
+    print(json.dumps(result))
+
+
+def camera(folder, driver, model, size):
+    wanted = scene(size)
+    source = folder / f"{model}.npz"
+    p = wanted["p"].astype(np.uint8)
+    np.savez(source, x=wanted["x"], y=wanted["y"], t=wanted["t"].astype(np.int64), p=p)
+    out = folder / f"{driver}-{model}.npy"
+    seconds = DELAY_MS / 1000 + (2 * BUSY_US + 2 * QUIET_US) / 1e6 + 1.0
+    command = [comparison.eecvs, "simulate", model, source, "--width", size[0], "--height", size[1]]
+    command += ["--delay-ms", DELAY_MS, "--run", sys.executable, __file__, "--client", driver, model, seconds, out]
+    try:
+        run = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=60)
+    except subprocess.TimeoutExpired as late:
+        run = subprocess.CompletedProcess(command, 124, str(late.stdout), str(late.stderr))
+    name = f"{driver} {model}"
+    if run.returncode != 0 or not out.exists():
+        comparison.failures += 1
+        print(f"differs  {name}: exit status {run.returncode}\n{run.stdout}\n{run.stderr}")
+        return
+    result = json.loads(run.stdout.splitlines()[-1])
+    array = np.load(out)
+    check(f"{name} ({result['name']})", relative(array) if len(array) else array, relative(wanted))
+    if "setting" in result:
+        written, read = result["setting"]
+        comparison.verdict(f"{name}: a setting read back as {read}", written == read)
+    if driver == "dv":
+        comparison.verdict(f"{name}: runs to the end", result["running"])
+
+
+def made(folder):
+    for package_name, driver, models in (("dv_processing", "dv", DV), ("neuromorphic_drivers", "nd", ND)):
+        if package(package_name) is None:
+            continue
+        for model, size in models.items():
+            camera(folder, driver, model, size)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--client"]:
+        client(*sys.argv[2:])
+    else:
+        if package("dv_processing") is None and package("neuromorphic_drivers") is None:
+            sys.exit(77)
+        comparison.run(__doc__, None, made)
