@@ -11,8 +11,9 @@
 #             with a real kernel
 #   metrics   the metrics against scipy and scikit-image, volumes against numpy, in a Python of its own: only when it
 #             is named (the unit stage compares them where the system's Python has these)
-#   peers     the formats against independent decoders, in a Python of its own with their packages: only when it
-#             is named (the unit stage compares them where the system's Python has some)
+#   peers     the formats against independent decoders, and simulated cameras against drivers of others, in a Python
+#             of its own with their packages: only when it is named (the unit stage compares them where the system's
+#             Python has some)
 #   page      the pages of `eecvs report` and of a hub in a browser, at the width of a desk and of a telephone: only
 #             when it is named (the unit stage opens them where there is a browser)
 #   ros       the nodes of ROS 2 against genuine ROS 2, Fast DDS in C++ and Cyclone DDS in C, which it makes: only
@@ -139,13 +140,14 @@ peers() {
         skip "peers: python3 cannot make an environment"
         return
     fi
-    for package in numpy faery expelliarmus evt3 evlib aedat rosbags mcap mcap-ros2-support h5py hdf5plugin pyarrow scipy; do
+    umockdev
+    for package in dv-processing neuromorphic-drivers numpy faery expelliarmus evt3 evlib aedat rosbags mcap mcap-ros2-support h5py hdf5plugin pyarrow scipy; do
         "$folder/bin/pip" install -q "$package" || skip "peers: pip cannot install $package"
     done
     # One of its modules is used, which needs none of the rest.
     "$folder/bin/pip" install -q --no-deps tonic || skip "peers: pip cannot install tonic"
     EECVS_PYTHON=$PWD/$folder/bin/python \
-        cargo test "${TESTS[@]}" -- --nocapture formats_peers::
+        cargo test "${TESTS[@]}" -- --nocapture formats_peers:: clients::
 }
 
 # The name of a browser that pages are opened in, as host-harness/tests/browser/mod.rs has them.

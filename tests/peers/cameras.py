@@ -96,8 +96,8 @@ def client_dv(model, seconds, wanted):
         bias = dv.io.camera.DAVIS.Davis346BiasCF.On
         camera.setDavis346BiasCoarseFine(bias, 5, 100)
         result["setting"] = [[5, 100], [int(v) for v in camera.getDavis346BiasCoarseFine(bias)[:2]]]
-    array = np.concatenate(parts) if parts else np.empty(0)
-    if len(array):
+    array = np.concatenate(parts) if parts else np.empty(0, comparison.DTYPE)
+    if parts:
         array = events(array["timestamp"], array["x"], array["y"], array["polarity"])
     return result, array
 
@@ -117,8 +117,8 @@ def client_nd(model, seconds, wanted):
                 count += len(packet.polarity_events)
             if time.monotonic() >= end:
                 break
-    array = np.concatenate(parts) if parts else np.empty(0)
-    if len(array):
+    array = np.concatenate(parts) if parts else np.empty(0, comparison.DTYPE)
+    if parts:
         array = events(array["t"], array["x"], array["y"], array["on"])
     return result, array
 
@@ -148,8 +148,12 @@ def camera(folder, driver, model, size):
         print(f"differs  {name}: exit status {run.returncode}\n{run.stdout}\n{run.stderr}")
         return
     result = json.loads(run.stdout.splitlines()[-1])
-    array = np.load(out)
-    check(f"{name} ({result['name']})", relative(array) if len(array) else array, relative(wanted))
+    array, wanted = relative(np.load(out)), relative(wanted)
+    if (driver, model) == ("dv", "dvxplorer-mipi"):
+        # It hands over its last 10 ms with the next frame, and silence has references of time, but no frame.
+        end = int(wanted["t"][-1]) - 10_000
+        array, wanted = (part[part["t"] < end] for part in (array, wanted))
+    check(f"{name} ({result['name']})", array, wanted)
     if "setting" in result:
         written, read = result["setting"]
         comparison.verdict(f"{name}: a setting read back as {read}", written == read)

@@ -7,6 +7,7 @@
 #[allow(dead_code, reason = "shared with the tests on the bus in memory")]
 mod application;
 mod attached;
+mod clients;
 mod counter;
 mod encoder;
 mod faults;

@@ -53,16 +53,10 @@ impl MipiWriter {
         let mut last = match self.reference {
             Some(last) if last >= wanted => return,
             Some(last) => last,
-            None => {
-                // The device counts from 0.
-                write(0);
-                0
-            }
+            // The device counts from 0.
+            None => 0,
         };
         self.reference = Some(wanted);
-        if wanted == last {
-            return;
-        }
         let step = if wanted - last > QUIET_MS { STEP_MS } else { 1 };
         while wanted - last > step {
             last += step;
@@ -137,7 +131,8 @@ impl WriteStream for MipiWriter {
         if self.frame.first().is_some_and(|first| first.t_us < t_us) {
             self.write_frame(bytes);
         }
-        if self.frame.is_empty() && self.reference.is_none_or(|last| last < t_us / 1000) {
+        // The first reference that a device sends is later than 0, which some hosts take for a wrap.
+        if self.frame.is_empty() && t_us / 1000 > self.reference.unwrap_or(0) {
             self.references(t_us / 1000, bytes);
         }
     }

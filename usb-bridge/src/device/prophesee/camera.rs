@@ -151,6 +151,20 @@ impl TreuzellCamera {
         value.copied().unwrap_or(0)
     }
 
+    /// Writes a register; returns `false` if no more are kept.
+    fn write(&mut self, address: u32, value: u32) -> bool {
+        // The chip's number is read-only.
+        if address == self.chip.base() + CHIP {
+            return true;
+        }
+        let is_new = !self.registers.contains_key(&address);
+        let is_kept = !is_new || self.registers.len() < KEPT_MAX;
+        if is_kept {
+            self.registers.insert(address, value);
+        }
+        is_kept
+    }
+
     /// Returns whether events are sent: readout, time base, pixels and streamer are all enabled.
     #[must_use]
     pub fn is_started(&self) -> bool {
@@ -167,11 +181,20 @@ impl TreuzellCamera {
     }
 
     fn answer(&mut self, question: &[u8]) -> Vec<u8> {
-        // Such a question has the register's address where others have their length.
-        if let [BOARD_READ, address] = [0, 1].map(|at| number(question, at).unwrap_or(0))
-            && self.chip == Chip::Gen41
-        {
-            return frame(BOARD_READ, &payload(&[self.register(address)]));
+        // Such questions have the register's address where others have their length.
+        let numbers = [0, 1, 2].map(|at| number(question, at));
+        match numbers {
+            [Some(BOARD_READ), Some(address), None] if self.chip == Chip::Gen41 => {
+                return frame(BOARD_READ, &payload(&[self.register(address)]));
+            }
+            [Some(BOARD_WRITE), Some(address), Some(value)] if self.chip == Chip::Gen41 => {
+                return if self.write(address, value) {
+                    frame(BOARD_WRITE, &payload(&[address]))
+                } else {
+                    frame(FAILED, &[])
+                };
+            }
+            _ => {}
         }
         let Some((property, content)) = parse(question) else {
             return frame(FAILED, &[]);
@@ -221,15 +244,9 @@ impl TreuzellCamera {
                 }
                 for (index, value) in (0..).zip(values) {
                     let address = address.wrapping_add(4 * index);
-                    // The chip's number is read-only.
-                    if address == self.chip.base() + CHIP {
-                        continue;
-                    }
-                    let is_new = !self.registers.contains_key(&address);
-                    if is_new && self.registers.len() >= KEPT_MAX {
+                    if !self.write(address, u32::from_le_bytes(*value)) {
                         return failed(vec![device, address], NO_MEMORY);
                     }
-                    self.registers.insert(address, u32::from_le_bytes(*value));
                 }
                 frame(property, &payload(&[device, address]))
             }
@@ -241,9 +258,7 @@ impl TreuzellCamera {
             STREAM if !is_sensor && is_device => {
                 frame(property, &payload(&[device, self.is_streaming.into()]))
             }
-            BOARD_WRITE | LOGIC_STATE if self.chip == Chip::Gen41 => {
-                frame(property, &payload(&[1]))
-            }
+            LOGIC_STATE if self.chip == Chip::Gen41 => frame(property, &payload(&[1])),
             _ => frame(FAILED, &[]),
         }
     }
