@@ -104,11 +104,15 @@ impl RawWriter {
         };
         let target = t_us >> self.low_bits;
         let is_new = high.last() != Some(target);
+        let walks = high
+            .last()
+            .and_then(|last| target.checked_sub(last))
+            .is_some_and(|step| step <= self.walk_max);
         while high.last() != Some(target) {
             let last = high.last();
             let next = high
                 .step(match last {
-                    Some(last) if last < target && target - last <= self.walk_max => last + 1,
+                    Some(last) if walks => last + 1,
                     _ => target,
                 })
                 .ok_or_else(|| error!(CannotHold, "{}", self.refused(t_us)))?;
