@@ -141,11 +141,14 @@ peers() {
         return
     fi
     umockdev
-    for package in dv-processing neuromorphic-drivers numpy faery expelliarmus evt3 evlib aedat rosbags mcap mcap-ros2-support h5py hdf5plugin pyarrow scipy; do
+    for package in numpy faery expelliarmus evt3 evlib aedat dv-processing neuromorphic-drivers event-stream rosbags mcap \
+        mcap-ros2-support h5py hdf5plugin pyarrow polars pandas fastparquet scipy python-pcapng scapy; do
         "$folder/bin/pip" install -q "$package" || skip "peers: pip cannot install $package"
     done
-    # One of its modules is used, which needs none of the rest.
-    "$folder/bin/pip" install -q --no-deps tonic || skip "peers: pip cannot install tonic"
+    # One module of each is used, which needs none of the rest.
+    for package in tonic dv; do
+        "$folder/bin/pip" install -q --no-deps "$package" || skip "peers: pip cannot install $package"
+    done
     EECVS_PYTHON=$PWD/$folder/bin/python \
         cargo test "${TESTS[@]}" -- --nocapture formats_peers:: clients::
 }

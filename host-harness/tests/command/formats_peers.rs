@@ -109,3 +109,9 @@ fn nmnist() {
 fn tables() {
     compare("tables.py", &["davis346_building_dense/davis.aedat4"]);
 }
+
+/// Every writer, on five kinds of events.
+#[test]
+fn writers() {
+    compare("writers.py", &[]);
+}

@@ -187,7 +187,11 @@ fn wireshark_decodes_it() {
         return;
     };
     assert!(output.status.success(), "{output:?}");
-    let text = String::from_utf8(output.stdout).unwrap();
+    check(&String::from_utf8(output.stdout).unwrap());
+}
+
+/// Checks a reader's lines of the packets: event, kind of transfer, endpoint, bus, device, length and status.
+fn check(text: &str) {
     let lines: Vec<_> = text.lines().collect();
     assert_eq!(lines.len(), 18, "{text}");
     assert_eq!(lines[0], "'S',0x02,0x00,3,17,4,-115");
@@ -198,4 +202,35 @@ fn wireshark_decodes_it() {
         assert_eq!(*line, format!("'C',0x03,0x82,3,17,{},0", 1000 + number));
     }
     assert_eq!(lines[16], "'S',0x03,0x02,3,17,3,-115");
+}
+
+/// Independent readers of pcapng; `./test.sh peers` installs them in the Python that `EECVS_PYTHON` names.
+mod formats_peers {
+    use super::*;
+
+    /// What the script says if this Python has none of its packages.
+    const SKIPPED: i32 = 77;
+
+    #[test]
+    fn trace() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("trace.pcapng");
+        write(&path);
+        let named = std::env::var_os("EECVS_PYTHON");
+        let python = named.clone().unwrap_or_else(|| "python3".into());
+        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/peers/trace.py");
+        let output = match Command::new(python).arg(script).arg(&path).output() {
+            Err(error) if named.is_none() => {
+                eprintln!("skipped: {error}");
+                return;
+            }
+            output => output.expect("the Python that EECVS_PYTHON names"),
+        };
+        if output.status.code() == Some(SKIPPED) && named.is_none() {
+            eprintln!("skipped: trace.py: this Python has none of its packages");
+            return;
+        }
+        assert!(output.status.success(), "{output:?}");
+        check(&String::from_utf8(output.stdout).unwrap());
+    }
 }

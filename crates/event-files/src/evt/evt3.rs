@@ -11,7 +11,8 @@
 //!
 //! Sensors send vectors as `VECT_BASE_X` and then always `VECT_12`, `VECT_12`, `VECT_8`, and so does the writer
 //! (`evt3_group.rs`). The reader also takes vectors of any other words, which other decoders misread: files that
-//! earlier writers made have a lone `VECT_12`.
+//! earlier writers made have a lone `VECT_12`. They also send every `TIME_HIGH`, and the writer leaves some out only
+//! in a silence of more than 16.8 s: OpenEB's robust decoder reports those as lost, though it loses no event.
 //!
 //! Only `TIME_HIGH` carries the overflow: a `TIME_LOW` may step back by a few microseconds after a `TIME_HIGH`,
 //! and to take that for a wrap would stretch a recording. A new `TIME_HIGH` value sets the low bits to 0 until a
@@ -69,6 +70,9 @@ const OTHER: u16 = 0xe;
 
 /// Largest number of events that one word can hold.
 pub(crate) const VECTOR_EVENTS: usize = 12;
+
+/// Longest silence in which the writer writes every `TIME_HIGH`, one per 4,096 us: a period, 16.8 s, in 8 KiB.
+const WALK_MAX: u64 = 1 << TIME_BITS;
 
 /// This format's entry in the table of formats.
 pub const FORMAT: Format = Format {
@@ -443,7 +447,7 @@ impl Evt3Writer {
     pub fn create(path: &Path, sensor: Sensor) -> Result<Self> {
         let bits = (TIME_BITS, TIME_BITS);
         Ok(Self {
-            raw: RawWriter::create(path, sensor, raw_header::Words::Evt3, bits)?,
+            raw: RawWriter::create(path, sensor, raw_header::Words::Evt3, bits)?.walking(WALK_MAX),
             low: 0,
             y: None,
         })

@@ -13,9 +13,10 @@
 //! `EVT_TIME_HIGH` have no time: they are skipped and counted.
 //!
 //! OpenEB's robust decoder drops a vector whose 32 columns do not all lie on the sensor, even if no event is
-//! outside; the writer therefore starts no vector within the last 31 columns. The reader does not seek, for the
-//! reasons given in [`crate::evt::evt21`]; besides, in the middle of a file a word of columns looks like any
-//! other.
+//! outside; the writer therefore starts no vector within the last 31 columns. It also drops the events after an
+//! `EVT_TIME_HIGH` that is 1,000 us or more after the previous one, until another one confirms it; the writer
+//! therefore writes such an `EVT_TIME_HIGH` twice. The reader does not seek, for the reasons given in
+//! [`crate::evt::evt21`]; besides, in the middle of a file a word of columns looks like any other.
 
 use std::path::Path;
 
@@ -45,6 +46,9 @@ const SIDE: u32 = 0x7ff;
 
 /// Number of events that one vector can hold.
 const VECTOR_EVENTS: usize = 32;
+
+/// Smallest step of `EVT_TIME_HIGH` that OpenEB's robust decoder doubts, in units of 64 us: 1,000 us.
+const TIME_JUMP: u64 = 1000_u64.div_ceil(1 << LOW_BITS);
 
 /// Number of events from which on a vector of two words is shorter than one word per event.
 const VECTOR_MIN: usize = 3;
@@ -207,7 +211,8 @@ impl Evt4Writer {
     /// I/O.
     pub fn create(path: &Path, sensor: Sensor) -> Result<Self> {
         let bits = (HIGH_BITS, LOW_BITS);
-        RawWriter::create(path, sensor, raw_header::Words::Evt4, bits).map(Self)
+        let raw = RawWriter::create(path, sensor, raw_header::Words::Evt4, bits)?;
+        Ok(Self(raw.confirming(TIME_JUMP)))
     }
 
     fn word(&mut self, word: u32) -> Result<()> {

@@ -22,6 +22,10 @@ pub struct RawWriter {
     low_bits: u32,
     /// Counter of the upper bits of time; `None` until the first event, whose time the header needs.
     high: Option<Wrapping>,
+    /// Largest step forwards of the upper bits that is written value by value.
+    walk_max: u64,
+    /// Smallest step forwards of the upper bits whose word is written twice.
+    jump: u64,
     events: u64,
 }
 
@@ -45,8 +49,24 @@ impl RawWriter {
             high_bits,
             low_bits,
             high: None,
+            walk_max: 0,
+            jump: u64::MAX,
             events: 0,
         })
+    }
+
+    /// Writes every value of the upper bits in a step forwards by at most `walk_max`, as sensors do, since decoders
+    /// report a value that is left out as lost data.
+    pub const fn walking(mut self, walk_max: u64) -> Self {
+        self.walk_max = walk_max;
+        self
+    }
+
+    /// Writes the upper bits of time twice where they step forwards by `jump` or more, for decoders that take a
+    /// single such word for damage.
+    pub const fn confirming(mut self, jump: u64) -> Self {
+        self.jump = jump;
+        self
     }
 
     /// Returns the sensor's size.
@@ -84,11 +104,23 @@ impl RawWriter {
         };
         let target = t_us >> self.low_bits;
         let is_new = high.last() != Some(target);
+        let walks = high
+            .last()
+            .and_then(|last| target.checked_sub(last))
+            .is_some_and(|step| step <= self.walk_max);
         while high.last() != Some(target) {
+            let last = high.last();
             let next = high
-                .step(target)
+                .step(match last {
+                    Some(last) if walks => last + 1,
+                    _ => target,
+                })
                 .ok_or_else(|| error!(CannotHold, "{}", self.refused(t_us)))?;
-            self.put(&word(high.low(next)))?;
+            let bytes = word(high.low(next));
+            self.put(&bytes)?;
+            if last.is_some_and(|last| next.saturating_sub(last) >= self.jump) {
+                self.put(&bytes)?;
+            }
         }
         self.high = Some(high);
         self.events += events.len() as u64;

@@ -3,6 +3,7 @@
 mod cases_streams;
 mod damage;
 mod errors;
+mod evt_strict;
 mod evt_words;
 mod hdf5;
 mod hdf5_writer;

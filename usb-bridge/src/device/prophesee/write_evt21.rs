@@ -131,4 +131,32 @@ mod tests {
         });
         assert_eq!(words(Order::UpperFirst), halves.collect::<Vec<_>>());
     }
+
+    /// A camera's words are a file's, but for what `EVT_TIME_HIGH` says in silences.
+    #[test]
+    fn events_are_the_words_of_a_file() {
+        let sensor = Sensor::new(346, 260).unwrap();
+        let mut events = Vec::new();
+        for y in 0..sensor.height {
+            let kept = |x: &u16| (x * 7 + y) % (3 + y % 38) > 1 || *x > 320;
+            events.extend((0..sensor.width).filter(kept).map(|x| Event {
+                t_us: u64::from(y) * 37,
+                x,
+                y,
+                polarity: Polarity::from_bool(y % 2 == 0),
+            }));
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("camera.evt21");
+        let mut file = event_files::create(&path, sensor).unwrap();
+        file.write(&events).unwrap();
+        file.finish().unwrap();
+        let bytes = std::fs::read(path).unwrap();
+        let end = bytes.windows(6).position(|part| part == b"% end\n");
+        let mut sent = Vec::new();
+        Evt21Stream::new(sensor, Order::Little)
+            .write(&events, &mut sent)
+            .unwrap();
+        assert!(sent.len() > 1000 && sent == bytes[end.unwrap() + 6..]);
+    }
 }

@@ -186,6 +186,35 @@ mod tests {
         );
     }
 
+    /// What a file has of events is what a camera sends of them: only time and row are stated more often here.
+    #[test]
+    fn events_are_the_words_of_a_file() {
+        let mut events = Vec::new();
+        for y in 0..SENSOR.height {
+            // Runs with gaps of 1 to 39 columns, the last ones at the sensor's edge.
+            let kept = |x: &u16| (x * 7 + y) % (3 + y % 38) > 1 || *x > 1240;
+            let at = |x| event(u64::from(y) * 37, x, y, y % 2 == 0);
+            events.extend((0..SENSOR.width).filter(kept).map(at));
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("camera.raw");
+        let mut file = event_files::create(&path, SENSOR).unwrap();
+        file.write(&events).unwrap();
+        file.finish().unwrap();
+        let bytes = std::fs::read(path).unwrap();
+        let end = bytes.windows(6).position(|part| part == b"% end\n");
+        let (words, rest) = bytes[end.unwrap() + 6..].as_chunks();
+        assert!(rest.is_empty());
+        let of_events = |word: &u16| ![ADDR_Y, TIME_LOW, TIME_HIGH].contains(&(word >> 12));
+        let filed: Vec<u16> = words.iter().map(|word| u16::from_le_bytes(*word)).collect();
+        let filed: Vec<u16> = filed.into_iter().filter(of_events).collect();
+        let sent: Vec<u16> = words_of(&events).into_iter().filter(of_events).collect();
+        assert!(
+            filed.iter().any(|word| word >> 12 == 5) && filed.iter().any(|word| word >> 12 == 2)
+        );
+        assert!(sent == filed);
+    }
+
     #[test]
     fn silences_are_walked_through() {
         let seconds = |s: u64| s * 1_000_000;
