@@ -626,7 +626,10 @@ mod tests {
                 "of type {integer}",
             ),
             ("/**: {ros__parameters: {max_error: 1}}", "of type {double}"),
-            ("/encode: {ros__parameters: {other: 1}}", "'other' was not declared"),
+            (
+                "/encode: {ros__parameters: {other: 1}}",
+                "'other' was not declared",
+            ),
         ] {
             std::fs::write(&path, yaml).unwrap();
             let said = refused(&line);

@@ -6,7 +6,7 @@
 
 use std::net::{IpAddr, Ipv4Addr};
 use std::sync::{Arc, Mutex};
-use std::thread;
+use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, anyhow, bail};
@@ -27,6 +27,24 @@ use crate::parameters::Parameters;
 /// A participant in a domain.
 pub struct Dds {
     context: Context,
+    /// The threads of nodes, which hold on to the participant.
+    threads: Mutex<Vec<JoinHandle<()>>>,
+}
+
+/// Longest wait for the threads of nodes, which end with them.
+const ENDS: Duration = Duration::from_secs(1);
+
+/// Waits for the threads: a participant that is dropped by the last of them announces that it goes; if the process
+/// ended before, others would take it as present for a minute.
+impl Drop for Dds {
+    fn drop(&mut self) {
+        let until = Instant::now() + ENDS;
+        let mut threads = std::mem::take(&mut *lock(&self.threads));
+        while !threads.is_empty() && Instant::now() < until {
+            threads.retain(|thread| !thread.is_finished());
+            thread::sleep(Duration::from_millis(2));
+        }
+    }
 }
 
 impl Dds {
@@ -43,7 +61,10 @@ impl Dds {
         let participant = joined.map_err(|error| anyhow!("DDS domain {domain}: {error}"))?;
         let context = Context::from_domain_participant(participant)
             .map_err(|error| anyhow!("DDS domain {domain}: {error}"))?;
-        Ok(Self { context })
+        Ok(Self {
+            context,
+            threads: Mutex::default(),
+        })
     }
 }
 
@@ -64,12 +85,17 @@ impl Transport for Dds {
         let services = dds_parameters::Services::new(&mut node, name)?;
         let node = Arc::new(Mutex::new(node));
         // Both threads end with the node.
-        thread::Builder::new()
+        let spins = thread::Builder::new()
             .name("node".to_owned())
-            .spawn(move || futures_executor::block_on(spinner.spin()))
-            .context("a thread of a node")?;
-        services.serve(&node, parameters)?;
+            .spawn(move || {
+                // It ends with an error only if it cannot begin: the node then works without.
+                let _ = futures_executor::block_on(spinner.spin());
+            });
+        let (serves, end) = services.serve(&node, parameters)?;
+        let threads = [spins.context("a thread of a node")?, serves];
+        lock(&self.threads).extend(threads);
         Ok(Box::new(DdsNode {
+            _end: end,
             node,
             nodes: Arc::new(Mutex::new(nodes)),
         }))
@@ -80,6 +106,7 @@ impl Transport for Dds {
 pub(super) type Shared = Arc<Mutex<ros2_client::Node>>;
 
 struct DdsNode {
+    _end: dds_parameters::End,
     node: Shared,
     nodes: Arc<Mutex<NodesOfPublishers>>,
 }

@@ -1,13 +1,14 @@
 //! The services by which ROS 2's tools ask for a node's parameters and set them, on DDS. Answers are those of rclcpp:
 //! a question about several parameters, one of which is not declared, has an empty answer.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
-use std::thread;
+use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use anyhow::{Context as _, Result, anyhow};
 use mio::event::Source;
-use mio::{Events, Interest, Poll, Token};
+use mio::{Events, Interest, Poll, Token, Waker};
 use ros2_client::parameters::raw;
 use ros2_client::qos::History;
 use ros2_client::rcl_interfaces::{
@@ -90,9 +91,19 @@ impl Services {
         ]))
     }
 
-    /// Serves in a thread that ends with the node.
-    pub(super) fn serve(mut self, node: &Shared, parameters: &Arc<Parameters>) -> Result<()> {
+    /// Serves in a thread, until the returned handle is dropped or the node has ended.
+    pub(super) fn serve(
+        mut self,
+        node: &Shared,
+        parameters: &Arc<Parameters>,
+    ) -> Result<(JoinHandle<()>, End)> {
         let mut poll = Poll::new().context("parameter services")?;
+        let waker = Waker::new(poll.registry(), Token(usize::MAX));
+        let end = End {
+            is_over: Arc::default(),
+            waker: waker.context("parameter services")?,
+        };
+        let is_over = Arc::clone(&end.is_over);
         for (number, service) in self.0.iter_mut().enumerate() {
             let source = service.source();
             let registry = poll.registry();
@@ -102,7 +113,7 @@ impl Services {
         let (node, parameters) = (Arc::downgrade(node), Arc::clone(parameters));
         let serve = move || {
             let mut events = Events::with_capacity(16);
-            while node.strong_count() > 0 {
+            while node.strong_count() > 0 && !is_over.load(Ordering::Relaxed) {
                 if let Err(error) = poll.poll(&mut events, Some(LOOK))
                     && error.kind() != std::io::ErrorKind::Interrupted
                 {
@@ -119,8 +130,22 @@ impl Services {
             }
         };
         let thread = thread::Builder::new().name("parameters".to_owned());
-        thread.spawn(serve).context("a thread of a node")?;
-        Ok(())
+        let thread = thread.spawn(serve).context("a thread of a node")?;
+        Ok((thread, end))
+    }
+}
+
+/// Ends the services when it is dropped.
+pub(super) struct End {
+    is_over: Arc<AtomicBool>,
+    waker: Waker,
+}
+
+impl Drop for End {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+        // Otherwise the thread finds out by itself, a little later.
+        let _ = self.waker.wake();
     }
 }
 

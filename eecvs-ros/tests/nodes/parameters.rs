@@ -60,11 +60,15 @@ impl Client {
         );
         let client = client.unwrap();
         let until = Instant::now() + PATIENCE;
+        // Answers to others' requests come here too.
+        let mut sent = Vec::new();
         while Instant::now() < until {
-            client.send_request(request.clone()).unwrap();
+            sent.push(client.send_request(request.clone()).unwrap());
             for _ in 0..50 {
-                if let Ok(Some((_, response))) = client.receive_response() {
-                    return response;
+                while let Ok(Some((id, response))) = client.receive_response() {
+                    if sent.contains(&id) {
+                        return response;
+                    }
                 }
                 std::thread::sleep(Duration::from_millis(10));
             }

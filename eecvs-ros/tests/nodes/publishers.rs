@@ -23,7 +23,7 @@ impl Meeting {
             command.args(["--transport", "zenoh", "--connect", router]);
         }
         let name = line.split(' ').next().unwrap();
-        command.args(line.split(' '));
+        command.args(line.split_whitespace());
         Program::start(name, self.domain, command)
     }
 
