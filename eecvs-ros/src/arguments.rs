@@ -390,13 +390,13 @@ fn value_of(yaml: Yaml) -> Result<Option<Value>> {
         Yaml::Whole(whole) => Value::Integer(whole),
         Yaml::Float(float) => Value::Double(float),
         Yaml::Text(text) => Value::Text(text),
-        Yaml::List(values) => list_of(values)?,
+        Yaml::List(values) => list_of(&values)?,
         Yaml::Map(_) => bail!("a map is no value of a parameter"),
     }))
 }
 
 /// Returns the value of a list, whose elements must be of one type.
-fn list_of(yaml: Vec<Yaml>) -> Result<Value> {
+fn list_of(yaml: &[Yaml]) -> Result<Value> {
     macro_rules! all {
         ($kind:ident) => {
             yaml.iter()
@@ -681,7 +681,7 @@ mod tests {
         use std::os::unix::ffi::OsStringExt as _;
         let bad = OsString::from_vec(vec![b'a', 0xff]);
         let (_, rest) = RosArguments::split([bad.clone()]).unwrap();
-        assert_eq!(rest, [bad.clone()]);
+        assert_eq!(rest, std::slice::from_ref(&bad));
         for option in ["-p", "-r"] {
             let line = ["--ros-args".into(), option.into(), bad.clone()];
             let error = RosArguments::split(line).unwrap_err().to_string();

@@ -146,7 +146,7 @@ pub fn run(operators: Vec<Box<dyn Operator>>) -> ExitCode {
     have_zenoh_threads();
     let operators = Arc::new(Operators::new(operators));
     let ended = start(&operators);
-    let is_usage = ended.as_ref().is_err_and(|error| error.is::<Usage>());
+    let is_usage = ended.as_ref().is_err_and(anyhow::Error::is::<Usage>);
     match end("eecvs-ros", ended) {
         _ if is_usage => ExitCode::from(2),
         status => status,

@@ -157,7 +157,7 @@ mod tests {
                 700.. => i as i64 * 1001,
                 _ => 5_000_000 + i as i64 * 1001,
             }),
-            polarity: i % 3 == 0,
+            polarity: i.is_multiple_of(3),
         };
         let all: Vec<Single> = (0..30_000).map(single).collect();
         let (first, second) = all.split_at(20_000);

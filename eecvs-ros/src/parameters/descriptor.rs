@@ -285,18 +285,27 @@ enum Number {
 fn number_of(parser: &ValueParser) -> Option<Number> {
     let id = parser.type_id();
     let is = |of: TypeId| id == of;
-    macro_rules! integers {
-        ($($signed:ident $unsigned:ident),*) => {$(
-            if is(TypeId::of::<$signed>()) {
-                return Some(Number::Integer { from: $signed::MIN as i64, to: $signed::MAX as i64 });
-            }
-            if is(TypeId::of::<$unsigned>()) {
-                let to = i64::try_from($unsigned::MAX).unwrap_or(i64::MAX);
-                return Some(Number::Integer { from: 0, to });
-            }
-        )*};
+    let signed = [
+        (TypeId::of::<i8>(), i8::MIN.into(), i8::MAX.into()),
+        (TypeId::of::<i16>(), i16::MIN.into(), i16::MAX.into()),
+        (TypeId::of::<i32>(), i32::MIN.into(), i32::MAX.into()),
+        (TypeId::of::<i64>(), i64::MIN, i64::MAX),
+        (TypeId::of::<isize>(), i64::MIN, i64::MAX),
+    ];
+    if let Some((_, from, to)) = signed.into_iter().find(|(of, ..)| is(*of)) {
+        return Some(Number::Integer { from, to });
     }
-    integers!(i8 u8, i16 u16, i32 u32, i64 u64, isize usize);
+    // Parameters have integers of 64 bits with a sign.
+    let unsigned = [
+        (TypeId::of::<u8>(), u8::MAX.into()),
+        (TypeId::of::<u16>(), u16::MAX.into()),
+        (TypeId::of::<u32>(), u32::MAX.into()),
+        (TypeId::of::<u64>(), i64::MAX),
+        (TypeId::of::<usize>(), i64::MAX),
+    ];
+    if let Some((_, to)) = unsigned.into_iter().find(|(of, _)| is(*of)) {
+        return Some(Number::Integer { from: 0, to });
+    }
     let non_zero = [
         (TypeId::of::<NonZeroU8>(), u8::MAX.into()),
         (TypeId::of::<NonZeroU16>(), u16::MAX.into()),

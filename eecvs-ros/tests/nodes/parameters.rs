@@ -45,7 +45,7 @@ impl Client {
     }
 
     /// Calls a service, and again until it is there.
-    fn call<Q, R>(&mut self, name: &str, kind: &str, request: Q) -> R
+    fn call<Q, R>(&mut self, name: &str, kind: &str, request: &Q) -> R
     where
         Q: Message + Clone + 'static,
         R: Message + 'static,
@@ -82,40 +82,40 @@ impl Client {
             depth: 0,
         };
         let listed: ListParametersResponse =
-            self.call("list_parameters", "ListParameters", request);
+            self.call("list_parameters", "ListParameters", &request);
         listed.result.names
     }
 
-    fn get(&mut self, name_s: &[&str]) -> Vec<ParameterValue> {
+    fn get(&mut self, wanted: &[&str]) -> Vec<ParameterValue> {
         let request = GetParametersRequest {
-            names: names(name_s),
+            names: names(wanted),
         };
-        let got: GetParametersResponse = self.call("get_parameters", "GetParameters", request);
+        let got: GetParametersResponse = self.call("get_parameters", "GetParameters", &request);
         got.values.into_iter().map(ParameterValue::from).collect()
     }
 
-    fn types(&mut self, name_s: &[&str]) -> Vec<u8> {
+    fn types(&mut self, wanted: &[&str]) -> Vec<u8> {
         let request = GetParameterTypesRequest {
-            names: names(name_s),
+            names: names(wanted),
         };
         let got: GetParameterTypesResponse =
-            self.call("get_parameter_types", "GetParameterTypes", request);
+            self.call("get_parameter_types", "GetParameterTypes", &request);
         got.values
     }
 
-    fn describe(&mut self, name_s: &[&str]) -> Vec<raw::ParameterDescriptor> {
+    fn describe(&mut self, wanted: &[&str]) -> Vec<raw::ParameterDescriptor> {
         let request = DescribeParametersRequest {
-            names: names(name_s),
+            names: names(wanted),
         };
         let got: DescribeParametersResponse =
-            self.call("describe_parameters", "DescribeParameters", request);
+            self.call("describe_parameters", "DescribeParameters", &request);
         got.values
     }
 
     /// Sets parameters one by one; the reasons why they are refused, empty where they are not.
     fn set(&mut self, values: &[(&str, ParameterValue)]) -> Vec<String> {
         let got: SetParametersResponse =
-            self.call("set_parameters", "SetParameters", request(values));
+            self.call("set_parameters", "SetParameters", &request(values));
         got.results.into_iter().map(reason).collect()
     }
 
@@ -123,7 +123,7 @@ impl Client {
         let got: SetParametersAtomicallyResponse = self.call(
             "set_parameters_atomically",
             "SetParametersAtomically",
-            request(values),
+            &request(values),
         );
         reason(got.result)
     }
