@@ -50,9 +50,9 @@ measure() {
         "$program" router --listen "$second" --connect "$first" 2>/dev/null & routers+=($!)
         sleep 2
     fi
-    "$program" "${there[@]}" encode --window-us "$2" 2>"$work/encode" & local encode=$!
+    "$program" "${there[@]}" encode --allow-loss --window-us "$2" 2>"$work/encode" & local encode=$!
     # Whoever has just been found may miss the first frames.
-    "$program" "${here[@]}" delay --seconds "$seconds" --skip 50 --json >"$work/delay" & local delay=$!
+    "$program" "${here[@]}" delay --allow-loss --seconds "$seconds" --skip 50 --json >"$work/delay" & local delay=$!
     sleep 3
     "$program" "${here[@]}" emulate --recording "$recording" --repeat --wait-s 20 2>"$work/emulate" & local emulate=$!
     wait "$delay"

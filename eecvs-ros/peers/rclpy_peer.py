@@ -3,6 +3,7 @@
     env.sh FOLDER python rclpy_peer.py listen event_camera_msgs/msg/EventPacket /events --count 200 --seconds 20
     env.sh FOLDER python rclpy_peer.py talk event_camera_msgs/msg/EventPacket /events --count 200 --rate 100
     env.sh FOLDER python rclpy_peer.py graph --seconds 5
+    env.sh FOLDER python rclpy_peer.py parameters /event_camera/encode --names window_us --set window_us=5000
     env.sh FOLDER python rclpy_peer.py cdr event_camera_msgs/msg/EventPacket
 
 listen  {"ready"}, a line for each message: {"received": i, "time_ns", "bytes", "cdr_sha256", "seq", "message"},
@@ -16,6 +17,8 @@ talk    {"ready"}, {"matched"} once a subscriber is there (status 1 if none come
         --of N`, of every N messages the last R are never published.
 graph   {"nodes", "topics", "services"} after some seconds, or once the topics of `--until` are there, as this
         node sees them, without this node.
+parameters  {"listed", "values", "types", "described", "set": [{"successful", "reason"}], "atomically": {...}} of a
+        node's parameters, by rclpy's client of them, as `ros2 param` uses it. A number with `.` is a double.
 cdr     {"type", "hash", "messages": [{"cdr", "values"}]}: the serialisation in hexadecimal and all values of
         an empty message and of some whose strings differ in length, hence the padding. Makes the files of cdr/.
 
@@ -303,6 +306,57 @@ def graph(options, node, spin):
     say(nodes=sorted(nodes), topics=topics, services=services)
 
 
+def parameters(options, node, spin):
+    from rclpy.parameter import Parameter, parameter_value_to_python
+    from rclpy.parameter_client import AsyncParameterClient
+
+    client = AsyncParameterClient(node, options.node)
+    spin(options.seconds, client.services_are_ready)
+    if not client.services_are_ready():
+        sys.exit(f"no parameters of {options.node} are there")
+
+    def result(future):
+        spin(options.seconds, future.done)
+        if not future.done():
+            sys.exit("no answer has come")
+        return future.result()
+
+    def parsed(text):
+        name, value = text.split("=", 1)
+        for kind in (int, float):
+            try:
+                return Parameter(name, value=kind(value))
+            except ValueError:
+                pass
+        return Parameter(name, value={"true": True, "false": False}.get(value, value.strip("'")))
+
+    def outcome(each):
+        return {"successful": each.successful, "reason": each.reason}
+
+    def described(each):
+        return {
+            "name": each.name,
+            "type": each.type,
+            "description": each.description,
+            "additional_constraints": each.additional_constraints,
+            "read_only": each.read_only,
+            "dynamic_typing": each.dynamic_typing,
+            "integer_range": [[one.from_value, one.to_value, one.step] for one in each.integer_range],
+            "floating_point_range": [[one.from_value, one.to_value, one.step] for one in each.floating_point_range],
+        }
+
+    values = [parsed(each) for each in options.set]
+    say(
+        listed=sorted(result(client.list_parameters()).result.names),
+        values=[parameter_value_to_python(each) for each in result(client.get_parameters(options.names)).values],
+        types=list(result(client.get_parameter_types(options.names)).types),
+        described=[described(each) for each in result(client.describe_parameters(options.names)).descriptors],
+        undeclared=len(result(client.get_parameters(["no_such_name"])).values),
+        set=[outcome(each) for each in result(client.set_parameters(values)).results] if values else [],
+        atomically=outcome(result(client.set_parameters_atomically(values)).result) if values else None,
+    )
+
+
 def cdr(options):
     from rclpy.serialization import deserialize_message
 
@@ -339,6 +393,11 @@ def main():
     command = commands.add_parser("graph")
     command.add_argument("--seconds", type=float, default=5)
     command.add_argument("--until", nargs="*", metavar="TOPIC", help="no longer than until these are seen, and a second")
+    command = commands.add_parser("parameters")
+    command.add_argument("node")
+    command.add_argument("--seconds", type=float, default=20)
+    command.add_argument("--names", nargs="*", default=[])
+    command.add_argument("--set", action="append", default=[], metavar="NAME=VALUE")
     command = commands.add_parser("cdr")
     command.add_argument("type")
     for command, size in ((commands.choices["talk"], 50_000), (command, 13)):
@@ -363,7 +422,7 @@ def main():
             executor.spin_once(timeout_sec=min(left, 0.05))
 
     try:
-        {"listen": listen, "talk": talk, "graph": graph}[options.command](options, node, spin)
+        {"listen": listen, "talk": talk, "graph": graph, "parameters": parameters}[options.command](options, node, spin)
     finally:
         executor.shutdown()
         node.destroy_node()

@@ -7,17 +7,20 @@
 //! | `--params-file FILE` | sets parameters by node name, from YAML |
 //! | `--log-level`, `--enable-rosout-logs`, ... | accepted, without effect |
 //!
-//! A node's parameters are its command's flags: `-p window_us:=5000` is `--window-us 5000`. Parameters become flags
-//! in front of those on the command line, which take precedence; among parameters, a later one does. A parameter
-//! given for all nodes applies to the nodes that have it.
+//! A node's parameters are its command's flags: `-p window_us:=5000` is `--window-us 5000`. Values are YAML, and have
+//! the parameter's type: an integer is not a double, and `'5'` is a string. Parameters become flags in front of those
+//! on the command line, which take precedence; among parameters, a later one does. A parameter given for all nodes
+//! applies to the nodes that have it.
 
 use std::collections::BTreeMap;
+use std::ffi::{OsStr, OsString};
 use std::path::Path;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use serde::Deserialize;
 
 use crate::names::NodeName;
+use crate::parameters::{Descriptor, USE_SIM_TIME, Value, descriptor};
 
 /// A remapping rule.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -28,22 +31,14 @@ struct Remap {
     to: String,
 }
 
-/// Value of a parameter.
-#[derive(Debug, Clone, PartialEq)]
-enum Given {
-    Bool(bool),
-    /// Any other single value, as written.
-    Text(String),
-    List(Vec<String>),
-}
-
 /// A parameter with its value and the nodes that it is for.
 #[derive(Debug, Clone, PartialEq)]
 struct Assignment {
     /// `/**`, a node's own name, or its full name with `*` and `**` for tokens.
     node: String,
     name: String,
-    value: Given,
+    /// `None` for null, which leaves the parameter without a value.
+    value: Option<Value>,
     /// Whether it was given on the command line and not in a file.
     on_line: bool,
 }
@@ -55,17 +50,14 @@ pub struct RosArguments {
     assignments: Vec<Assignment>,
 }
 
-/// Predicate: whether a node has the parameter of this name.
-pub type Has<'a> = &'a dyn Fn(&str) -> bool;
-
 /// The arguments that apply to one node.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct NodeArguments {
     /// The node's name after remapping.
     pub name: NodeName,
     remaps: Vec<(String, String)>,
-    /// The node's parameters as flags.
-    pub flags: Vec<String>,
+    /// The parameters that are given, with values of their types.
+    pub parameters: BTreeMap<String, Value>,
 }
 
 impl RosArguments {
@@ -73,7 +65,7 @@ impl RosArguments {
     ///
     /// # Errors
     /// An argument is not a ROS 2 argument, or a parameter file cannot be read.
-    pub fn split(arguments: impl IntoIterator<Item = String>) -> Result<(Self, Vec<String>)> {
+    pub fn split(arguments: impl IntoIterator<Item = OsString>) -> Result<(Self, Vec<OsString>)> {
         let mut ros = Self::default();
         let mut rest = Vec::new();
         let mut arguments = arguments.into_iter();
@@ -88,21 +80,22 @@ impl RosArguments {
     }
 
     /// Parses arguments up to `--`.
-    fn take(&mut self, arguments: &mut impl Iterator<Item = String>) -> Result<()> {
+    fn take(&mut self, arguments: &mut impl Iterator<Item = OsString>) -> Result<()> {
         while let Some(argument) = arguments.next() {
+            let argument = text(&argument)?;
             let mut value = || {
                 let value = arguments.next();
                 value.with_context(|| format!("--ros-args: {argument} wants something behind it"))
             };
-            match argument.as_str() {
+            match argument {
                 "--" => break,
-                "-r" | "--remap" => self.remaps.push(remap(&value()?)?),
-                "-p" | "--param" => self.assignments.push(assignment(&value()?)?),
+                "-r" | "--remap" => self.remaps.push(remap(text(&value()?)?)?),
+                "-p" | "--param" => self.assignments.push(assignment(text(&value()?)?)?),
                 "--params-file" => self.assignments.extend(file(Path::new(&value()?))?),
                 "--log-level" | "--log-config-file" | "--log-file-name" => {
                     value()?;
                 }
-                _ if is_of_logs(&argument) => {}
+                _ if is_of_logs(argument) => {}
                 other => bail!(
                     "--ros-args: {other} is not known: -r FROM:=TO, -p NAME:=VALUE, --params-file FILE"
                 ),
@@ -111,12 +104,18 @@ impl RosArguments {
         Ok(())
     }
 
-    /// Returns the arguments of the node that is called `base` in `namespace` unless remapped, and whose parameters
-    /// `has` knows.
+    /// Returns the arguments of the node that is called `base` in `namespace` unless remapped, and has the parameters
+    /// `declared`.
     ///
     /// # Errors
-    /// ROS 2 does not allow a name.
-    pub fn node(&self, namespace: &str, base: &str, has: Has<'_>) -> Result<NodeArguments> {
+    /// ROS 2 does not allow a name; the node does not have a parameter that is given for it alone; a value is not of
+    /// its parameter's type.
+    pub fn node(
+        &self,
+        namespace: &str,
+        base: &str,
+        declared: &[Descriptor],
+    ) -> Result<NodeArguments> {
         let rules = || {
             let of_node = |rule: &&Remap| rule.node.as_deref().is_none_or(|node| node == base);
             self.remaps.iter().filter(of_node)
@@ -133,46 +132,73 @@ impl RosArguments {
         for Remap { from, to, .. } in rules().filter(|rule| !rule.from.starts_with("__")) {
             remaps.push((name.resolve(from)?, name.resolve(to)?));
         }
-        let mut values = BTreeMap::new();
-        for Assignment {
-            node,
-            name: parameter,
-            value,
-            ..
-        } in &self.assignments
+        let mut parameters = BTreeMap::new();
+        for given in self
+            .assignments
+            .iter()
+            .filter(|given| is_for(&given.node, &name))
         {
-            if is_for(node, &name) && (has(parameter) || !is_for_many(node)) {
-                values.insert(parameter, value);
+            let Assignment {
+                node,
+                name: parameter,
+                value,
+                ..
+            } = given;
+            let descriptor = declared.iter().find(|known| known.name == *parameter);
+            let Some(descriptor) = descriptor else {
+                // What is given for many nodes is for those of them that have it.
+                ensure!(
+                    is_for_many(node),
+                    "--ros-args: {node}: parameter '{parameter}' was not declared by {}",
+                    name.full()
+                );
+                continue;
+            };
+            let refused = |why: String| anyhow!("--ros-args: {}: {why}", name.full());
+            match value {
+                Some(value) => {
+                    descriptor.check(value).map_err(refused)?;
+                    parameters.insert(parameter.clone(), value.clone());
+                }
+                None if descriptor.is_optional => {
+                    parameters.remove(parameter);
+                }
+                None => return Err(refused(format!("{parameter}: null is no value"))),
             }
-        }
-        let mut flags = Vec::new();
-        for (parameter, value) in values {
-            value.put(parameter, &mut flags)?;
         }
         Ok(NodeArguments {
             name,
             remaps,
-            flags,
+            parameters,
         })
     }
 
-    /// Checks that each parameter is for some of these nodes, each given with a test for its parameters.
+    /// Checks that each parameter is for some of these nodes, each given with its declared parameters.
     ///
     /// # Errors
     /// A parameter from the command line is one that none of the nodes has. For parameters from files, `warn`
     /// receives the node and the name instead, since a file may serve other programs too.
     pub fn check(
         &self,
-        nodes: &[(NodeName, Has<'_>)],
+        nodes: &[(NodeName, &[Descriptor])],
         mut warn: impl FnMut(&str, &str),
     ) -> Result<()> {
         for given in &self.assignments {
-            let takes = |(name, has): &(NodeName, Has<'_>)| {
-                is_for(&given.node, name) && (has(&given.name) || !is_for_many(&given.node))
+            let takes = |(name, declared): &(NodeName, &[Descriptor])| {
+                let has = || declared.iter().any(|known| known.name == given.name);
+                is_for(&given.node, name) && has()
             };
-            if nodes.iter().any(takes) || given.name == "use_sim_time" {
+            if nodes.iter().any(takes) {
                 continue;
             }
+            // No program follows another clock, whichever node it is asked of.
+            ensure!(
+                given.name != USE_SIM_TIME
+                    || given.value != Some(Value::Bool(true))
+                    || !given.on_line,
+                "--ros-args: {}",
+                descriptor::SIM_TIME_REFUSAL
+            );
             ensure!(
                 !given.on_line,
                 "--ros-args: no node here has the parameter {}",
@@ -196,37 +222,6 @@ impl NodeArguments {
     }
 }
 
-impl Given {
-    /// Appends the flag for this parameter value.
-    fn put(&self, name: &str, flags: &mut Vec<String>) -> Result<()> {
-        if name == "use_sim_time" {
-            ensure!(
-                *self == Self::Bool(false),
-                "use_sim_time: stamps are the computer's time; leave it out"
-            );
-            return Ok(());
-        }
-        // A parameter with a one-letter name is a short flag.
-        let dashes = if name.len() == 1 { "-" } else { "--" };
-        let flag = format!("{dashes}{}", name.replace('_', "-"));
-        match self {
-            Self::Bool(true) => flags.push(flag),
-            Self::Bool(false) => {}
-            Self::Text(text) => flags.push(format!("{flag}={text}")),
-            Self::List(texts) => flags.extend(texts.iter().map(|text| format!("{flag}={text}"))),
-        }
-        Ok(())
-    }
-
-    fn parse(text: &str) -> Self {
-        match text {
-            "true" | "True" => Self::Bool(true),
-            "false" | "False" => Self::Bool(false),
-            other => Self::Text(other.trim_matches(['"', '\'']).to_owned()),
-        }
-    }
-}
-
 fn is_of_logs(argument: &str) -> bool {
     let argument = argument
         .strip_prefix("--enable-")
@@ -235,6 +230,14 @@ fn is_of_logs(argument: &str) -> bool {
         argument,
         Some("rosout-logs" | "stdout-logs" | "external-lib-logs")
     )
+}
+
+/// Returns an argument as text, as names and values in ROS 2 are.
+fn text(argument: &OsStr) -> Result<&str> {
+    let text = argument.to_str();
+    text.with_context(|| {
+        format!("--ros-args: {argument:?} is not UTF-8: names and values are text")
+    })
 }
 
 /// Splits `[NODE:]LEFT:=RIGHT` into the node, if given, and both sides.
@@ -260,10 +263,12 @@ fn remap(text: &str) -> Result<Remap> {
 
 fn assignment(text: &str) -> Result<Assignment> {
     let (node, name, value) = rule(text)?;
+    let yaml = serde_saphyr::from_str(&value)
+        .map_err(|error| anyhow!("--ros-args: -p {text}: the value is not YAML: {error}"))?;
     Ok(Assignment {
         node: node.unwrap_or_else(|| "/**".to_owned()),
+        value: value_of(yaml).with_context(|| format!("--ros-args: -p {text}"))?,
         name,
-        value: Given::parse(&value),
         on_line: true,
     })
 }
@@ -303,6 +308,7 @@ fn matches(pattern: &[&str], tokens: &[&str]) -> bool {
 #[derive(Debug, Deserialize)]
 #[serde(untagged)]
 enum Yaml {
+    Null(()),
     Bool(bool),
     Whole(i64),
     Float(f64),
@@ -360,23 +366,13 @@ fn parameter_of_file(
     value: Yaml,
     assignments: &mut Vec<Assignment>,
 ) -> Result<()> {
-    let value = match value {
-        Yaml::Map(inner) => {
-            for (key, value) in inner {
-                parameter_of_file(node, format!("{name}.{key}"), value, assignments)?;
-            }
-            return Ok(());
+    if let Yaml::Map(inner) = value {
+        for (key, value) in inner {
+            parameter_of_file(node, format!("{name}.{key}"), value, assignments)?;
         }
-        Yaml::Bool(is) => Given::Bool(is),
-        Yaml::List(values) => {
-            let texts = values.into_iter().map(|value| match text(value) {
-                Some(text) => Ok(text),
-                None => bail!("{node}: {name}: a list of lists is no parameter"),
-            });
-            Given::List(texts.collect::<Result<_>>()?)
-        }
-        other => Given::Text(text(other).unwrap_or_default()),
-    };
+        return Ok(());
+    }
+    let value = value_of(value).with_context(|| format!("{node}: {name}"))?;
     assignments.push(Assignment {
         node: node.to_owned(),
         name,
@@ -386,22 +382,86 @@ fn parameter_of_file(
     Ok(())
 }
 
-fn text(value: Yaml) -> Option<String> {
-    match value {
-        Yaml::Bool(is) => Some(is.to_string()),
-        Yaml::Whole(whole) => Some(whole.to_string()),
-        Yaml::Float(float) => Some(float.to_string()),
-        Yaml::Text(text) => Some(text),
-        Yaml::List(_) | Yaml::Map(_) => None,
+/// Returns the value of a parameter in YAML; `None` for null.
+fn value_of(yaml: Yaml) -> Result<Option<Value>> {
+    Ok(Some(match yaml {
+        Yaml::Null(()) => return Ok(None),
+        Yaml::Bool(is) => Value::Bool(is),
+        Yaml::Whole(whole) => Value::Integer(whole),
+        Yaml::Float(float) => Value::Double(float),
+        Yaml::Text(text) => Value::Text(text),
+        Yaml::List(values) => list_of(&values)?,
+        Yaml::Map(_) => bail!("a map is no value of a parameter"),
+    }))
+}
+
+/// Returns the value of a list, whose elements must be of one type.
+fn list_of(yaml: &[Yaml]) -> Result<Value> {
+    macro_rules! all {
+        ($kind:ident) => {
+            yaml.iter()
+                .map(|each| match each {
+                    Yaml::$kind(value) => Some(value.clone()),
+                    _ => None,
+                })
+                .collect::<Option<Vec<_>>>()
+        };
     }
+    if let Some(texts) = all!(Text) {
+        return Ok(Value::Texts(texts));
+    }
+    if let Some(values) = all!(Bool) {
+        return Ok(Value::Bools(values));
+    }
+    if let Some(values) = all!(Whole) {
+        return Ok(Value::Integers(values));
+    }
+    let values = all!(Float);
+    let values = values.context("a list of values of several types, or of lists, is no value")?;
+    Ok(Value::Doubles(values))
 }
 
 #[cfg(test)]
 mod tests {
+    use clap::{Arg, ArgAction, Command};
+
     use super::*;
 
-    fn split(line: &str) -> Result<(RosArguments, Vec<String>)> {
-        RosArguments::split(line.split_whitespace().map(str::to_owned))
+    fn split(line: &str) -> Result<(RosArguments, Vec<OsString>)> {
+        RosArguments::split(line.split_whitespace().map(OsString::from))
+    }
+
+    /// The parameters of a node with flags of these names and types.
+    fn declared() -> Vec<Descriptor> {
+        let text = |name: &'static str| Arg::new(name).long(name);
+        let command = Command::new("node")
+            .arg(text("window_us").value_parser(clap::value_parser!(u32)))
+            .arg(
+                text("m")
+                    .value_parser(clap::value_parser!(u8))
+                    .default_value("16"),
+            )
+            .arg(text("step_log2").value_parser(clap::value_parser!(i8)))
+            .arg(text("max_error").value_parser(clap::value_parser!(f64)))
+            .arg(text("coder"))
+            .arg(text("x").action(ArgAction::Append))
+            .arg(text("keep_order").action(ArgAction::SetTrue))
+            .arg(text("isolated").action(ArgAction::SetTrue));
+        Descriptor::all_of(&command, &[])
+    }
+
+    /// A node's parameters as `name=value`.
+    fn given(ros: &RosArguments, namespace: &str, base: &str) -> Vec<String> {
+        let node = ros.node(namespace, base, &declared()).unwrap();
+        let parameters = node.parameters.iter();
+        parameters
+            .map(|(name, value)| format!("{name}={value}"))
+            .collect()
+    }
+
+    fn refused(line: &str) -> String {
+        let node = split(line).and_then(|(ros, _)| ros.node("/", "encode", &declared()));
+        format!("{:#}", node.unwrap_err())
     }
 
     #[test]
@@ -412,12 +472,12 @@ mod tests {
         )
         .unwrap();
         assert_eq!(rest, ["encode", "--coder", "dense"]);
-        let node = ros.node("/event_camera", "encode", &|_| true).unwrap();
+        let node = ros.node("/event_camera", "encode", &declared()).unwrap();
         assert_eq!(node.name.full(), "/left/encode");
-        assert_eq!(node.flags, ["--window-us=5000"]);
         assert_eq!(node.topic("events").unwrap(), "/dvs/events");
         assert_eq!(node.topic("frames").unwrap(), "/left/frames");
         assert_eq!(node.topic("~/x").unwrap(), "/left/encode/x");
+        assert_eq!(given(&ros, "/event_camera", "encode"), ["window_us=5000"]);
     }
 
     #[test]
@@ -427,59 +487,163 @@ mod tests {
              -p encode:m:=8 -p keep_order:=true -p isolated:=false",
         )
         .unwrap();
-        let encode = ros.node("/", "encode", &|_| true).unwrap();
+        let encode = ros.node("/", "encode", &declared()).unwrap();
         assert_eq!(encode.topic("events").unwrap(), "/a");
-        assert_eq!(encode.flags, ["--keep-order", "-m=8"]);
-        let decode = ros.node("/", "decode", &|_| true).unwrap();
+        assert_eq!(
+            given(&ros, "/", "encode"),
+            ["isolated=false", "keep_order=true", "m=8"]
+        );
+        let decode = ros.node("/", "decode", &declared()).unwrap();
         assert_eq!(decode.name.full(), "/viewer");
         assert_eq!(decode.topic("events").unwrap(), "/b");
-        assert_eq!(decode.flags, ["--keep-order"]);
-        let has = |name: &str| ["keep_order", "isolated"].contains(&name);
-        let both = [(encode.name, &has as Has<'_>), (decode.name, &has)];
+        assert_eq!(
+            given(&ros, "/", "decode"),
+            ["isolated=false", "keep_order=true"]
+        );
+        let all = declared();
+        let both = [
+            (encode.name.clone(), all.as_slice()),
+            (decode.name, all.as_slice()),
+        ];
         ros.check(&both, |_, _| panic!()).unwrap();
-        // `encode:m:=8` passes the check above although `has` does not know `m`: a node addressed by name reports
-        // unknown parameters itself. Here that node is missing.
-        assert!(ros.check(&both[1..], |_, _| panic!()).is_err());
-        let none = |_: &str| false;
-        let error = ros.check(&[(both[0].0.clone(), &none)], |_, _| panic!());
-        assert!(error.unwrap_err().to_string().contains("keep_order"));
-        let flags = ros.node("/", "encode", &none).unwrap().flags;
-        assert_eq!(flags, ["-m=8"]);
+        // The node that `m` is for is missing.
+        let error = ros.check(&both[1..], |_, _| panic!()).unwrap_err();
+        assert!(error.to_string().contains(" m"), "{error}");
+        let none = [Descriptor::use_sim_time()];
+        let error = ros.check(&[(encode.name, none.as_slice())], |_, _| panic!());
+        assert!(error.unwrap_err().to_string().contains(" m"));
+        // A node that is named has to have the parameter.
+        let error = ros.node("/", "encode", &none).unwrap_err().to_string();
+        assert!(error.contains("'m' was not declared by /encode"), "{error}");
+    }
+
+    #[test]
+    fn values_are_of_their_types() {
+        let (ros, _) = split(
+            "--ros-args -p max_error:=0.5 -p step_log2:=-3 -p coder:='17' -p x:=[a,'2'] -p keep_order:=on",
+        )
+        .unwrap();
+        let want = [
+            "coder=17",
+            "keep_order=true",
+            "max_error=0.5",
+            "step_log2=-3",
+            "x=a, 2",
+        ];
+        assert_eq!(given(&ros, "/", "encode"), want);
+        for (line, why) in [
+            (
+                "-p window_us:='5000'",
+                "{window_us} is of type {integer}, setting it to {string}",
+            ),
+            (
+                "-p window_us:=5000.0",
+                "{window_us} is of type {integer}, setting it to {double}",
+            ),
+            (
+                "-p window_us:=99999999999999999999",
+                "{window_us} is of type {integer}",
+            ),
+            (
+                "-p max_error:=1",
+                "{max_error} is of type {double}, setting it to {integer}",
+            ),
+            (
+                "-p coder:=17",
+                "{coder} is of type {string}, setting it to {integer}",
+            ),
+            (
+                "-p coder:=true",
+                "{coder} is of type {string}, setting it to {bool}",
+            ),
+            (
+                "-p keep_order:=1",
+                "{keep_order} is of type {bool}, setting it to {integer}",
+            ),
+            (
+                "-p x:=a",
+                "{x} is of type {string_array}, setting it to {string}",
+            ),
+            (
+                "-p x:=[1]",
+                "{x} is of type {string_array}, setting it to {integer_array}",
+            ),
+            ("-p x:=[1,a]", "several types"),
+            ("-p x:={a:1}", "a map"),
+            ("-p x:=[", "not YAML"),
+            ("-p m:=null", "null"),
+            ("-p use_sim_time:=true", "computer's clock"),
+            ("-p use_sim_time:=1", "{use_sim_time} is of type {bool}"),
+            ("-p encode:other:=1", "'other' was not declared"),
+        ] {
+            let said = refused(&format!("--ros-args {line}"));
+            assert!(said.contains(why), "{line}: {said}");
+        }
+        // What has no default may be without a value, as `ros2 param dump` writes it.
+        let (ros, _) = split("--ros-args -p window_us:=5 -p window_us:=null").unwrap();
+        assert!(given(&ros, "/", "encode").is_empty());
     }
 
     #[test]
     fn files_name_nodes_by_patterns() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.yaml");
-        let yaml = "/**:\n  ros__parameters: {window_us: 5000, coder: dense}\n\
-                    encode:\n  ros__parameters:\n    window_us: 4000\n    step_log2: -3\n    x: [1, two]\n\
+        let yaml = "/**:\n  ros__parameters: {window_us: 5000, coder: dense, use_sim_time: false}\n\
+                    encode:\n  ros__parameters:\n    window_us: 4000\n    step_log2: -3\n    x: [one, two]\n\
                     left:\n  decode:\n    ros__parameters: {max_error: 0.5, keep_order: true}\n\
-                    /*/log:\n  ros__parameters: {a: {b: 1}}\n";
+                    /*/log:\n  ros__parameters: {m: 1}\n";
         std::fs::write(&path, yaml).unwrap();
         let line = format!("--ros-args --params-file {} -p coder:=fast", path.display());
         let (ros, _) = split(&line).unwrap();
-        let flags =
-            |namespace: &str, base: &str| ros.node(namespace, base, &|_| true).unwrap().flags;
         assert_eq!(
-            flags("/left", "decode"),
+            given(&ros, "/left", "decode"),
             [
-                "--coder=fast",
-                "--keep-order",
-                "--max-error=0.5",
-                "--window-us=5000"
+                "coder=fast",
+                "keep_order=true",
+                "max_error=0.5",
+                "use_sim_time=false",
+                "window_us=5000"
             ]
         );
         assert_eq!(
-            flags("/right", "decode"),
-            ["--coder=fast", "--window-us=5000"]
+            given(&ros, "/right", "decode"),
+            ["coder=fast", "use_sim_time=false", "window_us=5000"]
         );
-        assert!(flags("/left", "log").contains(&"--a.b=1".to_owned()));
-        assert!(!flags("/", "log").contains(&"--a.b=1".to_owned()));
+        assert!(given(&ros, "/left", "log").contains(&"m=1".to_owned()));
+        assert!(!given(&ros, "/", "log").contains(&"m=1".to_owned()));
         // A file's patterns are sorted by name, so the one for all nodes comes first.
-        let encode = flags("/", "encode");
-        for flag in ["--window-us=4000", "--step-log2=-3", "-x=1", "-x=two"] {
-            assert!(encode.contains(&flag.to_owned()), "{encode:?}");
+        let encode = given(&ros, "/", "encode");
+        for parameter in ["window_us=4000", "step_log2=-3", "x=one, two"] {
+            assert!(encode.contains(&parameter.to_owned()), "{encode:?}");
         }
+        for (yaml, why) in [
+            (
+                "/**: {ros__parameters: {use_sim_time: true}}",
+                "computer's clock",
+            ),
+            (
+                "encode: {ros__parameters: {window_us: '5'}}",
+                "of type {integer}",
+            ),
+            ("/**: {ros__parameters: {max_error: 1}}", "of type {double}"),
+            (
+                "/encode: {ros__parameters: {other: 1}}",
+                "'other' was not declared",
+            ),
+        ] {
+            std::fs::write(&path, yaml).unwrap();
+            let said = refused(&line);
+            assert!(said.contains(why), "{yaml}: {said}");
+        }
+        // Of a file for several programs, what is for others is passed over, with a word.
+        std::fs::write(&path, "/**: {ros__parameters: {other: 1}}").unwrap();
+        let (ros, _) = split(&line).unwrap();
+        let (all, mut warned) = (declared(), Vec::new());
+        let node = ros.node("/", "encode", &all).unwrap();
+        let nodes = [(node.name, all.as_slice())];
+        ros.check(&nodes, |_, name| warned.push(name.to_owned()))
+            .unwrap();
+        assert_eq!(warned, ["other"]);
     }
 
     #[test]
@@ -494,10 +658,8 @@ mod tests {
         ] {
             assert!(split(bad).is_err(), "{bad}");
         }
-        let (ros, _) = split("--ros-args -p use_sim_time:=true").unwrap();
-        assert!(ros.node("/", "encode", &|_| true).is_err());
         let (ros, _) = split("--ros-args -r __node:=9").unwrap();
-        assert!(ros.node("/", "encode", &|_| true).is_err());
+        assert!(ros.node("/", "encode", &declared()).is_err());
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.yaml");
         for bad in [
@@ -506,9 +668,24 @@ mod tests {
             "encode: {ros__parameters: 5}",
             "a: {b: [",
             "a:\n - [[1]]",
+            "a: {ros__parameters: {x: [[1]]}}",
         ] {
             std::fs::write(&path, bad).unwrap();
             assert!(file(&path).is_err(), "{bad}");
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn arguments_of_ros_are_text() {
+        use std::os::unix::ffi::OsStringExt as _;
+        let bad = OsString::from_vec(vec![b'a', 0xff]);
+        let (_, rest) = RosArguments::split([bad.clone()]).unwrap();
+        assert_eq!(rest, std::slice::from_ref(&bad));
+        for option in ["-p", "-r"] {
+            let line = ["--ros-args".into(), option.into(), bad.clone()];
+            let error = RosArguments::split(line).unwrap_err().to_string();
+            assert!(error.contains("not UTF-8"), "{error}");
         }
     }
 }

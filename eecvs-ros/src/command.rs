@@ -7,18 +7,19 @@ use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
-use anyhow::{Context as _, Result, anyhow, bail};
+use anyhow::{Context as _, Result, bail};
 use clap::builder::ValueParser;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, ValueEnum};
 use eecvs_cli::output::end;
 use eecvs_cli::variable::have_zenoh_threads;
 use usb_bridge::stop::Stop;
 
-use crate::arguments::{Has, NodeArguments, RosArguments};
+use crate::arguments::{NodeArguments, RosArguments};
 use crate::node::{
-    Context, NAMESPACE, bridge, decode, delay, density, emulate, encode, log, play, record,
+    Context, Lost, NAMESPACE, bridge, decode, delay, density, emulate, encode, log, play, record,
 };
 use crate::operator::{Operator, Operators};
+use crate::parameters::{Accept, Descriptor, Parameters, descriptor};
 use crate::transport::Transport;
 use crate::transport::dds::Dds;
 use crate::transport::local::Local;
@@ -134,105 +135,141 @@ fn command_line() -> clap::Command {
     })
 }
 
+/// Error: arguments that cannot be used, with exit status 2 as for a wrong flag.
+#[derive(Debug, thiserror::Error)]
+#[error("{0:#}")]
+struct Usage(anyhow::Error);
+
 /// Runs the command, with operators beside the project's own. A program must call this before it does anything
 /// else, since the process may replace itself in order to set an environment variable.
 pub fn run(operators: Vec<Box<dyn Operator>>) -> ExitCode {
     have_zenoh_threads();
     let operators = Arc::new(Operators::new(operators));
-    end("eecvs-ros", start(&operators))
+    let ended = start(&operators);
+    let is_usage = ended.as_ref().is_err_and(anyhow::Error::is::<Usage>);
+    match end("eecvs-ros", ended) {
+        _ if is_usage => ExitCode::from(2),
+        status => status,
+    }
 }
 
 fn start(operators: &Arc<Operators>) -> Result<()> {
-    let arguments: Result<Vec<String>> = std::env::args_os().map(text).collect();
-    let (ros, rest) = RosArguments::split(arguments?)?;
-    let matches = command_line().try_get_matches_from(&rest);
+    let (ros, rest) = RosArguments::split(std::env::args_os()).map_err(Usage)?;
     // A first pass, to find the node: only then are its parameters known, which become flags too.
-    let line = match matches.and_then(|matches| EecvsRos::from_arg_matches(&matches)) {
-        Ok(line) => line,
-        Err(error) => error.exit(),
+    let first = command_line().ignore_errors(true);
+    let first = first.try_get_matches_from(&rest);
+    let first = first.unwrap_or_else(|error| error.exit());
+    let name = match first.subcommand_name() {
+        Some(name) if is_node(name) => name.to_owned(),
+        _ => {
+            let line = parsed(command_line().try_get_matches_from(&rest))?;
+            let stop = Stop::on_signals()?;
+            return match line.command {
+                Command::Compose(compose) => {
+                    composed(&compose, &line.network, &ros, operators, &stop)
+                }
+                Command::Router(_) => {
+                    named(&ros, &[])?;
+                    route(&line.network.links, &stop)
+                }
+                _ => bail!("this is not a command"),
+            };
+        }
     };
     let stop = Stop::on_signals()?;
-    if let Command::Compose(compose) = line.command {
-        return composed(&compose, &line.network, &ros, operators, &stop);
-    }
-    if let Command::Router(_) = line.command {
-        return route(&line.network.links, &stop);
-    }
-    let name = line.command.name();
-    let arguments = named(&ros, &[name.to_owned()])?.remove(0);
-    let (line, parameters) = parse(rest, &arguments)?;
+    let (arguments, declared) = named(&ros, &[name])?.remove(0);
+    let (line, parameters) = parse(rest, &arguments, declared)?;
     let transport = line.network.open()?;
-    let context = Context::new(transport.as_ref(), arguments, &parameters, stop)?;
+    let context = Context::new(transport.as_ref(), arguments, parameters, stop)?;
     line.command.run(context, operators)
 }
 
-/// Converts an argument to text, since names and values in ROS 2 are text.
-fn text(argument: OsString) -> Result<String> {
-    argument.into_string().map_err(|other| {
-        anyhow!("the argument {other:?} is not UTF-8: rename the file, or give a link to it")
-    })
+/// Returns the parsed command line; an error of it ends the process.
+fn parsed(matches: clap::error::Result<clap::ArgMatches>) -> Result<EecvsRos> {
+    match matches.and_then(|matches| EecvsRos::from_arg_matches(&matches)) {
+        Ok(line) => Ok(line),
+        Err(error) => error.exit(),
+    }
 }
 
-/// Parses the command line with a node's parameters inserted as flags in front of its own; also returns all of its
-/// flags as parameters.
-fn parse(mut line: Vec<String>, node: &NodeArguments) -> Result<(EecvsRos, Vec<(String, String)>)> {
-    let names: Vec<String> = command_line()
+/// Returns whether a command is a node.
+fn is_node(command: &str) -> bool {
+    !["compose", "router", "help"].contains(&command)
+}
+
+/// Returns a command line with a node's parameters inserted as flags: `before` in front of its own, and `behind`
+/// behind them.
+fn with_flags(line: &[OsString], before: &[OsString], behind: &[OsString]) -> Vec<OsString> {
+    let names: Vec<OsString> = command_line()
         .get_subcommands()
-        .map(|command| command.get_name().to_owned())
+        .map(|command| command.get_name().into())
         .collect();
     let at = line.iter().position(|word| names.contains(word));
-    let at = at.map_or(line.len(), |at| at + 1);
-    line.splice(at..at, node.flags.iter().cloned());
-    let mut matches = match command_line().try_get_matches_from(&line) {
-        Ok(matches) => matches,
-        Err(error) => error.exit(),
-    };
-    let parameters = match matches.subcommand() {
-        Some((_, matches)) => matches
-            .ids()
-            .filter_map(|id| {
-                let values = matches.get_raw(id.as_str())?;
-                let values: Vec<_> = values.map(std::ffi::OsStr::to_string_lossy).collect();
-                Some((id.to_string(), values.join(" ")))
-            })
-            .collect(),
-        None => Vec::new(),
-    };
-    Ok((EecvsRos::from_arg_matches_mut(&mut matches)?, parameters))
+    let (front, own) = line.split_at(at.map_or(line.len(), |at| at + 1));
+    // What follows this mark is no flag.
+    let end = own.iter().position(|word| word == "--");
+    let (own, rest) = own.split_at(end.unwrap_or(own.len()));
+    [front, before, own, behind, rest].concat()
 }
 
-/// Returns the arguments of the nodes of these commands, all of which run in this process.
-fn named(ros: &RosArguments, commands: &[String]) -> Result<Vec<NodeArguments>> {
+/// Parses the command line with a node's parameters; also returns all of its flags as parameters.
+fn parse(
+    line: Vec<OsString>,
+    node: &NodeArguments,
+    declared: Vec<Descriptor>,
+) -> Result<(EecvsRos, Arc<Parameters>)> {
+    let mut given = Vec::new();
+    descriptor::put_flags(&declared, &node.parameters, &mut given)
+        .map_err(|why| Usage(anyhow::anyhow!("--ros-args: {}: {why}", node.name.full())))?;
+    let matches = command_line().try_get_matches_from(with_flags(&line, &given, &[]));
+    let matches = matches.unwrap_or_else(|error| error.exit());
+    let of_node = matches.subcommand().map(|(_, matches)| matches.clone());
+    let all = declared.clone();
+    let accept: Accept = Box::new(move |set| {
+        let mut behind = Vec::new();
+        descriptor::put_flags(&all, set, &mut behind)?;
+        let matches = command_line().try_get_matches_from(with_flags(&line, &given, &behind));
+        let matches = matches.map_err(|error| descriptor::reason(&error))?;
+        let of_node = matches.subcommand().map(|(_, matches)| matches.clone());
+        Ok(of_node.unwrap_or_default())
+    });
+    let parameters = Parameters::new(declared, of_node.unwrap_or_default(), accept);
+    Ok((EecvsRos::from_arg_matches(&matches)?, parameters))
+}
+
+/// Returns the arguments of the nodes of these commands, all of which run in this process, and their parameters.
+fn named(ros: &RosArguments, commands: &[String]) -> Result<Vec<(NodeArguments, Vec<Descriptor>)>> {
     let mut line = command_line();
     // Gives each command the global flags.
     line.build();
-    let parameters: Vec<Vec<String>> = commands
-        .iter()
-        .map(|name| match line.find_subcommand(name) {
-            Some(command) => command
-                .get_arguments()
-                .map(|argument| argument.get_id().to_string())
-                .collect(),
-            None => Vec::new(),
-        })
-        .collect();
-    let has: Vec<_> = parameters
-        .iter()
-        .map(|parameters| move |name: &str| parameters.iter().any(|known| known == name))
-        .collect();
     let mut nodes = Vec::new();
-    for (name, has) in commands.iter().zip(&has) {
-        nodes.push(ros.node(NAMESPACE, name, has)?);
+    for name in commands {
+        let declared = match line.find_subcommand(name) {
+            Some(command) => Descriptor::all_of(command, changeable(name)),
+            None => vec![Descriptor::use_sim_time()],
+        };
+        let node = ros.node(NAMESPACE, name, &declared).map_err(Usage)?;
+        nodes.push((node, declared));
     }
-    let all: Vec<(_, Has<'_>)> = nodes
+    let all: Vec<_> = nodes
         .iter()
-        .zip(&has)
-        .map(|(node, has)| (node.name.clone(), has as Has<'_>))
+        .map(|(node, declared)| (node.name.clone(), declared.as_slice()))
         .collect();
     ros.check(&all, |node, name| {
         eprintln!("eecvs-ros: --ros-args: {node}: {name} is no parameter of a node here");
-    })?;
+    })
+    .map_err(Usage)?;
     Ok(nodes)
+}
+
+/// Returns the parameters of a node that can be set while it runs.
+fn changeable(command: &str) -> &'static [&'static str] {
+    match command {
+        "emulate" => emulate::CHANGEABLE,
+        "play" => play::CHANGEABLE,
+        "decode" => decode::CHANGEABLE,
+        _ => &[],
+    }
 }
 
 fn composed(
@@ -242,20 +279,26 @@ fn composed(
     operators: &Arc<Operators>,
     stop: &Stop,
 ) -> Result<()> {
+    if let Some(name) = compose.nodes.iter().find(|name| !is_node(name)) {
+        return Err(Usage(anyhow::anyhow!("compose: {name} is not a node")).into());
+    }
+    let nodes = named(ros, &compose.nodes)?;
+    let mut parsed = Vec::new();
+    for (name, (arguments, declared)) in compose.nodes.iter().zip(nodes) {
+        let line = vec!["eecvs-ros".into(), name.into()];
+        let (line, parameters) = parse(line, &arguments, declared)?;
+        parsed.push((name, line.command, arguments, parameters));
+    }
     let transport = Local::before(network.open()?);
-    let arguments = named(ros, &compose.nodes)?;
-    let mut nodes = Vec::new();
-    for (name, arguments) in compose.nodes.iter().zip(arguments) {
-        let line = vec!["eecvs-ros".to_owned(), name.clone()];
-        let (line, parameters) = parse(line, &arguments)?;
-        if matches!(line.command, Command::Compose(_) | Command::Router(_)) {
-            bail!("compose: {name} is no node");
-        }
-        for topic in line.command.publishes() {
+    for (_, command, arguments, _) in &parsed {
+        for topic in command.publishes() {
             transport.expect(arguments.topic(topic)?);
         }
-        let context = Context::new(&transport, arguments, &parameters, stop.clone())?;
-        nodes.push((name.clone(), line.command, context));
+    }
+    let mut nodes = Vec::new();
+    for (name, command, arguments, parameters) in parsed {
+        let context = Context::new(&transport, arguments, parameters, stop.clone())?;
+        nodes.push((name.clone(), command, context));
     }
     let mut threads = Vec::new();
     for (name, command, context) in nodes {
@@ -272,8 +315,8 @@ fn composed(
             Ok(ended) => ended.context(name),
             Err(_) => bail!("{name}: panicked: please report this"),
         };
-        if ended.is_err() {
-            // The other nodes do not go on without it.
+        if ended.as_ref().is_err_and(|error| !error.is::<Lost>()) {
+            // The other nodes do not go on without it; one that has lost messages has come to its end.
             stop.ask();
         }
         result = result.and(ended);
@@ -330,22 +373,6 @@ impl NetworkOptions {
 }
 
 impl Command {
-    const fn name(&self) -> &'static str {
-        match self {
-            Self::Emulate(_) => "emulate",
-            Self::Bridge(_) => "bridge",
-            Self::Encode(_) => "encode",
-            Self::Decode(_) => "decode",
-            Self::Density(_) => "density",
-            Self::Delay(_) => "delay",
-            Self::Log(_) => "log",
-            Self::Record(_) => "record",
-            Self::Play(_) => "play",
-            Self::Compose(_) => "compose",
-            Self::Router(_) => "router",
-        }
-    }
-
     /// Returns the topics that the node publishes.
     const fn publishes(&self) -> &'static [&'static str] {
         match self {
@@ -374,7 +401,7 @@ impl Command {
             Self::Log(node) => node.run(context, operators),
             Self::Record(node) => node.run(context),
             Self::Play(node) => node.run(context),
-            Self::Compose(_) | Self::Router(_) => bail!("this is no node"),
+            Self::Compose(_) | Self::Router(_) => bail!("this is not a node"),
         }
     }
 }
@@ -382,19 +409,42 @@ impl Command {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::parameters::Kind;
 
     #[test]
     fn windows_of_nodes_are_short_unless_they_are_said() {
         let window_us = |arguments: &[&str]| {
             let words = ["eecvs-ros", "encode"].iter().chain(arguments);
-            let words = words.map(|word| (*word).to_owned()).collect();
-            let node = named(&RosArguments::default(), &["encode".to_owned()]);
-            let node = node.unwrap().remove(0);
-            let (_, parameters) = parse(words, &node).unwrap();
-            let found = parameters.into_iter().find(|(name, _)| name == "window_us");
-            found.unwrap().1
+            let words = words.map(OsString::from).collect();
+            let nodes = named(&RosArguments::default(), &["encode".to_owned()]);
+            let (node, declared) = nodes.unwrap().remove(0);
+            let (_, parameters) = parse(words, &node, declared).unwrap();
+            let value = parameters.get(&["window_us".to_owned()]).unwrap();
+            value[0].as_ref().unwrap().to_string()
         };
         assert_eq!(window_us(&[]), encode::WINDOW_US);
         assert_eq!(window_us(&["--window-us", "32768"]), "32768");
+    }
+
+    /// Of every node: each parameter has a description, and one that can be set later is no switch, which a flag could
+    /// not turn off again.
+    #[test]
+    fn parameters_are_described() {
+        let mut line = command_line();
+        line.build();
+        let nodes = line.get_subcommands().map(clap::Command::get_name);
+        for name in nodes.filter(|name| is_node(name)) {
+            let (_, declared) = named(&RosArguments::default(), &[name.to_owned()])
+                .unwrap()
+                .remove(0);
+            let found = |name: &&&str| declared.iter().any(|known| known.name == ***name);
+            let changeable = changeable(name);
+            assert_eq!(changeable.iter().filter(found).count(), changeable.len());
+            for each in declared {
+                assert!(!each.description.is_empty(), "{name}: {}", each.name);
+                let is_sim_time = each.name == descriptor::USE_SIM_TIME;
+                assert!(each.read_only || is_sim_time || each.kind != Kind::Bool);
+            }
+        }
     }
 }

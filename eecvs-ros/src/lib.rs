@@ -10,9 +10,11 @@ mod command;
 pub mod message;
 pub mod names;
 pub mod node;
+pub mod one_publisher;
 pub mod operator;
 pub mod packet_reader;
 pub mod packing;
+pub mod parameters;
 pub mod sequence;
 pub mod transport;
 

@@ -1,8 +1,8 @@
 //! Reads events from a subscription to `event_camera_msgs/msg/EventPacket`, as messages arrive.
 //!
 //! The reader works like that of a recording that ends with the subscription. Messages that are damaged, come from
-//! a sensor of another size, or have an unknown encoding are counted and left out. Gaps in the sequence numbers are
-//! counted as losses.
+//! a sensor of another size, or have an unknown encoding are counted and left out, as are those of a second
+//! publisher. Gaps in the sequence numbers are counted as losses.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -17,8 +17,8 @@ use event_files::{Assumption, BATCH_EVENTS, EventReader, Pause, Skipped};
 use usb_bridge::stop::Stop;
 
 use crate::message::{EventPacket, Message, Time, sequence_of};
+use crate::one_publisher::OnePublisher;
 use crate::sequence::Sequence;
-use crate::transport::Subscription;
 
 /// Longest wait before the stop request is checked again.
 const WAIT: Duration = Duration::from_millis(20);
@@ -36,6 +36,8 @@ pub struct Received {
     pub refused: u64,
     /// Why the latest of them was left out.
     pub why_refused: Option<String>,
+    /// Messages of other publishers, which are not among those above.
+    pub others: u64,
     /// Events read.
     pub events: u64,
     /// For the latest two messages whose events were read: the computer's time in the header, and the sensor's time
@@ -50,6 +52,19 @@ impl Received {
         if let Some(number) = sequence_of(EventPacket::TYPE, cdr) {
             self.sequence.follow(number);
         }
+    }
+
+    /// Returns the counts of what was lost, each with what it counts.
+    #[must_use]
+    pub const fn losses(&self) -> [(u64, &'static str); 3] {
+        [
+            (self.sequence.lost, "messages of events have not come"),
+            (self.refused, "messages of events were left out"),
+            (
+                self.others,
+                "messages of another publisher of events were left out",
+            ),
+        ]
     }
 
     /// Converts a time of the sensor to the computer's time, zero before any events were read.
@@ -92,7 +107,7 @@ fn lock(watch: &Watch) -> MutexGuard<'_, Received> {
 
 /// Reader of the events of a subscription.
 pub struct PacketReader {
-    subscription: Box<dyn Subscription>,
+    subscription: OnePublisher,
     stop: Stop,
     /// Length of a silence that ends the stream.
     idle: Option<Duration>,
@@ -147,26 +162,39 @@ fn sensor(head: &Head) -> Option<Sensor> {
 }
 
 impl PacketReader {
-    /// Waits for the first message that states a valid sensor size; returns `None` if stopped before. The stream
-    /// ends after a silence of `idle`, once events have arrived.
+    /// Waits for the first message that states a valid sensor size; returns only the counts if stopped before. The
+    /// stream ends after a silence of `idle`, once events have arrived.
     ///
     /// # Errors
     /// The subscription has ended.
     pub fn begin(
-        mut subscription: Box<dyn Subscription>,
+        subscription: impl Into<OnePublisher>,
         stop: &Stop,
         idle: Option<Duration>,
-    ) -> Result<Option<Self>> {
+    ) -> Result<Result<Self, Received>> {
+        let mut subscription = subscription.into();
         let mut received = Received::default();
         while !stop.is_asked() {
-            let Some(cdr) = subscription.take(WAIT)? else {
+            let Some(taken) = subscription.take(WAIT)? else {
                 continue;
             };
+            if taken.is_new_publisher {
+                received.sequence.restart();
+            }
+            received.others = subscription.left_out();
+            let cdr = taken.cdr;
             received.count(&cdr);
             let (head, sensor) = match begin(&cdr).map(|head| (sensor(&head), head)) {
                 Ok((Some(sensor), head)) => (head, sensor),
-                _ => {
+                Ok((None, head)) => {
                     received.refused += 1;
+                    received.why_refused =
+                        Some(format!("a sensor of {}x{}", head.width, head.height));
+                    continue;
+                }
+                Err(why) => {
+                    received.refused += 1;
+                    received.why_refused = Some(why);
                     continue;
                 }
             };
@@ -183,9 +211,10 @@ impl PacketReader {
                 ended: false,
             };
             reader.start(cdr, &head);
-            return Ok(Some(reader));
+            return Ok(Ok(reader));
         }
-        Ok(None)
+        received.others = subscription.left_out();
+        Ok(Err(received))
     }
 
     /// Returns a handle to the counts.
@@ -210,10 +239,24 @@ impl PacketReader {
 
     /// Takes the next message, if one arrives within [`WAIT`].
     fn next(&mut self) -> Result<()> {
-        let Some(cdr) = self.subscription.take(WAIT)? else {
+        let taken = self.subscription.take(WAIT)?;
+        let mut received = lock(&self.received);
+        received.others = self.subscription.left_out();
+        let Some(taken) = taken else {
             return Ok(());
         };
-        lock(&self.received).count(&cdr);
+        if taken.is_new_publisher {
+            received.sequence.restart();
+            received.stamps = [None, None];
+        }
+        let cdr = taken.cdr;
+        received.count(&cdr);
+        drop(received);
+        if taken.is_new_publisher {
+            // Neither words nor times go on where those of another publisher ended.
+            self.decoder = MessageEvents::new(self.decoder.sensor());
+            self.clock = Clock::default();
+        }
         match begin(&cdr) {
             Err(why) => self.refuse(why),
             Ok(head) if (head.width, head.height) != self.told => {
@@ -307,13 +350,19 @@ mod tests {
 
     use super::*;
     use crate::message::to_cdr;
+    use crate::transport::{Known, PublisherId, Subscription};
 
     /// A subscription to messages that have already arrived.
     struct Come(VecDeque<Vec<u8>>);
 
     impl Subscription for Come {
-        fn take(&mut self, _: Duration) -> Result<Option<Vec<u8>>> {
-            Ok(self.0.pop_front())
+        fn take_from(&mut self, _: Duration) -> Result<Option<(Vec<u8>, PublisherId)>> {
+            let next = self.0.pop_front();
+            Ok(next.map(|cdr| (cdr, PublisherId::default())))
+        }
+
+        fn publisher(&self, _: PublisherId) -> Known {
+            Known::Unnamed
         }
 
         fn publishers(&self) -> usize {
@@ -334,9 +383,9 @@ mod tests {
         };
         let numbers = [0, 1, 2, 4, 6, 7, 10];
         let come = numbers.map(|seq| to_cdr(&packet(seq)));
-        let subscription = Box::new(Come(come.into()));
+        let subscription: Box<dyn Subscription> = Box::new(Come(come.into()));
         let reader = PacketReader::begin(subscription, &Stop::default(), None).unwrap();
-        let mut reader = reader.unwrap();
+        let mut reader = reader.ok().unwrap();
         let mut events = Vec::new();
         for _ in 0..10 {
             reader.read(&mut events).unwrap();

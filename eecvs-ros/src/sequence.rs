@@ -69,6 +69,15 @@ pub struct Sequence {
 }
 
 impl Sequence {
+    /// Begins the numbers of another publisher; the counts go on.
+    pub fn restart(&mut self) {
+        if self.next.take().is_some() {
+            self.restarts += 1;
+        }
+        self.first = 0;
+        self.come = Come::default();
+    }
+
     /// Records the number of a message that has arrived, and classifies it.
     pub fn follow(&mut self, number: u64) -> Order {
         let order = match self.next {
@@ -145,6 +154,12 @@ mod tests {
         }
         assert_eq!((sequence.late, sequence.repeated), (1, 2));
         assert_eq!(sequence.restarts, 2);
+        let lost = sequence.lost;
+        sequence.restart();
+        for number in [70_000, 70_001] {
+            assert_eq!(sequence.follow(number), Order::InOrder);
+        }
+        assert_eq!((sequence.lost, sequence.restarts), (lost, 3));
     }
 
     #[test]

@@ -272,3 +272,36 @@ fn a_simulated_fleet_is_whole() {
     assert!(said["again"].as_u64().unwrap() > 13 * 10, "{said}");
     assert!(said["frames"].as_u64().unwrap() > 2000);
 }
+
+/// Arguments that are not UTF-8 are values like others, or are refused.
+#[cfg(unix)]
+#[test]
+fn arguments_may_be_of_any_bytes() {
+    use std::os::unix::ffi::OsStrExt as _;
+    let bad = std::ffi::OsStr::from_bytes(b"/nowhere/a\xff");
+    for arguments in [
+        &["hub", "--no-page", "--keys"][..],
+        &["hub", "--page"],
+        &["hub", "--budget"],
+        &["hub", "--store"],
+        &["sensor", "a", "--recording"],
+        &["sensor"],
+        &["receive"],
+        &["keys"],
+        &["simulate", "--seconds"],
+        &[],
+    ] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_eecvs-hub"));
+        let output = command.args(arguments).arg(bad).output().unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        let status = output.status.code();
+        assert!(
+            matches!(status, Some(1 | 2)),
+            "{arguments:?}: {status:?}: {said}"
+        );
+        assert!(
+            !said.is_empty() && !said.contains("panicked"),
+            "{arguments:?}: {said}"
+        );
+    }
+}

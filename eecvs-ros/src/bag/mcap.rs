@@ -5,7 +5,7 @@ use std::fs::File;
 use std::io::{BufWriter, Read, Seek, SeekFrom};
 use std::path::Path;
 
-use anyhow::{Context, Result, anyhow};
+use anyhow::{Context, Result, anyhow, ensure};
 use mcap::records::{MessageHeader, Record};
 use mcap::sans_io::indexed_reader::{
     IndexedReadEvent, IndexedReader, IndexedReaderOptions, ReadOrder,
@@ -17,6 +17,9 @@ use mcap::{Compression, Summary, WriteOptions};
 use super::metadata::OFFERS;
 use super::{ReadFile, Stored, Topic, WriteFile};
 use crate::message::Type;
+
+/// Key of a type's hash in a channel's metadata.
+const HASH: &str = "topic_type_hash";
 
 /// Longest record accepted, in bytes.
 const RECORD_MAX: usize = 1 << 29;
@@ -48,7 +51,7 @@ impl McapWriter {
                 let definition = kind.definition.as_bytes();
                 let schema = writer.add_schema(kind.name, "ros2msg", definition)?;
                 let offers = ("offered_qos_profiles".to_owned(), OFFERS.to_owned());
-                let hash = ("topic_type_hash".to_owned(), kind.hash.to_owned());
+                let hash = (HASH.to_owned(), kind.hash.to_owned());
                 let metadata = BTreeMap::from([offers, hash]);
                 channels.push(writer.add_channel(schema, &topic.name, "cdr", &metadata)?);
             }
@@ -93,14 +96,12 @@ impl WriteFile for McapWriter {
     }
 }
 
-/// An MCAP file being read: in time order by means of its index, or from front to back if it has no chunks and
-/// therefore no index.
+/// An MCAP file being read: in time order by means of its index, or from front to back if it has none, as without
+/// chunks, or if its summary is missing.
 pub struct McapReader {
     name: String,
     file: File,
-    topics: Vec<Topic>,
-    /// Maps channel IDs to indices in `topics`.
-    channels: BTreeMap<u16, usize>,
+    channels: Channels,
     way: Way,
     chunk: Vec<u8>,
     from_ns: u64,
@@ -112,43 +113,123 @@ enum Way {
     Linear(Box<LinearReader>),
 }
 
-impl McapReader {
-    /// Opens a file, which must have a summary; messages before `from_ns` are left out.
-    pub fn open(path: &Path, from_ns: u64) -> Result<Self> {
-        let name = path.display().to_string();
-        let mut file = File::open(path).with_context(|| format!("{name}: cannot be read"))?;
-        let summary = summary(&mut file).with_context(|| {
-            format!("{name}: has no summary at its end: `eecvs convert` reads what is whole of it")
-        })?;
-        let mut topics = Vec::new();
-        let mut channels = BTreeMap::new();
+/// The channels of a file, each of which is a topic.
+#[derive(Default)]
+struct Channels {
+    topics: Vec<Topic>,
+    /// Maps channel IDs to indices in `topics`.
+    numbers: BTreeMap<u16, usize>,
+    /// Names of types by the IDs of their schemas.
+    schemas: BTreeMap<u16, String>,
+}
+
+impl Channels {
+    /// Adds a channel, unless it is known: the summary repeats those of the data.
+    fn add(&mut self, id: u16, topic: &str, kind: &str, encoding: &str, hash: Option<&String>) {
+        if !self.numbers.contains_key(&id) {
+            self.numbers.insert(id, self.topics.len());
+            self.topics.push(Topic {
+                name: topic.to_owned(),
+                kind: kind.to_owned(),
+                encoding: encoding.to_owned(),
+                hash: hash.cloned().unwrap_or_default(),
+            });
+        }
+    }
+
+    fn add_all(&mut self, summary: &Summary) {
         // In the order of their IDs, which is the order of creation.
         let sorted: BTreeMap<_, _> = summary.channels.iter().collect();
         for (id, channel) in sorted {
-            let schema = channel.schema.as_ref();
-            channels.insert(*id, topics.len());
-            topics.push(Topic {
-                name: channel.topic.clone(),
-                kind: schema.map_or_else(String::new, |schema| schema.name.clone()),
-            });
+            let kind = channel.schema.as_ref();
+            let kind = kind.map_or("", |schema| schema.name.as_str());
+            let hash = channel.metadata.get(HASH);
+            self.add(*id, &channel.topic, kind, &channel.message_encoding, hash);
         }
-        let way = if summary.chunk_indexes.is_empty() {
-            file.rewind()
-                .with_context(|| format!("{name}: cannot be read"))?;
-            let options = LinearReaderOptions::default().with_record_length_limit(RECORD_MAX);
-            Way::Linear(Box::new(LinearReader::new_with_options(options)))
-        } else {
-            let options = IndexedReaderOptions::new()
-                .with_order(ReadOrder::LogTime)
-                .with_record_length_limit(RECORD_MAX)
-                .starting_at(from_ns);
-            let reader = IndexedReader::new_with_options(&summary, options);
-            Way::Indexed(Box::new(reader.map_err(|error| failed(&name, &error))?))
+    }
+
+    /// Takes a record that may describe a channel.
+    fn take(&mut self, record: &Record<'_>) {
+        match record {
+            Record::Schema { header, .. } => {
+                self.schemas.insert(header.id, header.name.clone());
+            }
+            Record::Channel(channel) => {
+                let kind = self.schemas.get(&channel.schema_id).cloned();
+                let hash = channel.metadata.get(HASH);
+                let kind = kind.unwrap_or_default();
+                self.add(
+                    channel.id,
+                    &channel.topic,
+                    &kind,
+                    &channel.message_encoding,
+                    hash,
+                );
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Whether messages can be found by the summary's index: it knows all chunks, all channels and their types.
+fn has_index(summary: &Summary) -> bool {
+    let (chunks, channels) = (summary.chunk_indexes.len(), summary.channels.len());
+    if summary
+        .channels
+        .values()
+        .any(|channel| channel.schema.is_none())
+    {
+        return false;
+    }
+    match &summary.stats {
+        Some(stats) => {
+            chunks > 0
+                && chunks >= stats.chunk_count as usize
+                && channels >= stats.channel_count as usize
+        }
+        None => chunks > 0 && channels > 0,
+    }
+}
+
+impl McapReader {
+    /// Opens a file, which messages call `name`; messages before `from_ns` are left out.
+    pub fn open(path: &Path, name: &str, from_ns: u64) -> Result<Self> {
+        let name = name.to_owned();
+        let unread = || format!("{name}: cannot be read");
+        let mut file = File::open(path).with_context(unread)?;
+        let mut channels = Channels::default();
+        // Without a summary, the file has no end or was not meant to have one: which of both, its end will tell.
+        let summary = summary(&mut file).ok().filter(has_index);
+        let way = match summary {
+            None => {
+                file.rewind().with_context(unread)?;
+                let options = LinearReaderOptions::default()
+                    .with_record_length_limit(RECORD_MAX)
+                    .with_validate_chunk_crcs(true);
+                Way::Linear(Box::new(LinearReader::new_with_options(options)))
+            }
+            Some(summary) => {
+                let longest = summary
+                    .chunk_indexes
+                    .iter()
+                    .map(|chunk| chunk.uncompressed_size);
+                let longest = longest.max().unwrap_or(0);
+                ensure!(
+                    longest <= RECORD_MAX as u64,
+                    "{name}: a chunk of {longest} bytes: it is damaged"
+                );
+                channels.add_all(&summary);
+                let options = IndexedReaderOptions::new()
+                    .with_order(ReadOrder::LogTime)
+                    .with_record_length_limit(RECORD_MAX)
+                    .starting_at(from_ns);
+                let reader = IndexedReader::new_with_options(&summary, options);
+                Way::Indexed(Box::new(reader.map_err(|error| failed(&name, &error))?))
+            }
         };
         Ok(Self {
             name,
             file,
-            topics,
             channels,
             way,
             chunk: Vec::new(),
@@ -175,7 +256,7 @@ fn summary(file: &mut File) -> Result<Summary> {
 
 impl ReadFile for McapReader {
     fn topics(&self) -> &[Topic] {
-        &self.topics
+        &self.channels.topics
     }
 
     fn next(&mut self) -> Result<Option<Stored>> {
@@ -188,8 +269,8 @@ impl ReadFile for McapReader {
             from_ns,
             ..
         } = self;
-        let stored = |header: &MessageHeader, data: &[u8]| {
-            let topic = channels.get(&header.channel_id).copied();
+        let stored = |channels: &Channels, header: &MessageHeader, data: &[u8]| {
+            let topic = channels.numbers.get(&header.channel_id).copied();
             Ok(Some(Stored {
                 topic: topic.with_context(|| format!("{name}: an unknown channel"))?,
                 time_ns: header.log_time,
@@ -202,10 +283,12 @@ impl ReadFile for McapReader {
                     return Ok(None);
                 };
                 match event.map_err(|error| failed(name, &error))? {
-                    IndexedReadEvent::Message { header, data } => return stored(&header, data),
+                    IndexedReadEvent::Message { header, data } => {
+                        return stored(channels, &header, data);
+                    }
                     IndexedReadEvent::ReadChunkRequest { offset, length } => {
                         let mut read = || {
-                            anyhow::ensure!(length <= RECORD_MAX, "a chunk of {length} bytes");
+                            ensure!(length <= RECORD_MAX, "a chunk of {length} bytes");
                             chunk.resize(length, 0);
                             file.seek(SeekFrom::Start(offset))?;
                             file.read_exact(chunk)?;
@@ -229,11 +312,13 @@ impl ReadFile for McapReader {
                     }
                     LinearReadEvent::Record { data, opcode } => {
                         let record = mcap::parse_record(opcode, data);
-                        if let Record::Message { header, data } =
-                            record.map_err(|error| failed(name, &error))?
-                            && header.log_time >= *from_ns
-                        {
-                            return stored(&header, &data);
+                        match record.map_err(|error| failed(name, &error))? {
+                            Record::Message { header, data } => {
+                                if header.log_time >= *from_ns {
+                                    return stored(channels, &header, &data);
+                                }
+                            }
+                            other => channels.take(&other),
                         }
                     }
                 }
@@ -247,20 +332,17 @@ mod tests {
     use super::*;
     use crate::message::{EventPacket, Message};
 
-    /// A file as written by `ros2 bag record --storage-preset-profile fastwrite`, without chunks.
-    #[test]
-    fn files_without_chunks_are_read_from_front_to_back() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.mcap");
-        let file = BufWriter::new(File::create(&path).unwrap());
-        let options = WriteOptions::new().profile("ros2").use_chunks(false);
-        let mut writer = options.create(file).unwrap();
+    /// Writes 300 messages of 700 bytes.
+    fn write(path: &Path, options: WriteOptions) {
+        let file = BufWriter::new(File::create(path).unwrap());
+        let mut writer = options.profile("ros2").create(file).unwrap();
         let kind = EventPacket::TYPE;
         let schema = writer
             .add_schema(kind.name, "ros2msg", kind.definition.as_bytes())
             .unwrap();
+        let metadata = BTreeMap::from([(HASH.to_owned(), kind.hash.to_owned())]);
         let channel = writer
-            .add_channel(schema, "/a/events", "cdr", &BTreeMap::new())
+            .add_channel(schema, "/a/events", "cdr", &metadata)
             .unwrap();
         for i in 0..300_u64 {
             let header = MessageHeader {
@@ -274,15 +356,70 @@ mod tests {
                 .unwrap();
         }
         writer.finish().unwrap();
-        for from_ns in [0, 120] {
-            let mut reader = McapReader::open(&path, from_ns).unwrap();
-            assert_eq!(reader.topics().len(), 1);
-            for time_ns in from_ns..300 {
-                let stored = reader.next().unwrap().unwrap();
-                assert_eq!((stored.topic, stored.time_ns), (0, time_ns));
-                assert_eq!(stored.cdr, [time_ns as u8; 700]);
+    }
+
+    fn open(path: &Path, from_ns: u64) -> McapReader {
+        McapReader::open(path, "a.mcap", from_ns).unwrap()
+    }
+
+    /// Files as the profiles of `ros2 bag record` write them, and without what a summary may leave out.
+    #[test]
+    fn files_of_every_layout_are_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.mcap");
+        let small = || WriteOptions::new().chunk_size(Some(20_000));
+        let options = [
+            small().use_chunks(false),
+            small().use_chunks(false).emit_summary_records(false),
+            small().compression(None),
+            small().compression(Some(Compression::Lz4)),
+            small().compression(Some(Compression::Zstd)),
+            small()
+                .compression(Some(Compression::Zstd))
+                .emit_summary_records(false),
+            small().repeat_channels(false).repeat_schemas(false),
+            small().emit_chunk_indexes(false),
+            small().emit_statistics(false),
+        ];
+        for (number, options) in options.into_iter().enumerate() {
+            write(&path, options);
+            for from_ns in [0, 120] {
+                let mut reader = open(&path, from_ns);
+                for time_ns in from_ns..300 {
+                    let stored = reader.next().unwrap().unwrap();
+                    assert_eq!((stored.topic, stored.time_ns), (0, time_ns), "{number}");
+                    assert_eq!(stored.cdr, [time_ns as u8; 700]);
+                }
+                assert!(reader.next().unwrap().is_none());
+                let kind = EventPacket::TYPE;
+                let topic = Topic {
+                    name: "/a/events".to_owned(),
+                    kind: kind.name.to_owned(),
+                    encoding: "cdr".to_owned(),
+                    hash: kind.hash.to_owned(),
+                };
+                assert_eq!(reader.topics(), [topic]);
             }
-            assert!(reader.next().unwrap().is_none());
         }
+    }
+
+    #[test]
+    fn what_stands_before_a_cut_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.mcap");
+        write(&path, WriteOptions::new().use_chunks(false));
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+        let mut reader = open(&path, 0);
+        let mut messages = 0;
+        let error = loop {
+            match reader.next() {
+                Ok(Some(_)) => messages += 1,
+                Ok(None) => panic!("it is cut"),
+                Err(error) => break error.to_string(),
+            }
+        };
+        assert!((130..=150).contains(&messages), "{messages}");
+        assert!(error.contains("a.mcap"), "{error}");
     }
 }

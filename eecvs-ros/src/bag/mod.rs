@@ -3,14 +3,19 @@
 //! Bags are written with one message file. A folder with several message files, or a message file alone, can also
 //! be read.
 
+pub mod event_array;
 mod mcap;
 mod metadata;
 mod sqlite;
 
+use std::fs::File;
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
+use event_files::ros::decoder::unpack;
+use event_files::ros::folder::{TempPath, unpacked};
 
 use crate::message::{TYPES, Type};
 use mcap::{McapReader, McapWriter};
@@ -42,22 +47,19 @@ impl Storage {
             Self::Sqlite3 => "db3",
         }
     }
-
-    fn of(path: &Path) -> Option<Self> {
-        let ending = path.extension()?.to_str()?;
-        [Self::Mcap, Self::Sqlite3]
-            .into_iter()
-            .find(|storage| storage.ending() == ending)
-    }
 }
 
 /// A topic recorded in a bag.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Topic {
     /// The topic's absolute name.
     pub name: String,
     /// Name of the message type: `std_msgs/msg/Header`.
     pub kind: String,
+    /// Serialisation of the messages: `cdr` in bags of ROS 2. A writer does not use it.
+    pub encoding: String,
+    /// Hash of the type as the bag has it; empty if it has none. A writer does not use it.
+    pub hash: String,
 }
 
 impl Topic {
@@ -67,6 +69,9 @@ impl Topic {
         TYPES.into_iter().find(|kind| kind.name == self.kind)
     }
 }
+
+/// Serialisation of messages in ROS 2.
+pub const CDR: &str = "cdr";
 
 /// A serialised message in a bag.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -90,6 +95,7 @@ trait WriteFile {
 
 /// A message file being read: in time order, or from front to back if it has no index.
 trait ReadFile {
+    /// Returns the topics that have occurred so far: of a file without an index, more may follow.
     fn topics(&self) -> &[Topic];
 
     fn next(&mut self) -> Result<Option<Stored>>;
@@ -174,7 +180,7 @@ pub struct Reader {
     files: Vec<PathBuf>,
     next: usize,
     from_ns: u64,
-    file: Box<dyn ReadFile>,
+    file: Opened,
     topics: Vec<Topic>,
     /// For each topic of the open file, its index in `topics`.
     numbers: Vec<usize>,
@@ -221,7 +227,7 @@ impl Reader {
     fn number(&mut self) {
         let all = &mut self.topics;
         self.numbers.clear();
-        for topic in self.file.topics() {
+        for topic in self.file.messages.topics() {
             let number = all.iter().position(|known| known == topic);
             self.numbers.push(number.unwrap_or_else(|| {
                 all.push(topic.clone());
@@ -236,8 +242,18 @@ impl Reader {
     /// A file is damaged.
     pub fn next_message(&mut self) -> Result<Option<Stored>> {
         loop {
-            if let Some(mut stored) = self.file.next()? {
-                stored.topic = self.numbers.get(stored.topic).copied().context("a topic")?;
+            if let Some(mut stored) = self.file.messages.next()? {
+                if self.numbers.len() < self.file.messages.topics().len() {
+                    self.number();
+                }
+                let unknown = || format!("{}: a message of an unknown topic", self.file.name);
+                let number = self.numbers.get(stored.topic);
+                stored.topic = number.copied().with_context(unknown)?;
+                let is_cdr = self.topics.get(stored.topic);
+                if is_cdr.is_some_and(|topic| topic.encoding == CDR) {
+                    unpack(&mut stored.cdr)
+                        .map_err(|what| anyhow!("{}: {what}", self.file.name))?;
+                }
                 return Ok(Some(stored));
             }
             let Some(path) = self.files.get(self.next) else {
@@ -250,15 +266,45 @@ impl Reader {
     }
 }
 
-fn open_file(path: &Path, from_ns: u64) -> Result<Box<dyn ReadFile>> {
-    match Storage::of(path) {
-        Some(Storage::Mcap) => Ok(Box::new(McapReader::open(path, from_ns)?)),
-        Some(Storage::Sqlite3) => Ok(Box::new(SqliteReader::open(path, from_ns)?)),
-        None => bail!(
-            "{}: not a bag of ROS 2: a folder with {METADATA}, .mcap or .db3",
-            path.display()
-        ),
-    }
+/// A message file, and the temporary file with its content if it was compressed as a whole.
+struct Opened {
+    name: String,
+    messages: Box<dyn ReadFile>,
+    _unpacked: Option<TempPath>,
+}
+
+/// First bytes of a bag of ROS 1.
+const ROS1: &[u8] = b"#ROSBAG";
+
+/// Opens a message file, whose format is found by its first bytes.
+fn open_file(path: &Path, from_ns: u64) -> Result<Opened> {
+    let name = path.display().to_string();
+    let unpacked = unpacked(path)?;
+    let content = unpacked.as_deref().unwrap_or(path);
+    let mut start = Vec::new();
+    let file = File::open(content).with_context(|| format!("{name}: cannot be read"))?;
+    let read = file.take(16).read_to_end(&mut start);
+    read.with_context(|| format!("{name}: cannot be read"))?;
+    let messages: Box<dyn ReadFile> = if start.starts_with(event_files::ros::mcap::MAGIC) {
+        Box::new(McapReader::open(content, &name, from_ns)?)
+    } else if start.starts_with(event_files::ros::db3::MAGIC) {
+        Box::new(SqliteReader::open(content, &name, from_ns)?)
+    } else if start.starts_with(ROS1) {
+        bail!(
+            "{name}: a bag of ROS 1: `eecvs convert {name} NAME.mcap` makes one of ROS 2 of its events; `eecvs-ros \
+             emulate --recording {name}` publishes them"
+        );
+    } else {
+        bail!(
+            "{name}: not a bag of ROS 2 (a folder with {METADATA}, MCAP or SQLite): `eecvs-ros emulate --recording \
+             FILE` publishes recordings of other formats"
+        );
+    };
+    Ok(Opened {
+        name,
+        messages,
+        _unpacked: unpacked,
+    })
 }
 
 #[cfg(test)]
@@ -272,6 +318,7 @@ mod tests {
                 let topic = Topic {
                     name: name.to_owned(),
                     kind: kind.name.to_owned(),
+                    ..Topic::default()
                 };
                 (topic, kind)
             })

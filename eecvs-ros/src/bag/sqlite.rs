@@ -127,8 +127,8 @@ pub struct SqliteReader {
 
 impl SqliteReader {
     /// Opens a file; messages before `from_ns` are left out.
-    pub fn open(path: &Path, from_ns: u64) -> Result<Self> {
-        let name = path.display().to_string();
+    pub fn open(path: &Path, name: &str, from_ns: u64) -> Result<Self> {
+        let name = name.to_owned();
         let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let begin = || {
             let connection = Connection::open_with_flags(path, flags)?;
@@ -138,14 +138,21 @@ impl SqliteReader {
             let mut ids = Vec::new();
             let mut topics = Vec::new();
             {
-                let question = "SELECT id, name, type FROM topics ORDER BY id";
+                // Earlier versions of the schema do not have the hash.
+                let question = "SELECT * FROM topics ORDER BY id";
                 let mut question = connection.prepare(question)?;
+                let hash = question.column_index("type_description_hash").ok();
                 let mut rows = question.query([])?;
                 while let Some(row) = rows.next()? {
-                    ids.push(row.get(0)?);
+                    ids.push(row.get("id")?);
                     topics.push(Topic {
-                        name: row.get(1)?,
-                        kind: row.get(2)?,
+                        name: row.get("name")?,
+                        kind: row.get("type")?,
+                        encoding: row.get("serialization_format")?,
+                        hash: match hash {
+                            Some(hash) => row.get::<_, Option<String>>(hash)?.unwrap_or_default(),
+                            None => String::new(),
+                        },
                     });
                 }
             }
@@ -163,7 +170,11 @@ impl SqliteReader {
             connection,
             topics,
             ids,
-            behind: (i64::try_from(from_ns).unwrap_or(i64::MAX), i64::MIN),
+            behind: match from_ns {
+                // Also messages with stamps of another clock, before 1970.
+                0 => (i64::MIN, i64::MIN),
+                from_ns => (i64::try_from(from_ns).unwrap_or(i64::MAX), i64::MIN),
+            },
             waiting: Vec::new(),
         })
     }

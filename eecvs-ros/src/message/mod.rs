@@ -40,16 +40,34 @@ pub struct Type {
     pub definition: &'static str,
 }
 
-impl Type {
+/// What a transport must know of a message type.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct TypeName<'a> {
+    /// Package and name: `std_msgs/msg/Header`.
+    pub name: &'a str,
+    /// As [`Type::hash`]; empty if it is not known, which DDS does not need.
+    pub hash: &'a str,
+}
+
+impl From<Type> for TypeName<'static> {
+    fn from(kind: Type) -> Self {
+        Self {
+            name: kind.name,
+            hash: kind.hash,
+        }
+    }
+}
+
+impl<'a> TypeName<'a> {
     /// Returns package and name separately: `std_msgs`, `Header`.
     #[must_use]
-    pub fn parts(&self) -> (&'static str, &'static str) {
+    pub fn parts(self) -> (&'a str, &'a str) {
         self.name.split_once("/msg/").unwrap_or(("", self.name))
     }
 
     /// Returns the name as DDS and Zenoh spell it: `std_msgs::msg::dds_::Header_`.
     #[must_use]
-    pub fn dds(&self) -> String {
+    pub fn dds(self) -> String {
         let (package, name) = self.parts();
         format!("{package}::msg::dds_::{name}_")
     }

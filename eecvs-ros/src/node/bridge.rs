@@ -11,7 +11,7 @@ use usb_bridge::session::Session;
 
 use super::emulate::PacketOptions;
 use super::frames::FrameSender;
-use super::{Context, QosOptions};
+use super::{Context, LossOptions, QosOptions, refuse_losses};
 use crate::message::{EventPacket, Time};
 use crate::operator::{Eecvs, Encoded, Operator, frames};
 
@@ -34,6 +34,9 @@ pub struct Bridge {
     packets: PacketOptions,
 
     #[command(flatten)]
+    losses: LossOptions,
+
+    #[command(flatten)]
     qos: QosOptions,
 }
 
@@ -41,7 +44,8 @@ impl Bridge {
     /// Publishes until a stop is requested or the device ends.
     ///
     /// # Errors
-    /// The device cannot be reached, its link fails, or the transport fails.
+    /// The device cannot be reached, its link fails, the transport fails, or something was lost and the options do not
+    /// allow it.
     pub fn run(self, mut context: Context) -> Result<()> {
         let source = self.device.open(&self.codec, &context.stop)?;
         let sends_frames = source.model.name() == mcu::NAME;
@@ -57,13 +61,21 @@ impl Bridge {
         };
         let (report, unstopped) = session.finish();
         warn_of_losses(&report);
-        context.say(&published?);
-        unstopped.map_or(Ok(()), Err)
+        let (published, late) = published?;
+        context.say(&published);
+        unstopped.map_or(Ok(()), Err)?;
+        let mut losses: Vec<(u64, &str)> = report
+            .losses
+            .iter()
+            .map(|(cause, count)| (*count, *cause))
+            .collect();
+        losses.push((late, "events came too late and are in no frame"));
+        refuse_losses(self.losses.allow_loss, &losses)
     }
 
     /// Publishes the encoder's frames unchanged. They are stamped on arrival, since the encoder's times do not show
-    /// when, by the computer's clock, the windows ended.
-    fn frames(&self, context: &mut Context, session: &Session) -> Result<String> {
+    /// when, by the computer's clock, the windows ended. Returns what was published, and the number of late events.
+    fn frames(&self, context: &mut Context, session: &Session) -> Result<(String, u64)> {
         let name = Eecvs.name();
         let mut sender = FrameSender::new(context, self.qos.qos(), name, self.packets.frame_id())?;
         let mut put = |encoded: Encoded<'_>| sender.send(encoded, Time::now());
@@ -71,15 +83,16 @@ impl Bridge {
         let mut order = Order::default();
         let ended = encoders_frames(session, &mut out, &mut order);
         out.finish(ended)?;
-        Ok(format!(
+        let line = format!(
             "{} frames of {} runs of the clock; at the encoder {} events late",
             sender.sent(),
             order.runs,
             order.events_late
-        ))
+        );
+        Ok((line, order.events_late))
     }
 
-    fn events(&self, context: &mut Context, session: &Session) -> Result<String> {
+    fn events(&self, context: &mut Context, session: &Session) -> Result<(String, u64)> {
         let mut sender = context.publisher::<EventPacket>("events", self.qos.qos())?;
         let mut reader = session.reader();
         let mut packer = self.packets.packer(reader.sensor());
@@ -94,9 +107,7 @@ impl Bridge {
             packer.flush(&mut |packet: &EventPacket, _| sender.send(packet))?;
             published += events.len() as u64;
         }
-        Ok(format!(
-            "{published} events in {} messages",
-            sender.sent().messages
-        ))
+        let line = format!("{published} events in {} messages", sender.sent().messages);
+        Ok((line, 0))
     }
 }

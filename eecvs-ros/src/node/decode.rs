@@ -14,12 +14,15 @@ use eecvs_nostd::{Event, Polarity};
 
 use super::emulate::PacketOptions;
 use super::frame_reader::{Account, FrameReader};
-use super::{Context, QosOptions, Sender};
+use super::{Context, LossOptions, QosOptions, Sender, refuse_losses};
 use crate::message::{EventPacket, Header, Image, Time, Volume};
 use crate::operator::{Decoded, Operators};
 
 /// Topics that the node publishes.
 pub const PUBLISHES: &[&str] = &["decoded/events", "volume", "image"];
+
+/// Parameters that can be set while the node runs.
+pub const CHANGEABLE: &[&str] = &["image", "image_hz"];
 
 /// Decode frames: events on `decoded/events`, volumes on `volume`, pictures on `image`; topics without subscribers
 /// are not computed
@@ -41,7 +44,7 @@ pub struct Decode {
     image: Look,
 
     /// Maximum pictures per second
-    #[arg(long, value_name = "HZ", default_value_t = 30.0)]
+    #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = hertz)]
     image_hz: f32,
 
     /// End after this many seconds without frames, once there was one
@@ -52,7 +55,18 @@ pub struct Decode {
     packets: PacketOptions,
 
     #[command(flatten)]
+    losses: LossOptions,
+
+    #[command(flatten)]
     qos: QosOptions,
+}
+
+fn hertz(text: &str) -> Result<f32, String> {
+    let hertz: f32 = text.parse().map_err(|_| "not a number".to_owned())?;
+    let is_inside = (0.001..=1000.0).contains(&hertz);
+    is_inside
+        .then_some(hertz)
+        .ok_or_else(|| format!("{hertz} is not in 0.001..=1000"))
 }
 
 /// Pixel format of a picture.
@@ -82,7 +96,7 @@ impl Decode {
     /// Decodes until a stop is requested, or until no frames arrive for the idle time.
     ///
     /// # Errors
-    /// The transport fails, or a volume cannot be computed.
+    /// The transport fails, a volume cannot be computed, or something was lost and the options do not allow it.
     pub fn run(self, mut context: Context, operators: &Operators) -> Result<()> {
         let qos = self.qos.qos();
         let mut frames = FrameReader::new(&mut context, operators, qos, self.idle_s)?;
@@ -94,27 +108,42 @@ impl Decode {
         let mut making = Making::new(&self);
         let mut totals = Totals::default();
         let mut ready: Vec<Decoded> = Vec::new();
-        while let Some(frame) = frames.next_frame(&context, &mut ready)? {
+        let mut latest = Header::default();
+        loop {
+            let frame = frames.next_frame(&context, &mut ready)?;
+            if let Some(now) = context.changed::<Self>() {
+                making.show(now.image, now.image_hz);
+            }
+            let is_over = frame.is_none();
+            match frame {
+                Some(frame) => latest = frame.header,
+                // The window whose last part has not come.
+                None => frames.end(&mut ready),
+            }
             for decoded in ready.drain(..) {
                 totals.windows += 1;
-                totals.events += making.window(decoded, &frame.header, &mut outputs)?;
+                totals.events += making.window(decoded, &latest, &mut outputs)?;
+            }
+            if is_over {
+                break;
             }
         }
         context.say(&totals.line(frames.account(), &frames.counts(), &outputs));
-        Ok(())
+        refuse_losses(self.losses.allow_loss, &frames.account().losses())
     }
 }
 
 impl Totals {
     fn line(&self, account: &Account, counts: &FrameCounts, outputs: &Outputs) -> String {
         format!(
-            "{} events in {} windows of {} frames ({} lost, {} left out); at the encoder {} late, {} filtered, {} dropped, \
-             {} thinned; sent {} messages of events, {} of volumes, {} pictures",
+            "{} events in {} windows of {} frames ({} lost, {} left out, {} of another publisher); at the encoder {} \
+             late, {} filtered, {} dropped, {} thinned; sent {} messages of events, {} of volumes, {} pictures",
             self.events,
             self.windows,
             account.frames,
             account.sequence.lost,
             account.refused,
+            account.others,
             counts.events_late,
             counts.events_filtered,
             counts.events_dropped,
@@ -133,7 +162,7 @@ struct Making<'o> {
     packer: Option<((u32, u32), crate::packing::Packer)>,
     volumes: Maker,
     volume_seq: u64,
-    picture: Option<Picture>,
+    picture: Picture,
 }
 
 impl<'o> Making<'o> {
@@ -144,8 +173,17 @@ impl<'o> Making<'o> {
             packer: None,
             volumes: Maker::new(options.form.form(), options.events),
             volume_seq: 0,
-            picture: None,
+            picture: Picture::new(options.image, options.image_hz),
         }
+    }
+
+    /// Draws pictures in another format, or at another rate, from here on.
+    fn show(&mut self, look: Look, hertz: f32) {
+        let sent = self.picture.sent;
+        self.picture = Picture {
+            sent,
+            ..Picture::new(look, hertz)
+        };
     }
 
     /// Publishes a window, completed by the frame with this header; returns the number of its events.
@@ -161,11 +199,8 @@ impl<'o> Making<'o> {
             Decoded::Events(span, events) => (span.sensor, events),
         };
         if outputs.image.subscribers() > 0 {
-            let picture = self
-                .picture
-                .get_or_insert_with(|| Picture::new(self.options));
-            picture.add(sensor, &events);
-            if let Some(image) = picture.take(header) {
+            self.picture.add(sensor, &events);
+            if let Some(image) = self.picture.take(header) {
                 outputs.image.send(&image)?;
             }
         }
@@ -255,10 +290,10 @@ struct Picture {
 }
 
 impl Picture {
-    fn new(options: &Decode) -> Self {
-        let every = Duration::try_from_secs_f32(1.0 / options.image_hz.max(0.001));
+    fn new(look: Look, hertz: f32) -> Self {
+        let every = Duration::try_from_secs_f32(1.0 / hertz);
         Self {
-            look: options.image,
+            look,
             every: every.unwrap_or_default(),
             sent: None,
             image: Image::default(),

@@ -7,8 +7,8 @@ use clap::Args;
 use eecvs_cli::output::{print, print_json, rows};
 use serde::Serialize;
 
-use super::{Context, QosOptions, receive};
-use crate::message::{Frame, Time};
+use super::{Context, LossOptions, QosOptions, refuse_losses};
+use crate::message::{Frame, Message as _, Time, from_cdr, sequence_of};
 use crate::sequence::Sequence;
 
 /// Measure how long after the end of their windows frames arrive on `frames`, and what is lost
@@ -27,6 +27,9 @@ pub struct Delay {
     json: bool,
 
     #[command(flatten)]
+    losses: LossOptions,
+
+    #[command(flatten)]
     qos: QosOptions,
 }
 
@@ -39,6 +42,7 @@ struct Measured {
     frames: usize,
     frames_lost: u64,
     frames_malformed: u64,
+    frames_of_others: u64,
     events: u64,
     bytes: u64,
     seconds: f64,
@@ -52,9 +56,9 @@ impl Delay {
     /// Measures for the set time, and prints the result.
     ///
     /// # Errors
-    /// The transport fails, or stdout cannot be written.
+    /// The transport fails, stdout cannot be written, or something was lost and the options do not allow it.
     pub fn run(self, mut context: Context) -> Result<()> {
-        let mut subscription = context.subscription::<Frame>("frames", self.qos.qos())?;
+        let mut subscription = context.one_publisher::<Frame>("frames", self.qos.qos())?;
         let mut delays_ns = Vec::new();
         let mut sequence = Sequence::default();
         let (mut malformed, mut events, mut bytes) = (0, 0, 0);
@@ -64,16 +68,21 @@ impl Delay {
             if started.is_some_and(|started: Instant| started.elapsed() >= length) {
                 break;
             }
-            let Some(frame) = receive::<Frame>(subscription.as_mut(), WAIT)? else {
+            let Some(taken) = subscription.take(WAIT)? else {
                 continue;
             };
             let now = Time::now();
             started.get_or_insert_with(Instant::now);
-            let Ok(frame) = frame else {
+            if taken.is_new_publisher {
+                sequence.restart();
+            }
+            if let Some(number) = sequence_of(Frame::TYPE, &taken.cdr) {
+                sequence.follow(number);
+            }
+            let Ok(frame) = from_cdr::<Frame>(&taken.cdr) else {
                 malformed += 1;
                 continue;
             };
-            sequence.follow(frame.seq);
             events += u64::from(frame.events);
             bytes += frame.data.len() as u64;
             delays_ns.push(now.ns() - frame.header.stamp.ns());
@@ -90,6 +99,7 @@ impl Delay {
             frames: delays_ns.len(),
             frames_lost: sequence.lost,
             frames_malformed: malformed,
+            frames_of_others: subscription.left_out(),
             events,
             bytes,
             seconds,
@@ -102,19 +112,33 @@ impl Delay {
             delay_p99_ms: delay(0.99),
             delay_max_ms: delay(1.0),
         };
+        let losses = [
+            (measured.frames_lost, "frames have not come"),
+            (measured.frames_malformed, "frames were malformed"),
+            (
+                measured.frames_of_others,
+                "frames of another publisher were left out",
+            ),
+        ];
         if self.json {
-            return print_json(&measured);
+            print_json(&measured)?;
+            return refuse_losses(self.losses.allow_loss, &losses);
         }
         print(&rows([
             ("frames", measured.frames.to_string()),
             ("  lost", measured.frames_lost.to_string()),
             ("  malformed", measured.frames_malformed.to_string()),
+            (
+                "  of another publisher",
+                measured.frames_of_others.to_string(),
+            ),
             ("events", measured.events.to_string()),
             ("events per second", format!("{:.0}", measured.events_per_s)),
             ("bytes", measured.bytes.to_string()),
             ("delay, median, ms", format!("{:.3}", measured.delay_p50_ms)),
             ("  99th percentile", format!("{:.3}", measured.delay_p99_ms)),
             ("  largest", format!("{:.3}", measured.delay_max_ms)),
-        ]))
+        ]))?;
+        refuse_losses(self.losses.allow_loss, &losses)
     }
 }

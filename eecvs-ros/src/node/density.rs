@@ -10,7 +10,7 @@ use eecvs_cli::options::ThresholdOptions;
 use eecvs_nostd::{Regime, Sensor, Thresholds};
 use event_files::{EventReader, Pause};
 
-use super::{Context, Now, QosOptions, Sender};
+use super::{Context, LossOptions, Now, QosOptions, Sender, refuse_losses};
 use crate::message::{
     Density, DiagnosticArray, DiagnosticStatus, EventPacket, Header, KeyValue, Level, Time,
 };
@@ -39,6 +39,9 @@ pub struct Monitor {
     thresholds: ThresholdOptions,
 
     #[command(flatten)]
+    losses: LossOptions,
+
+    #[command(flatten)]
     qos: QosOptions,
 }
 
@@ -50,15 +53,19 @@ struct Count {
     window_us: u64,
     t0_us: Option<u64>,
     events: u32,
+    /// Events from before their open window, which are in no window.
+    late: u64,
 }
 
 impl Count {
     /// Counts an event; returns the start and the number of events of a window that it ends. An event from before
-    /// the open window is not counted, as in the encoder.
+    /// the open window is late, as in the encoder.
     fn push(&mut self, t_us: u64) -> Option<(u64, u32)> {
         let ended = self.pass(t_us);
         if t_us >= *self.t0_us.get_or_insert(t_us) {
             self.events = self.events.saturating_add(1);
+        } else {
+            self.late += 1;
         }
         ended
     }
@@ -91,11 +98,12 @@ impl Monitor {
     /// Publishes until a stop is requested, or until no events arrive for the idle time.
     ///
     /// # Errors
-    /// The thresholds file cannot be read, or the transport fails.
+    /// The thresholds file cannot be read, the transport fails, or something was lost and the options do not allow
+    /// it.
     pub fn run(self, mut context: Context) -> Result<()> {
         let thresholds = self.thresholds.load()?;
         let qos = self.qos.qos();
-        let subscription = context.subscription::<EventPacket>("events", qos)?;
+        let subscription = context.one_publisher::<EventPacket>("events", qos)?;
         let mut outputs = Outputs {
             frame_id: &self.frame_id,
             thresholds,
@@ -106,8 +114,9 @@ impl Monitor {
             told: Received::default(),
         };
         let idle = self.idle_s.map(|s| Duration::from_secs(s.into()));
-        let Some(mut reader) = PacketReader::begin(subscription, &context.stop, idle)? else {
-            return Ok(());
+        let mut reader = match PacketReader::begin(subscription, &context.stop, idle)? {
+            Ok(reader) => reader,
+            Err(received) => return refuse_losses(self.losses.allow_loss, &received.losses()),
         };
         let watch = reader.watch();
         let window_us = u64::from(self.window_us.get());
@@ -116,6 +125,7 @@ impl Monitor {
             window_us,
             t0_us: None,
             events: 0,
+            late: 0,
         };
         let mut diagnose = Now::every(DIAGNOSE);
         let mut events = Vec::new();
@@ -141,14 +151,18 @@ impl Monitor {
         }
         let received = look(&watch);
         context.say(&format!(
-            "{} windows of {} events in {} messages ({} lost, {} left out)",
+            "{} windows of {} events in {} messages ({} lost, {} left out, {} of another publisher); {} events late",
             outputs.seq,
             received.events,
             received.packets,
             received.sequence.lost,
-            received.refused
+            received.refused,
+            received.others,
+            count.late
         ));
-        Ok(())
+        let [lost, refused, others] = received.losses();
+        let late = (count.late, "events came too late and are in no window");
+        refuse_losses(self.losses.allow_loss, &[lost, refused, others, late])
     }
 }
 
@@ -194,7 +208,8 @@ impl Outputs<'_> {
         let received = look(watch);
         let has_new = received.packets > self.told.packets;
         let has_lost = received.sequence.lost > self.told.sequence.lost
-            || received.refused > self.told.refused;
+            || received.refused > self.told.refused
+            || received.others > self.told.others;
         let (level, message) = match (has_new, has_lost) {
             (false, _) => (Level::Stale, "no events"),
             (true, true) => (Level::Warn, "messages of events were lost"),
@@ -208,6 +223,7 @@ impl Outputs<'_> {
             figure("packets", received.packets.to_string()),
             figure("packets_lost", received.sequence.lost.to_string()),
             figure("packets_left_out", received.refused.to_string()),
+            figure("packets_of_another_publisher", received.others.to_string()),
             figure("events", received.events.to_string()),
         ];
         if let Some(latest) = self.latest {
@@ -242,12 +258,14 @@ mod tests {
             window_us: 100,
             t0_us: None,
             events: 0,
+            late: 0,
         };
         let mut ended = Vec::new();
         for t_us in [1005, 1010, 1104, 1105, 1100, 1404, 1405] {
             ended.extend(count.push(t_us));
         }
         assert_eq!(ended, [(1005, 3), (1105, 1), (1305, 1)]);
+        assert_eq!(count.late, 1);
         assert_eq!(count.pass(1504), None);
         assert_eq!(count.pass(1505), Some((1405, 1)));
         assert_eq!(count.pass(9999), None);

@@ -19,6 +19,9 @@ use crate::packing::{Encoding, Packer, PacketLimits};
 /// Topics that the node publishes.
 pub const PUBLISHES: &[&str] = &["events"];
 
+/// Parameters that can be set while the node runs.
+pub const CHANGEABLE: &[&str] = &["rate"];
+
 /// Publish a scene or a recording as a camera's driver does: event_camera_msgs/msg/EventPacket on `events`
 #[derive(Debug, Clone, Args)]
 pub struct Emulate {
@@ -200,8 +203,18 @@ impl Emulate {
                 let count = rest.iter().take_while(|event| event.t_us < end_us).count();
                 let (now, later) = rest.split_at(count.max(1));
                 let due_us = now.last().map_or(0, |event| event.t_us);
-                let late_us =
-                    pacer.wait(due_us, published.events + now.len() as u64, &context.stop);
+                let count = published.events + now.len() as u64;
+                let late_us = loop {
+                    let is_disturbed = || context.stop.is_asked() || context.has_changed();
+                    let late_us = pacer.wait(due_us, count, &is_disturbed);
+                    match context.changed::<Self>() {
+                        Some(now) => pacer.set(now.rate),
+                        None => break late_us,
+                    }
+                };
+                if context.stop.is_asked() {
+                    return Ok(last_us);
+                }
                 published.late_us = published.late_us.max(late_us);
                 packer.push(now, |packet, _| sender.send(packet))?;
                 published.events += now.len() as u64;
@@ -219,7 +232,10 @@ impl Emulate {
 /// Waits until events are due.
 pub struct Pacer {
     pace: Pace,
-    start: Option<(Instant, u64)>,
+    /// When its time began: by the clock, by the events' time, and by their number.
+    start: Option<(Instant, u64, u64)>,
+    /// Number and time of the latest event that was waited for.
+    latest: (u64, Option<u64>),
 }
 
 /// Longest sleep before the stop request is checked again.
@@ -229,22 +245,35 @@ impl Pacer {
     /// Creates a pacer whose time begins with the first event.
     #[must_use]
     pub const fn new(pace: Pace) -> Self {
-        Self { pace, start: None }
+        Self {
+            pace,
+            start: None,
+            latest: (0, None),
+        }
     }
 
     /// Restarts the time at the next event.
     pub const fn restart(&mut self) {
         self.start = None;
+        self.latest.1 = None;
+    }
+
+    /// Goes on at another pace, from the latest event that was waited for.
+    pub const fn set(&mut self, pace: Pace) {
+        self.pace = pace;
+        self.start = None;
     }
 
     /// Waits until an event is due: the `count`th, of time `t_us`. Returns how late it is, in microseconds; 0 if
-    /// the pace is unlimited or a stop was requested.
-    pub fn wait(&mut self, t_us: u64, count: u64, stop: &usb_bridge::stop::Stop) -> u64 {
-        let (at, first_us) = *self.start.get_or_insert_with(|| (Instant::now(), t_us));
+    /// the pace is unlimited or the wait was disturbed.
+    pub fn wait(&mut self, t_us: u64, count: u64, is_disturbed: &dyn Fn() -> bool) -> u64 {
+        let (counted, latest_us) = self.latest;
+        let begin = || (Instant::now(), latest_us.unwrap_or(t_us), counted);
+        let (at, first_us, first) = *self.start.get_or_insert_with(begin);
         let due_s = match self.pace {
-            Pace::Max => return 0,
+            Pace::Max => 0.0,
             Pace::Recorded(factor) => t_us.saturating_sub(first_us) as f64 * 1e-6 / factor,
-            Pace::Rate(per_second) => count as f64 / per_second,
+            Pace::Rate(per_second) => count.saturating_sub(first) as f64 / per_second,
         };
         let Some(due) = Duration::try_from_secs_f64(due_s)
             .ok()
@@ -253,15 +282,56 @@ impl Pacer {
             return 0;
         };
         loop {
+            if is_disturbed() {
+                return 0;
+            }
             let left = due.saturating_duration_since(Instant::now());
             if left.is_zero() {
+                self.latest = (count, Some(t_us));
+                if matches!(self.pace, Pace::Max) {
+                    return 0;
+                }
                 let late = Instant::now().saturating_duration_since(due);
                 return u64::try_from(late.as_micros()).unwrap_or(u64::MAX);
             }
-            if stop.is_asked() {
-                return 0;
-            }
             std::thread::sleep(left.min(LOOK));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_pace_begins_where_the_last_one_ended() {
+        let mut pacer = Pacer::new(Pace::Rate(100.0));
+        let started = Instant::now();
+        let never = || false;
+        for count in 1..=10 {
+            pacer.wait(count * 1000, count, &never);
+        }
+        let after = |from: Duration| {
+            let elapsed = started.elapsed();
+            let is_near = elapsed >= from && elapsed < from + Duration::from_millis(90);
+            assert!(is_near, "{elapsed:?} after {from:?}");
+        };
+        after(Duration::from_millis(100));
+        // Ten times as fast as recorded: 1 s takes 100 ms.
+        pacer.set(Pace::Recorded(10.0));
+        pacer.wait(1_010_000, 11, &never);
+        after(Duration::from_millis(200));
+        pacer.set(Pace::Rate(100.0));
+        for count in 12..=21 {
+            pacer.wait(count * 1000, count, &never);
+        }
+        after(Duration::from_millis(300));
+        // A wait that is disturbed ends at once.
+        pacer.set(Pace::Rate(0.001));
+        assert_eq!(pacer.wait(0, 22, &|| true), 0);
+        after(Duration::from_millis(300));
+        pacer.set(Pace::Max);
+        assert_eq!(pacer.wait(u64::MAX, 23, &never), 0);
+        after(Duration::from_millis(300));
     }
 }

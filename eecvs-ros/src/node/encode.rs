@@ -10,7 +10,7 @@ use eecvs_cli::order::OrderOptions;
 use eecvs_nostd::OUTPUT_BYTES_MIN;
 
 use super::frames::FrameSender;
-use super::{Context, Now, QosOptions};
+use super::{Context, Now, QosOptions, refuse_losses};
 use crate::message::EventPacket;
 use crate::operator::{Encoded, Job, Operators, Span};
 use crate::packet_reader::{PacketReader, Received, look};
@@ -61,19 +61,23 @@ impl Encode {
     /// Encodes until a stop is requested, or until no events arrive for the idle time.
     ///
     /// # Errors
-    /// The operator is unknown or rejects its options, the transport fails, or late events are an error by the
-    /// options.
+    /// The operator is unknown or rejects its options, the transport fails, or something was lost and the options do
+    /// not allow it.
     pub fn run(self, mut context: Context, operators: &Operators) -> Result<()> {
         let operator = operators.find(&self.operator).with_context(|| {
             let names = operators.names();
             format!("operator {:?} is not known: {names}", self.operator)
         })?;
         let qos = self.qos.qos();
-        let subscription = context.subscription::<EventPacket>("events", qos)?;
+        let subscription = context.one_publisher::<EventPacket>("events", qos)?;
         let mut sender = FrameSender::new(&mut context, qos, operator.name(), &self.frame_id)?;
         let idle = self.idle_s.map(|s| Duration::from_secs(s.into()));
-        let Some(reader) = PacketReader::begin(subscription, &context.stop, idle)? else {
-            return Ok(());
+        let reader = match PacketReader::begin(subscription, &context.stop, idle)? {
+            Ok(reader) => reader,
+            Err(received) => {
+                tell_losses(&context, &received, &mut Received::default());
+                return refuse_losses(self.order.allow_loss, &received.losses());
+            }
         };
         let watch = reader.watch();
         let mut now = Now::every(TELL);
@@ -105,9 +109,20 @@ impl Encode {
         tell_losses(&context, &received, &mut told);
         disorder.tell(&context);
         context.say(&line(&received, &summary));
-        let late = (summary.events_late, summary.events_in);
-        self.order
-            .refuse_late("events", late, "a longer --reorder-us", |_| {})
+        let [lost, refused, others] = received.losses();
+        let late =
+            "events came too late and are in no frame (a longer --reorder-us puts them in order)";
+        let losses = [
+            lost,
+            refused,
+            others,
+            (summary.events_late, late),
+            (
+                summary.events_dropped,
+                "events found no room in the encoder",
+            ),
+        ];
+        refuse_losses(self.order.allow_loss, &losses)
     }
 }
 
@@ -155,12 +170,13 @@ fn tell_losses(context: &Context, received: &Received, told: &mut Received) {
 
 fn line(received: &Received, summary: &EncodeSummary) -> String {
     format!(
-        "{} events of {} messages ({} lost, {} left out) in {} runs of the clock: {} encoded, {} late, {} filtered, \
-         {} dropped, {} thinned; {} frames of {} bytes",
+        "{} events of {} messages ({} lost, {} left out, {} of another publisher) in {} runs of the clock: {} encoded, \
+         {} late, {} filtered, {} dropped, {} thinned; {} frames of {} bytes",
         summary.events_in,
         received.packets,
         received.sequence.lost,
         received.refused,
+        received.others,
         summary.runs,
         summary.events_encoded,
         summary.events_late,

@@ -5,11 +5,12 @@ use std::time::{Duration, Instant};
 use anyhow::{Result, bail};
 use eecvs::decode::FrameCounts;
 
-use super::{Context, Now, receive};
-use crate::message::Frame;
+use super::{Context, Now};
+use crate::message::{Frame, Message as _, from_cdr, sequence_of};
+use crate::one_publisher::OnePublisher;
 use crate::operator::{Decoded, Decoder, Operators};
 use crate::sequence::Sequence;
-use crate::transport::{Qos, Subscription};
+use crate::transport::Qos;
 
 /// Longest wait before the stop request is checked again.
 const WAIT: Duration = Duration::from_millis(20);
@@ -28,9 +29,21 @@ pub struct Account {
     pub refused: u64,
     /// Why the latest of them was left out.
     pub why_refused: Option<String>,
+    /// Messages of other publishers, which are not among those above.
+    pub others: u64,
 }
 
 impl Account {
+    /// Returns the counts of what was lost, each with what it counts.
+    #[must_use]
+    pub const fn losses(&self) -> [(u64, &'static str); 3] {
+        [
+            (self.sequence.lost, "frames have not come"),
+            (self.refused, "frames were left out"),
+            (self.others, "frames of another publisher were left out"),
+        ]
+    }
+
     fn refuse(&mut self, why: String) {
         self.refused += 1;
         self.why_refused = Some(why);
@@ -50,7 +63,7 @@ impl Account {
 
 /// Receives frames on `frames`, decodes each with the operator that it names, and counts them.
 pub struct FrameReader<'o> {
-    subscription: Box<dyn Subscription>,
+    subscription: OnePublisher,
     operators: &'o Operators,
     decoder: Option<(String, Box<dyn Decoder>)>,
     idle: Option<Duration>,
@@ -73,7 +86,7 @@ impl<'o> FrameReader<'o> {
         idle_s: Option<u32>,
     ) -> Result<Self> {
         Ok(Self {
-            subscription: context.subscription::<Frame>("frames", qos)?,
+            subscription: context.one_publisher::<Frame>("frames", qos)?,
             operators,
             decoder: None,
             idle: idle_s.map(|s| Duration::from_secs(s.into())),
@@ -104,20 +117,29 @@ impl<'o> FrameReader<'o> {
             if self.tell.is_due() {
                 self.account.tell(context, &mut self.told);
             }
-            let Some(frame) = receive::<Frame>(self.subscription.as_mut(), WAIT)? else {
+            let taken = self.subscription.take(WAIT)?;
+            self.account.others = self.subscription.left_out();
+            let Some(taken) = taken else {
                 continue;
             };
             self.latest = Instant::now();
             self.account.frames += 1;
-            match frame {
+            if taken.is_new_publisher {
+                self.account.sequence.restart();
+                // Its frames depend on none of those before.
+                self.end(ready);
+                self.decoder = None;
+            }
+            // A message that is left out is not lost.
+            if let Some(number) = sequence_of(Frame::TYPE, &taken.cdr) {
+                self.account.sequence.follow(number);
+            }
+            match from_cdr::<Frame>(&taken.cdr) {
                 Err(malformed) => self.account.refuse(malformed.to_string()),
-                Ok(frame) => {
-                    self.account.sequence.follow(frame.seq);
-                    match self.decode(&frame, ready) {
-                        Err(error) => self.account.refuse(format!("{error:#}")),
-                        Ok(()) => return Ok(Some(frame)),
-                    }
-                }
+                Ok(frame) => match self.decode(&frame, ready) {
+                    Err(error) => self.account.refuse(format!("{error:#}")),
+                    Ok(()) => return Ok(Some(frame)),
+                },
             }
         }
     }

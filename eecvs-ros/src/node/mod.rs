@@ -21,14 +21,18 @@ pub mod log;
 pub mod play;
 pub mod record;
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
-use clap::Args;
+use clap::{Args, FromArgMatches};
 use usb_bridge::stop::Stop;
 
 use crate::arguments::NodeArguments;
-use crate::message::{Malformed, Message, Type, from_cdr, put_cdr};
+use crate::message::{Message, Type, TypeName, put_cdr};
+use crate::one_publisher::OnePublisher;
+use crate::parameters::Parameters;
 use crate::transport::{self, Publisher, Qos, Subscription, Transport};
 
 /// Default namespace of the nodes of one camera.
@@ -58,10 +62,42 @@ impl QosOptions {
     }
 }
 
+/// Whether losses are an error.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub struct LossOptions {
+    /// Exit with 0 even if messages were lost or left out
+    #[arg(long)]
+    pub allow_loss: bool,
+}
+
+/// Error: something was lost. The node has come to its end all the same, and has used everything else.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}; --allow-loss makes it no error")]
+pub struct Lost(String);
+
+/// Ends a node: fails if any of the counts, each with what it counts, is not 0, unless loss is allowed.
+///
+/// # Errors
+/// [`Lost`].
+pub fn refuse_losses(allow_loss: bool, losses: &[(u64, &str)]) -> Result<()> {
+    let losses: Vec<String> = losses
+        .iter()
+        .filter(|(count, _)| *count > 0)
+        .map(|(count, what)| format!("{count} {what}"))
+        .collect();
+    if allow_loss || losses.is_empty() {
+        return Ok(());
+    }
+    Err(Lost(losses.join(", ")).into())
+}
+
 /// A node's environment: its name and arguments, its transport and the request to stop.
 pub struct Context {
     arguments: NodeArguments,
     node: Box<dyn transport::Node>,
+    parameters: Arc<Parameters>,
+    /// The latest change of parameters that the node has taken.
+    seen: AtomicU64,
     /// The request to stop.
     pub stop: Stop,
 }
@@ -74,15 +110,31 @@ impl Context {
     pub fn new(
         transport: &dyn Transport,
         arguments: NodeArguments,
-        parameters: &[(String, String)],
+        parameters: Arc<Parameters>,
         stop: Stop,
     ) -> Result<Self> {
-        let node = transport.node(&arguments.name, parameters)?;
+        let node = transport.node(&arguments.name, &parameters)?;
         Ok(Self {
             arguments,
             node,
+            parameters,
+            seen: AtomicU64::new(0),
             stop,
         })
+    }
+
+    /// Returns whether parameters have been set that the node has not taken with [`Context::changed`].
+    #[must_use]
+    pub fn has_changed(&self) -> bool {
+        self.parameters.is_newer(self.seen.load(Ordering::Relaxed))
+    }
+
+    /// Returns the node's command with its present parameters if some have been set since the latest call.
+    #[must_use]
+    pub fn changed<T: FromArgMatches>(&self) -> Option<T> {
+        let (seen, matches) = self.parameters.newer(self.seen.load(Ordering::Relaxed))?;
+        self.seen.store(seen, Ordering::Relaxed);
+        T::from_arg_matches(&matches).ok()
     }
 
     /// Returns the node's own name without its namespace, for messages.
@@ -119,6 +171,18 @@ impl Context {
         self.node.subscription(&topic, M::TYPE, qos)
     }
 
+    /// Subscribes to a topic of messages of type `M`, and keeps to one of its publishers.
+    ///
+    /// # Errors
+    /// As for [`Context::subscription`].
+    pub fn one_publisher<M: Message>(&mut self, topic: &str, qos: Qos) -> Result<OnePublisher> {
+        let subscription = self.subscription::<M>(topic, qos)?;
+        let topic = self.arguments.topic(topic)?;
+        let speaker = self.speaker();
+        let say = Box::new(move |line: &str| speaker.say(line));
+        Ok(OnePublisher::new(subscription, &topic, say))
+    }
+
     /// Returns the absolute name of a topic after remapping.
     ///
     /// # Errors
@@ -134,10 +198,10 @@ impl Context {
     pub fn publisher_of(
         &mut self,
         topic: &str,
-        kind: Type,
+        kind: TypeName<'_>,
         qos: Qos,
     ) -> Result<Box<dyn Publisher>> {
-        self.node.publisher(topic, kind, qos)
+        self.node.publisher_of(topic, kind, qos)
     }
 
     /// Subscribes to the topic with this absolute name, for messages that stay serialised.
@@ -155,7 +219,13 @@ impl Context {
 
     /// Prints one line to stderr, preceded by the node's full name.
     pub fn say(&self, line: &str) {
-        eprintln!("eecvs-ros: {}: {line}", self.arguments.name.full());
+        self.speaker().say(line);
+    }
+
+    /// Returns a handle that prints lines as [`Context::say`] does.
+    #[must_use]
+    pub fn speaker(&self) -> Speaker {
+        Speaker(self.arguments.name.full())
     }
 
     /// Waits until the topic has a subscriber, a stop is requested, or `most` has elapsed.
@@ -173,6 +243,17 @@ impl Context {
             // The other side may discover this node a little later than this node discovers it.
             std::thread::sleep(Duration::from_millis(300));
         }
+    }
+}
+
+/// Prints lines to stderr, preceded by a node's full name.
+#[derive(Debug, Clone)]
+pub struct Speaker(String);
+
+impl Speaker {
+    /// Prints one line.
+    pub fn say(&self, line: &str) {
+        eprintln!("eecvs-ros: {}: {line}", self.0);
     }
 }
 
@@ -221,18 +302,6 @@ impl<M: Message> Sender<M> {
             .publish(&self.bytes)
             .with_context(|| format!("publishing {}", M::TYPE.name))
     }
-}
-
-/// Takes the next message of a subscription, or `None` if none arrives within `wait`. The inner result is an error
-/// if the bytes are not a message of this type.
-///
-/// # Errors
-/// The subscription has ended.
-pub fn receive<M: Message>(
-    subscription: &mut dyn Subscription,
-    wait: Duration,
-) -> Result<Option<Result<M, Malformed>>> {
-    Ok(subscription.take(wait)?.map(|cdr| from_cdr(&cdr)))
 }
 
 /// Timer for something that is repeated at an interval.

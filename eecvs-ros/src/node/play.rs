@@ -3,14 +3,20 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::{Result, ensure};
+use anyhow::{Context as _, Result, ensure};
 use clap::Args;
+use event_files::ros::message::Kind;
 use usb_bridge::peripheral::stream::Pace;
 
 use super::emulate::Pacer;
-use super::{Context, QosOptions};
-use crate::bag::Reader;
+use super::{Context, LossOptions, QosOptions, refuse_losses};
+use crate::bag::event_array::Packets;
+use crate::bag::{CDR, Reader, Topic};
+use crate::message::{ENCAPSULATION, EventPacket, Message as _, TypeName, put_cdr};
 use crate::transport::Publisher;
+
+/// Parameters that can be set while the node runs.
+pub const CHANGEABLE: &[&str] = &["rate"];
 
 /// Publish the messages of a bag on their topics, as they were received
 #[derive(Debug, Clone, Args)]
@@ -36,76 +42,197 @@ pub struct Play {
     wait_s: u32,
 
     #[command(flatten)]
+    losses: LossOptions,
+
+    #[command(flatten)]
     qos: QosOptions,
+}
+
+/// A topic of the bag.
+struct Played {
+    topic: Topic,
+    /// `None` if its messages are left out.
+    publisher: Option<Box<dyn Publisher>>,
+    /// Turns structures of single events into packets; `None` for messages that are published as they are.
+    packets: Option<Packets>,
+    /// Messages that were left out.
+    left_out: u64,
+}
+
+impl Played {
+    /// Announces a topic; why its messages are left out is said.
+    fn new(context: &mut Context, topic: Topic, options: &Play) -> Result<Self> {
+        let mut played = Self {
+            packets: None,
+            publisher: None,
+            left_out: 0,
+            topic,
+        };
+        let Topic {
+            name,
+            kind,
+            encoding,
+            hash,
+        } = &played.topic;
+        // Some writers leave the middle out.
+        let kind = match kind.split_once('/') {
+            Some((package, base)) if !base.contains('/') => format!("{package}/msg/{base}"),
+            _ => kind.clone(),
+        };
+        let refusal = if encoding != CDR {
+            Some(format!(
+                "is serialised as {encoding:?}: `eecvs convert` makes a bag of ROS 2 of its events"
+            ))
+        } else if !kind.contains("/msg/") {
+            Some(format!("has no type of ROS 2 ({kind:?})"))
+        } else {
+            None
+        };
+        let resolved = context.topic(name)?;
+        let published = match (refusal, Kind::of(&kind)) {
+            (Some(refusal), _) => Err(refusal),
+            (None, Some(events)) => {
+                if kind != EventPacket::TYPE.name {
+                    let own = EventPacket::TYPE.name;
+                    context.say(&format!("{name}: {kind} is published as {own}"));
+                }
+                played.packets = (events == Kind::EventArray).then(Packets::default);
+                Ok(EventPacket::TYPE.into())
+            }
+            (None, None) => {
+                let known = played.topic.known().map(TypeName::from);
+                Ok(known.unwrap_or(TypeName { name: &kind, hash }))
+            }
+        };
+        let qos = options.qos.qos();
+        let published = published.and_then(|kind| {
+            let publisher = context.publisher_of(&resolved, kind, qos);
+            publisher.map_err(|error| format!("cannot be published: {error:#}"))
+        });
+        match published {
+            Err(why) => context.say(&format!("{name} {why}; its messages are left out")),
+            Ok(publisher) => {
+                context.wait_until(Duration::from_secs(options.wait_s.into()), || {
+                    publisher.subscribers() > 0
+                });
+                played.publisher = Some(publisher);
+            }
+        }
+        Ok(played)
+    }
+
+    /// Publishes a message; returns whether that was possible.
+    fn publish(&mut self, cdr: &[u8]) -> Result<bool> {
+        let Some(publisher) = &mut self.publisher else {
+            return Ok(false);
+        };
+        if let Some(packets) = &mut self.packets {
+            let mut bytes = Vec::new();
+            let sent = packets.convert(cdr, &mut |packet| {
+                bytes.clear();
+                put_cdr(packet, &mut bytes);
+                publisher.publish(&bytes)
+            });
+            sent.with_context(|| self.topic.name.clone())?;
+            return Ok(true);
+        }
+        // Big-endian, or of another version of CDR.
+        if !cdr.starts_with(&ENCAPSULATION[..2]) {
+            return Ok(false);
+        }
+        publisher.publish(cdr)?;
+        Ok(true)
+    }
 }
 
 impl Play {
     /// Plays until the end, or until a stop is requested.
     ///
     /// # Errors
-    /// The path is not a bag, the bag is damaged or has no messages of known types, or the transport fails.
+    /// The path is not a bag, the bag is damaged, the transport fails, or messages were left out and the options do
+    /// not allow it.
     pub fn run(self, mut context: Context) -> Result<()> {
         ensure!(
             self.start_s.is_finite() && self.start_s >= 0.0,
             "start_s is {}: give seconds from the bag's start",
             self.start_s
         );
-        let mut publishers: Vec<Option<Box<dyn Publisher>>> = Vec::new();
-        let mut from_ns = None;
-        let (mut messages, mut unknown) = (0_u64, 0_u64);
-        let mut pacer = Pacer::new(self.rate);
-        loop {
-            let mut reader = Reader::open(&self.bag, from_ns.unwrap_or(0))?;
-            if from_ns.is_none() {
-                let Some(first) = reader.next_message()? else {
-                    break;
-                };
-                let start_ns = (self.start_s * 1e9) as u64;
-                from_ns = Some(first.time_ns.saturating_add(start_ns));
-                reader = Reader::open(&self.bag, from_ns.unwrap_or(0))?;
+        let mut topics: Vec<Played> = Vec::new();
+        let mut messages = 0_u64;
+        let played = self.play(&mut context, &mut topics, &mut messages);
+        let left_out: u64 = topics.iter().map(|topic| topic.left_out).sum();
+        context.say(&format!("{messages} messages, {left_out} left out"));
+        for topic in topics.iter().filter(|topic| topic.left_out > 0) {
+            let Topic { name, kind, .. } = &topic.topic;
+            context.say(&format!(
+                "{name}: {} messages of {kind} were left out",
+                topic.left_out
+            ));
+        }
+        // What stands before a damage has been played.
+        played?;
+        let is_empty = messages == 0 && left_out == 0 && !context.stop.is_asked();
+        ensure!(
+            !is_empty,
+            "{}: there is no message to play{}",
+            self.bag.display(),
+            if self.start_s > 0.0 {
+                format!(" from {} s on", self.start_s)
+            } else {
+                String::new()
             }
+        );
+        refuse_losses(
+            self.losses.allow_loss,
+            &[(left_out, "messages were left out")],
+        )
+    }
+
+    fn play(
+        &self,
+        context: &mut Context,
+        topics: &mut Vec<Played>,
+        messages: &mut u64,
+    ) -> Result<()> {
+        let mut from_ns = 0;
+        let mut pacer = Pacer::new(self.rate);
+        if self.start_s > 0.0 {
+            let Some(first) = Reader::open(&self.bag, 0)?.next_message()? else {
+                return Ok(());
+            };
+            let start_ns = (self.start_s * 1e9) as u64;
+            from_ns = first.time_ns.saturating_add(start_ns);
+        }
+        loop {
+            let mut reader = Reader::open(&self.bag, from_ns)?;
+            let before = *messages;
             pacer.restart();
             while let Some(stored) = reader.next_message()? {
-                for topic in &reader.topics()[publishers.len()..] {
-                    let Some(kind) = topic.known() else {
-                        context.say(&format!(
-                            "{}: type {} is not known here: its messages are left out",
-                            topic.name, topic.kind
-                        ));
-                        publishers.push(None);
-                        continue;
-                    };
-                    let name = context.topic(&topic.name)?;
-                    let publisher = context.publisher_of(&name, kind, self.qos.qos())?;
-                    context.wait_until(Duration::from_secs(self.wait_s.into()), || {
-                        publisher.subscribers() > 0
-                    });
-                    publishers.push(Some(publisher));
+                for topic in reader.topics().get(topics.len()..).unwrap_or_default() {
+                    topics.push(Played::new(context, topic.clone(), self)?);
+                }
+                loop {
+                    let is_disturbed = || context.stop.is_asked() || context.has_changed();
+                    pacer.wait(stored.time_ns / 1000, *messages + 1, &is_disturbed);
+                    match context.changed::<Self>() {
+                        Some(now) => pacer.set(now.rate),
+                        None => break,
+                    }
                 }
                 if context.stop.is_asked() {
-                    break;
+                    return Ok(());
                 }
-                match publishers.get_mut(stored.topic) {
-                    Some(Some(publisher)) => {
-                        pacer.wait(stored.time_ns / 1000, messages + 1, &context.stop);
-                        publisher.publish(&stored.cdr)?;
-                        messages += 1;
+                if let Some(topic) = topics.get_mut(stored.topic) {
+                    match topic.publish(&stored.cdr)? {
+                        true => *messages += 1,
+                        false => topic.left_out += 1,
                     }
-                    _ => unknown += 1,
                 }
             }
-            if !self.repeat || context.stop.is_asked() {
-                break;
+            // A bag of which nothing can be played would be repeated without an end or a pause.
+            if !self.repeat || *messages == before {
+                return Ok(());
             }
         }
-        context.say(&format!(
-            "{messages} messages, {unknown} of unknown types left out"
-        ));
-        ensure!(
-            messages > 0 || context.stop.is_asked(),
-            "{}: no message was played: {unknown} are of types that are not known here, and there are no others",
-            self.bag.display()
-        );
-        Ok(())
     }
 }

@@ -1,16 +1,17 @@
 //! `record`: records topics into a bag.
 
+use std::collections::HashMap;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
 use clap::Args;
 
-use super::{Context, Now, QosOptions};
+use super::{Context, LossOptions, Now, QosOptions, refuse_losses};
 use crate::bag::{Storage, Topic, Writer};
 use crate::message::{TYPES, Time, Type, sequence_of};
 use crate::sequence::Sequence;
-use crate::transport::Subscription;
+use crate::transport::{Known, PublisherId, Subscription};
 
 /// Record topics into a ROS 2 bag
 #[derive(Debug, Clone, Args)]
@@ -38,6 +39,9 @@ pub struct Record {
     idle_s: Option<u32>,
 
     #[command(flatten)]
+    losses: LossOptions,
+
+    #[command(flatten)]
     qos: QosOptions,
 }
 
@@ -61,15 +65,85 @@ struct Recorded {
     name: String,
     kind: Type,
     subscription: Box<dyn Subscription>,
-    sequence: Sequence,
+    /// The numbers of each publisher's messages.
+    publishers: HashMap<PublisherId, Sequence>,
+    /// Whether a second publisher has been told of.
+    is_told: bool,
+    /// When the second publisher came, whose name may become known a little later.
+    second: Option<Instant>,
     messages: u64,
+    /// Messages that could not be read, and are not in the bag.
+    unreadable: u64,
+}
+
+/// Publishers of a topic that are told apart; all further ones are taken as one.
+const PUBLISHERS_MAX: usize = 64;
+
+/// Longest wait for the name of a publisher's node.
+const NAMED: Duration = Duration::from_secs(1);
+
+impl Recorded {
+    fn lost(&self) -> u64 {
+        self.publishers.values().map(|sequence| sequence.lost).sum()
+    }
+
+    /// Counts a message; messages of each publisher are numbered on their own.
+    fn count(&mut self, cdr: &[u8], publisher: PublisherId) {
+        self.messages += 1;
+        let publisher = match self.publishers.len() {
+            PUBLISHERS_MAX.. if !self.publishers.contains_key(&publisher) => PublisherId::default(),
+            _ => publisher,
+        };
+        let sequence = self.publishers.entry(publisher).or_default();
+        if let Some(number) = sequence_of(self.kind, cdr) {
+            sequence.follow(number);
+        }
+        if self.publishers.len() > 1 {
+            self.second.get_or_insert_with(Instant::now);
+        }
+    }
+
+    /// Names the publishers if there are several.
+    fn tell(&mut self, context: &Context, is_over: bool) {
+        let Some(second) = self.second.filter(|_| !self.is_told) else {
+            return;
+        };
+        let known: Vec<Known> = self
+            .publishers
+            .keys()
+            .map(|id| self.subscription.publisher(*id))
+            .collect();
+        // A publisher that has gone was followed by its successor.
+        let mut names: Vec<String> = known
+            .iter()
+            .filter_map(|known| match known {
+                Known::Node(name) => Some(name.clone()),
+                Known::Unnamed => Some("a publisher without a node".to_owned()),
+                Known::Gone => None,
+            })
+            .collect();
+        let is_named = !known.contains(&Known::Unnamed);
+        if !is_named && !is_over && second.elapsed() < NAMED {
+            return;
+        }
+        self.is_told = true;
+        if names.len() > 1 {
+            names.sort();
+            context.say(&format!(
+                "{} has several publishers, and the bag all their messages: {}",
+                self.name,
+                names.join(", ")
+            ));
+        }
+    }
 }
 
 impl Record {
     /// Records until a stop is requested, or until the set or the idle time is over.
     ///
     /// # Errors
-    /// The folder exists already or cannot be written, or the transport fails.
+    /// The folder exists already or cannot be written, the transport fails, or something was lost and the options do
+    /// not allow it.
     pub fn run(self, mut context: Context) -> Result<()> {
         let qos = self.qos.qos();
         let mut recorded = Vec::new();
@@ -80,6 +154,7 @@ impl Record {
                 Topic {
                     name: name.clone(),
                     kind: kind.name.to_owned(),
+                    ..Topic::default()
                 },
                 *kind,
             ));
@@ -87,24 +162,43 @@ impl Record {
                 subscription: context.subscription_of(&name, *kind, qos)?,
                 name,
                 kind: *kind,
-                sequence: Sequence::default(),
+                publishers: HashMap::new(),
+                is_told: false,
+                second: None,
                 messages: 0,
+                unreadable: 0,
             });
         }
         let mut writer = Writer::create(&self.output, self.storage, topics)?;
         let written = self.write(&context, &mut recorded, &mut writer);
+        for topic in &mut recorded {
+            topic.tell(&context, true);
+        }
         // Complete the bag even after an error, so that what was recorded before it can be read.
         let messages = writer.messages();
         writer.finish()?;
         written?;
         for topic in &recorded {
             context.say(&format!(
-                "{}: {} messages, {} lost",
-                topic.name, topic.messages, topic.sequence.lost
+                "{}: {} messages, {} lost, {} left out",
+                topic.name,
+                topic.messages,
+                topic.lost(),
+                topic.unreadable
             ));
         }
         context.say(&format!("{}: {messages} messages", self.output.display()));
-        Ok(())
+        let losses = [
+            (
+                recorded.iter().map(Recorded::lost).sum(),
+                "messages have not come",
+            ),
+            (
+                recorded.iter().map(|topic| topic.unreadable).sum(),
+                "messages could not be read",
+            ),
+        ];
+        refuse_losses(self.losses.allow_loss, &losses)
     }
 
     fn write(
@@ -130,19 +224,21 @@ impl Record {
             for (number, topic) in recorded.iter_mut().enumerate() {
                 let mut wait = WAIT;
                 // Take everything that is waiting before turning to the next topic.
-                while let Some(cdr) = topic.subscription.take(wait)? {
+                while let Some((cdr, publisher)) = topic.subscription.take_from(wait)? {
                     wait = Duration::ZERO;
                     latest = Some(Instant::now());
-                    if let Some(sequence) = sequence_of(topic.kind, &cdr) {
-                        topic.sequence.follow(sequence);
+                    if cdr.is_empty() {
+                        topic.unreadable += 1;
+                        continue;
                     }
-                    topic.messages += 1;
+                    topic.count(&cdr, publisher);
                     let now_ns = u64::try_from(Time::now().ns()).context("a time before 1970")?;
                     writer.message(number, now_ns, &cdr)?;
                 }
+                topic.tell(context, false);
             }
             if tell.is_due() {
-                let lost = recorded.iter().map(|topic| topic.sequence.lost).sum();
+                let lost = recorded.iter().map(Recorded::lost).sum();
                 if lost > told {
                     context.say(&format!("{lost} messages have not come"));
                     told = lost;

@@ -5,24 +5,46 @@
 //! messages of at most 100 kB, and receivers with room for a burst of them.
 
 use std::net::{IpAddr, Ipv4Addr};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::thread;
+use std::sync::{Arc, Mutex};
+use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, anyhow, bail};
 use mio::{Events, Interest, Poll, Token};
 use ros2_client::dds::rustdds::{self, DomainParticipantBuilder};
 use ros2_client::qos::{History, Reliability, WhenFull};
-use ros2_client::{Context, MessageTypeName, Name, NodeOptions, ParameterValue, QosProfile};
+use ros2_client::{Context, MessageTypeName, Name, NodeOptions, QosProfile};
 
+use super::dds_nodes::NodesOfPublishers;
+use super::dds_parameters;
+use super::queue::lock;
 use super::raw::Raw;
-use super::{Node, Publisher, Qos, Subscription, Transport};
-use crate::message::{ENCAPSULATION, Type};
+use super::{Known, Node, Publisher, PublisherId, Qos, Subscription, Transport};
+use crate::message::{ENCAPSULATION, Type, TypeName};
 use crate::names::NodeName;
+use crate::parameters::Parameters;
 
 /// A participant in a domain.
 pub struct Dds {
     context: Context,
+    /// The threads of nodes, which hold on to the participant.
+    threads: Mutex<Vec<JoinHandle<()>>>,
+}
+
+/// Longest wait for the threads of nodes, which end with them.
+const ENDS: Duration = Duration::from_secs(1);
+
+/// Waits for the threads: a participant that is dropped by the last of them announces that it goes; if the process
+/// ended before, others would take it as present for a minute.
+impl Drop for Dds {
+    fn drop(&mut self) {
+        let until = Instant::now() + ENDS;
+        let mut threads = std::mem::take(&mut *lock(&self.threads));
+        while !threads.is_empty() && Instant::now() < until {
+            threads.retain(|thread| !thread.is_finished());
+            thread::sleep(Duration::from_millis(2));
+        }
+    }
 }
 
 impl Dds {
@@ -39,18 +61,19 @@ impl Dds {
         let participant = joined.map_err(|error| anyhow!("DDS domain {domain}: {error}"))?;
         let context = Context::from_domain_participant(participant)
             .map_err(|error| anyhow!("DDS domain {domain}: {error}"))?;
-        Ok(Self { context })
+        Ok(Self {
+            context,
+            threads: Mutex::default(),
+        })
     }
 }
 
 impl Transport for Dds {
-    fn node(&self, name: &NodeName, parameters: &[(String, String)]) -> Result<Box<dyn Node>> {
+    fn node(&self, name: &NodeName, parameters: &Arc<Parameters>) -> Result<Box<dyn Node>> {
         let refused = |what: &dyn std::fmt::Display| anyhow!("node {}: {what}", name.full());
-        let mut options = NodeOptions::new();
-        for (name, value) in parameters {
-            options = options.declare_parameter(name, ParameterValue::String(value.clone()));
-        }
-        options = options.parameter_validator(Box::new(only_as_declared(parameters.to_vec())));
+        // Its parameter services would know neither types nor ranges, and accept use_sim_time: ours take their place.
+        let options = NodeOptions::new().start_parameter_services(false);
+        let options = dds_parameters::declare(options, parameters);
         let base = ros2_client::NodeName::new(&name.namespace, &name.base);
         let base = base.map_err(|error| refused(&error))?;
         let node = self.context.new_node(base, options);
@@ -58,47 +81,43 @@ impl Transport for Dds {
         let spinner = node
             .spinner()
             .map_err(|error| refused(&format!("{error:?}")))?;
-        // The thread ends with the node.
-        thread::Builder::new()
+        let nodes = NodesOfPublishers::new(&self.context, &mut node)?;
+        let services = dds_parameters::Services::new(&mut node, name)?;
+        let node = Arc::new(Mutex::new(node));
+        // Both threads end with the node.
+        let spins = thread::Builder::new()
             .name("node".to_owned())
-            .spawn(move || futures_executor::block_on(spinner.spin()))
-            .context("a thread of a node")?;
+            .spawn(move || {
+                // It ends with an error only if it cannot begin: the node then works without.
+                let _ = futures_executor::block_on(spinner.spin());
+            });
+        let (serves, end) = services.serve(&node, parameters)?;
+        let threads = [spins.context("a thread of a node")?, serves];
+        lock(&self.threads).extend(threads);
         Ok(Box::new(DdsNode {
-            node: Arc::new(Mutex::new(node)),
+            _end: end,
+            node,
+            nodes: Arc::new(Mutex::new(nodes)),
         }))
     }
 }
 
-/// Refuses changes to parameters, which are flags that take effect when a node starts. The declared values are
-/// accepted.
-fn only_as_declared(
-    parameters: Vec<(String, String)>,
-) -> impl Fn(&str, &ParameterValue) -> Result<(), String> + Send + Sync {
-    move |name, value| {
-        let mut declared = parameters.iter().filter(|(known, _)| known == name);
-        match (declared.next(), value) {
-            (Some((_, declared)), ParameterValue::String(value)) if value == declared => Ok(()),
-            _ => Err(format!(
-                "{name} is read-only: it takes effect when the node starts, with -p {name}:=VALUE"
-            )),
-        }
-    }
-}
-
 /// A node, shared with its publishers and subscriptions, because the node knows the remote ends of its topics.
-type Shared = Arc<Mutex<ros2_client::Node>>;
+pub(super) type Shared = Arc<Mutex<ros2_client::Node>>;
 
 struct DdsNode {
+    _end: dds_parameters::End,
     node: Shared,
+    nodes: Arc<Mutex<NodesOfPublishers>>,
 }
 
-/// Runs `act` on a node. Poisoning is ignored: a panic in another thread leaves the node consistent.
+/// Runs `act` on a node.
 fn on<T>(node: &Shared, act: impl FnOnce(&mut ros2_client::Node) -> T) -> T {
-    act(&mut node.lock().unwrap_or_else(PoisonError::into_inner))
+    act(&mut lock(node))
 }
 
 impl DdsNode {
-    fn topic(&self, topic: &str, kind: Type, qos: &QosProfile) -> Result<rustdds::Topic> {
+    fn topic(&self, topic: &str, kind: TypeName<'_>, qos: &QosProfile) -> Result<rustdds::Topic> {
         let name = Name::parse(topic).map_err(|error| anyhow!("{topic}: {error:?}"))?;
         let (package, base) = kind.parts();
         let kind = MessageTypeName::new(package, base);
@@ -122,7 +141,12 @@ fn profile(qos: Qos) -> QosProfile {
 }
 
 impl Node for DdsNode {
-    fn publisher(&mut self, topic: &str, kind: Type, qos: Qos) -> Result<Box<dyn Publisher>> {
+    fn publisher_of(
+        &mut self,
+        topic: &str,
+        kind: TypeName<'_>,
+        qos: Qos,
+    ) -> Result<Box<dyn Publisher>> {
         let qos = profile(qos);
         let dds_topic = self.topic(topic, kind, &qos)?;
         let created = on(&self.node, |node| {
@@ -139,7 +163,7 @@ impl Node for DdsNode {
 
     fn subscription(&mut self, topic: &str, kind: Type, qos: Qos) -> Result<Box<dyn Subscription>> {
         let qos = profile(qos);
-        let dds_topic = self.topic(topic, kind, &qos)?;
+        let dds_topic = self.topic(topic, kind.into(), &qos)?;
         let created = on(&self.node, |node| {
             node.create_subscription::<Raw>(&dds_topic, Some(qos))
         });
@@ -151,11 +175,17 @@ impl Node for DdsNode {
         Ok(Box::new(DdsSubscription {
             topic: topic.to_owned(),
             node: Arc::clone(&self.node),
+            nodes: Arc::clone(&self.nodes),
             subscription,
             poll,
             events: Events::with_capacity(4),
             refused: 0,
+            latest: PublisherId::default(),
         }))
+    }
+
+    fn publishers_of(&mut self, topic: &str) -> Vec<String> {
+        lock(&self.nodes).publish(topic)
     }
 }
 
@@ -206,18 +236,21 @@ impl Publisher for DdsPublisher {
 struct DdsSubscription {
     topic: String,
     node: Shared,
+    nodes: Arc<Mutex<NodesOfPublishers>>,
     subscription: ros2_client::Subscription<Raw>,
     poll: Poll,
     events: Events,
     /// Consecutive messages that could not be taken.
     refused: u32,
+    /// Publisher of the latest message.
+    latest: PublisherId,
 }
 
 /// Number of consecutive unreadable messages after which the subscription counts as ended.
 const REFUSED_MAX: u32 = 10_000;
 
 impl Subscription for DdsSubscription {
-    fn take(&mut self, wait: Duration) -> Result<Option<Vec<u8>>> {
+    fn take_from(&mut self, wait: Duration) -> Result<Option<(Vec<u8>, PublisherId)>> {
         let until = Instant::now() + wait;
         loop {
             let taken = match self.subscription.take() {
@@ -226,16 +259,18 @@ impl Subscription for DdsSubscription {
                     bail!("{}: {error:?}", self.topic);
                 }
                 Err(_) => {
-                    // Empty bytes: the caller finds that they are not a message, and counts them.
+                    // Empty bytes: the caller finds that they are not a message, and counts them. Their publisher
+                    // is unknown; they are taken as those of the latest one.
                     self.refused += 1;
-                    return Ok(Some(Vec::new()));
+                    return Ok(Some((Vec::new(), self.latest)));
                 }
             };
             self.refused = 0;
-            if let Some((Raw(fields), _)) = taken {
+            if let Some((Raw(fields), info)) = taken {
                 let mut cdr = ENCAPSULATION.to_vec();
                 cdr.extend_from_slice(&fields);
-                return Ok(Some(cdr));
+                self.latest = PublisherId(info.publisher_gid().to_bytes16());
+                return Ok(Some((cdr, self.latest)));
             }
             let left = until.saturating_duration_since(Instant::now());
             if left.is_zero() {
@@ -251,5 +286,9 @@ impl Subscription for DdsSubscription {
 
     fn publishers(&self) -> usize {
         on(&self.node, |node| node.publisher_count(&self.topic))
+    }
+
+    fn publisher(&self, id: PublisherId) -> Known {
+        lock(&self.nodes).find(id)
     }
 }

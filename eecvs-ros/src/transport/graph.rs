@@ -8,8 +8,8 @@
 
 use std::collections::{HashMap, HashSet};
 
-use super::Qos;
-use crate::message::Type;
+use super::{Known, PublisherId, Qos};
+use crate::message::TypeName;
 use crate::names::NodeName;
 
 /// What a token announces.
@@ -41,7 +41,8 @@ pub fn tokens_of(domain: u16) -> String {
 
 /// Returns the key of a topic's messages: domain, topic, type and the type's hash.
 #[must_use]
-pub fn key_of(domain: u16, topic: &str, kind: Type) -> String {
+pub fn key_of<'a>(domain: u16, topic: &str, kind: impl Into<TypeName<'a>>) -> String {
+    let kind = kind.into();
     let topic = topic.trim_matches('/');
     format!("{domain}/{topic}/{}/{}", kind.dds(), kind.hash)
 }
@@ -76,7 +77,15 @@ impl NodeToken {
 
     /// Returns the token of a publisher or subscription of this node; `entity` must be unique in the session.
     #[must_use]
-    pub fn end_of(&self, entity: u64, kind: Kind, topic: &str, message: Type, qos: Qos) -> String {
+    pub fn end_of<'a>(
+        &self,
+        entity: u64,
+        kind: Kind,
+        topic: &str,
+        message: impl Into<TypeName<'a>>,
+        qos: Qos,
+    ) -> String {
+        let message = message.into();
         let Self { start, end, .. } = self;
         let topic = mangled(topic);
         // Values of the default profile are left out: reliable, volatile, keep last, no deadlines.
@@ -89,6 +98,13 @@ impl NodeToken {
             qos.depth
         )
     }
+}
+
+/// Returns the ID that the messages of a publisher carry: the hash of its token.
+#[must_use]
+pub fn id_of(token: &str) -> PublisherId {
+    let hash = twox_hash::XxHash3_128::oneshot(token.as_bytes());
+    PublisherId(hash.to_le_bytes())
 }
 
 fn mangled(name: &str) -> String {
@@ -125,6 +141,35 @@ impl Graph {
         let end = (kind, mangled(topic));
         self.ends.get(&end).map_or(0, HashSet::len)
     }
+
+    /// Returns the nodes of other sessions than `own` that publish a topic.
+    #[must_use]
+    pub fn publishers(&self, topic: &str, own: &str) -> Vec<String> {
+        let tokens = self.ends.get(&(Kind::Publisher, mangled(topic)));
+        let is_other = |token: &&String| token.split('/').nth(2) != Some(own);
+        let tokens = tokens.into_iter().flatten().filter(is_other);
+        tokens.filter_map(|token| node_of(token)).collect()
+    }
+
+    /// Returns what is known of a publisher of a topic, found by the ID in its messages. An ID that is not the
+    /// hash of a token, as some implementations choose it, is that of a publisher that is gone.
+    #[must_use]
+    pub fn publisher(&self, topic: &str, id: PublisherId) -> Known {
+        let tokens = self.ends.get(&(Kind::Publisher, mangled(topic)));
+        let mut tokens = tokens.into_iter().flatten();
+        match tokens.find(|token| id_of(token) == id) {
+            Some(token) => node_of(token).map_or(Known::Unnamed, Known::Node),
+            None => Known::Gone,
+        }
+    }
+}
+
+/// Returns the full name of a token's node.
+fn node_of(token: &str) -> Option<String> {
+    let mut parts = token.split('/').skip(7);
+    let (namespace, name) = (parts.next()?, parts.next()?);
+    let namespace = namespace.replace('%', "/");
+    Some(format!("{}/{name}", namespace.trim_end_matches('/')))
 }
 
 fn end(token: &str) -> Option<(Kind, String)> {
@@ -200,6 +245,14 @@ mod tests {
             assert_eq!(graph.count(Kind::Publisher, "/a/b"), want);
             assert_eq!(graph.count(Kind::Subscription, "/a/b"), 0);
         }
+        let id = id_of(&token(4));
+        assert_eq!(graph.publisher("/a/b", id), Known::Gone);
+        graph.take(&token(4), true);
+        assert_eq!(graph.publisher("/a/b", id), Known::Node("/a".to_owned()));
+        assert_eq!(graph.publishers("/a/b", "2"), ["/a"]);
+        assert!(graph.publishers("/a/b", "1").is_empty());
+        graph.take(&token(4), false);
+        assert_eq!(graph.publisher("/a/b", id), Known::Gone);
         for odd in [
             "",
             "@ros2_lv",

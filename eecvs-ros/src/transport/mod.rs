@@ -4,18 +4,22 @@
 //! transport.
 
 pub mod dds;
+mod dds_nodes;
+mod dds_parameters;
 pub mod graph;
 pub mod local;
 mod queue;
 mod raw;
 pub mod zenoh;
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use anyhow::Result;
 
-use crate::message::Type;
+use crate::message::{Type, TypeName};
 use crate::names::NodeName;
+use crate::parameters::Parameters;
 
 /// Quality of service of a topic. Messages are volatile: a late subscriber receives only later messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,7 +36,7 @@ pub trait Transport: Send + Sync {
     ///
     /// # Errors
     /// The network cannot be used.
-    fn node(&self, name: &NodeName, parameters: &[(String, String)]) -> Result<Box<dyn Node>>;
+    fn node(&self, name: &NodeName, parameters: &Arc<Parameters>) -> Result<Box<dyn Node>>;
 }
 
 /// An announced node.
@@ -41,13 +45,29 @@ pub trait Node: Send {
     ///
     /// # Errors
     /// The transport refuses the topic.
-    fn publisher(&mut self, topic: &str, kind: Type, qos: Qos) -> Result<Box<dyn Publisher>>;
+    fn publisher(&mut self, topic: &str, kind: Type, qos: Qos) -> Result<Box<dyn Publisher>> {
+        self.publisher_of(topic, kind.into(), qos)
+    }
+
+    /// As [`Node::publisher`], for messages of any type.
+    ///
+    /// # Errors
+    /// As for [`Node::publisher`]; the transport needs the type's hash, which is not known.
+    fn publisher_of(
+        &mut self,
+        topic: &str,
+        kind: TypeName<'_>,
+        qos: Qos,
+    ) -> Result<Box<dyn Publisher>>;
 
     /// Creates a subscription to the topic with this absolute name.
     ///
     /// # Errors
     /// The transport refuses the topic.
     fn subscription(&mut self, topic: &str, kind: Type, qos: Qos) -> Result<Box<dyn Subscription>>;
+
+    /// Returns the full names of the nodes of other programs that publish a topic, as far as they are known.
+    fn publishers_of(&mut self, topic: &str) -> Vec<String>;
 }
 
 /// Sends the messages of one node on a topic.
@@ -62,6 +82,21 @@ pub trait Publisher: Send {
     fn subscribers(&self) -> usize;
 }
 
+/// Identification of a publisher, as a subscription sees it; all zeros where a message does not tell it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PublisherId(pub [u8; 16]);
+
+/// What is known of a publisher.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Known {
+    /// It is announced, by the node with this full name.
+    Node(String),
+    /// It is announced, but its node is not.
+    Unnamed,
+    /// It is not announced, or no longer.
+    Gone,
+}
+
 /// Receives the messages of a topic.
 pub trait Subscription: Send {
     /// Returns the oldest waiting message, or the first that arrives within `wait`. A message that the transport
@@ -69,7 +104,23 @@ pub trait Subscription: Send {
     ///
     /// # Errors
     /// The transport has ended.
-    fn take(&mut self, wait: Duration) -> Result<Option<Vec<u8>>>;
+    fn take(&mut self, wait: Duration) -> Result<Option<Vec<u8>>> {
+        Ok(self.take_from(wait)?.map(|(cdr, _)| cdr))
+    }
+
+    /// As [`Subscription::take`], with the publisher of the message.
+    ///
+    /// # Errors
+    /// As for [`Subscription::take`].
+    fn take_from(&mut self, wait: Duration) -> Result<Option<(Vec<u8>, PublisherId)>>;
+
+    /// Returns what is known of a publisher of the topic.
+    fn publisher(&self, id: PublisherId) -> Known;
+
+    /// Returns the full names of nodes that publish the topic without being heard here.
+    fn unheard(&self) -> Vec<String> {
+        Vec::new()
+    }
 
     /// Returns the number of publishers.
     fn publishers(&self) -> usize;

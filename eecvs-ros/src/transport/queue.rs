@@ -4,6 +4,8 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use super::PublisherId;
+
 /// A bounded queue of messages: when it is full, the oldest are dropped.
 pub struct Queue {
     depth: usize,
@@ -13,7 +15,7 @@ pub struct Queue {
 
 #[derive(Default)]
 struct Waiting {
-    messages: VecDeque<Arc<[u8]>>,
+    messages: VecDeque<(Arc<[u8]>, PublisherId)>,
     closed: bool,
 }
 
@@ -33,23 +35,23 @@ impl Queue {
     }
 
     /// Adds a message; returns false if the queue is closed.
-    pub fn push(&self, message: Arc<[u8]>) -> bool {
+    pub fn push(&self, message: Arc<[u8]>, publisher: PublisherId) -> bool {
         let mut waiting = lock(&self.waiting);
         while waiting.messages.len() >= self.depth {
             waiting.messages.pop_front();
         }
-        waiting.messages.push_back(message);
+        waiting.messages.push_back((message, publisher));
         self.changed.notify_one();
         !waiting.closed
     }
 
-    /// Returns the oldest message, or the first that arrives within `wait`.
-    pub fn take(&self, wait: Duration) -> Option<Vec<u8>> {
+    /// Returns the oldest message, or the first that arrives within `wait`, and its publisher.
+    pub fn take(&self, wait: Duration) -> Option<(Vec<u8>, PublisherId)> {
         let until = Instant::now() + wait;
         let mut waiting = lock(&self.waiting);
         loop {
-            if let Some(message) = waiting.messages.pop_front() {
-                return Some(message.to_vec());
+            if let Some((message, publisher)) = waiting.messages.pop_front() {
+                return Some((message.to_vec(), publisher));
             }
             let left = until.saturating_duration_since(Instant::now());
             if left.is_zero() {

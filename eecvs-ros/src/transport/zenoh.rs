@@ -11,17 +11,18 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use anyhow::{Result, anyhow};
+use anyhow::{Result, anyhow, ensure};
 use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::CongestionControl;
 use zenoh::sample::SampleKind;
 use zenoh::{Config, Session, Wait};
 
-use super::graph::{Graph, Kind, NodeToken, key_of, tokens_of};
+use super::graph::{Graph, Kind, NodeToken, id_of, key_of, tokens_of};
 use super::queue::{Queue, lock};
-use super::{Node, Publisher, Qos, Subscription, Transport};
-use crate::message::Type;
+use super::{Known, Node, Publisher, PublisherId, Qos, Subscription, Transport};
+use crate::message::{Type, TypeName};
 use crate::names::NodeName;
+use crate::parameters::Parameters;
 
 /// Default endpoint of a router.
 pub const ROUTER: &str = "tcp/localhost:7447";
@@ -206,7 +207,7 @@ impl Zenoh {
 }
 
 impl Transport for Zenoh {
-    fn node(&self, name: &NodeName, _: &[(String, String)]) -> Result<Box<dyn Node>> {
+    fn node(&self, name: &NodeName, _: &Arc<Parameters>) -> Result<Box<dyn Node>> {
         let shared = Arc::clone(&self.shared);
         let number = shared.entities.fetch_add(1, Ordering::Relaxed);
         let session = shared.session.zid().to_string();
@@ -239,7 +240,7 @@ impl ZenohNode {
         &self,
         kind: Kind,
         topic: &str,
-        message: Type,
+        message: TypeName<'_>,
         qos: Qos,
     ) -> Result<(String, LivelinessToken)> {
         let number = self.shared.entities.fetch_add(1, Ordering::Relaxed);
@@ -250,7 +251,17 @@ impl ZenohNode {
 }
 
 impl Node for ZenohNode {
-    fn publisher(&mut self, topic: &str, kind: Type, qos: Qos) -> Result<Box<dyn Publisher>> {
+    fn publisher_of(
+        &mut self,
+        topic: &str,
+        kind: TypeName<'_>,
+        qos: Qos,
+    ) -> Result<Box<dyn Publisher>> {
+        ensure!(
+            !kind.hash.is_empty(),
+            "{topic}: the hash of {} is not known, without which rmw_zenoh does not receive its messages",
+            kind.name
+        );
         let key = key_of(self.shared.domain, topic, kind);
         let congestion = if qos.reliable {
             CongestionControl::Block
@@ -283,11 +294,13 @@ impl Node for ZenohNode {
             .session
             .declare_subscriber(key_of(self.shared.domain, topic, kind))
             .callback(move |sample| {
-                waiting.push(sample.payload().to_bytes().as_ref().into());
+                let attachment = sample.attachment().map(|bytes| bytes.to_bytes());
+                let publisher = Attachment::publisher(attachment.as_deref().unwrap_or_default());
+                waiting.push(sample.payload().to_bytes().as_ref().into(), publisher);
             })
             .wait();
         let subscriber = declared.map_err(said(topic))?;
-        let (_, announced) = self.end(Kind::Subscription, topic, kind, qos)?;
+        let (_, announced) = self.end(Kind::Subscription, topic, kind.into(), qos)?;
         Ok(Box::new(ZenohSubscription {
             topic: topic.to_owned(),
             shared: Arc::clone(&self.shared),
@@ -296,23 +309,33 @@ impl Node for ZenohNode {
             _announced: announced,
         }))
     }
+
+    fn publishers_of(&mut self, topic: &str) -> Vec<String> {
+        let own = self.shared.session.zid().to_string();
+        lock(&self.shared.graph).publishers(topic, &own)
+    }
 }
 
 /// The metadata that ROS 2 expects with every message, 33 bytes: sequence number, time, length of the publisher's
 /// ID, and the ID.
 struct Attachment {
     sequence: i64,
-    publisher: [u8; 16],
+    publisher: PublisherId,
 }
 
 impl Attachment {
     /// Creates the attachment of a publisher, whose ID is the hash of its token.
     fn new(token: &str) -> Self {
-        let hash = twox_hash::XxHash3_128::oneshot(token.as_bytes());
         Self {
             sequence: 0,
-            publisher: hash.to_le_bytes(),
+            publisher: id_of(token),
         }
+    }
+
+    /// Returns the publisher in received metadata, or zeros if there is none.
+    fn publisher(bytes: &[u8]) -> PublisherId {
+        let id = bytes.get(17..).and_then(<[u8]>::first_chunk);
+        PublisherId(id.copied().unwrap_or_default())
     }
 
     fn next(&mut self) -> [u8; 33] {
@@ -323,7 +346,7 @@ impl Attachment {
         bytes[..8].copy_from_slice(&self.sequence.to_le_bytes());
         bytes[8..16].copy_from_slice(&now_ns.to_le_bytes());
         bytes[16] = 16;
-        bytes[17..].copy_from_slice(&self.publisher);
+        bytes[17..].copy_from_slice(&self.publisher.0);
         bytes
     }
 }
@@ -373,8 +396,12 @@ struct ZenohSubscription {
 }
 
 impl Subscription for ZenohSubscription {
-    fn take(&mut self, wait: Duration) -> Result<Option<Vec<u8>>> {
+    fn take_from(&mut self, wait: Duration) -> Result<Option<(Vec<u8>, PublisherId)>> {
         Ok(self.queue.take(wait))
+    }
+
+    fn publisher(&self, id: PublisherId) -> Known {
+        lock(&self.shared.graph).publisher(&self.topic, id)
     }
 
     fn publishers(&self) -> usize {

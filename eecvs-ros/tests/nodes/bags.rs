@@ -8,6 +8,7 @@ use eecvs_nostd::{Event, Sensor};
 use eecvs_ros::bag::{Reader, Stored};
 use eecvs_ros::message::{EventPacket, Frame, Message, from_cdr, sequence_of};
 use eecvs_ros::names::NodeName;
+use eecvs_ros::parameters::Parameters;
 use eecvs_ros::transport::Transport;
 use eecvs_ros::transport::dds::Dds;
 use event_emulator::{Preset, SceneConfig, emulate};
@@ -141,7 +142,7 @@ fn recorded_and_played(domain: u16, storage: &str) {
     // Played on another topic, from a part of a second on.
     let transport = Dds::join(domain, true).unwrap();
     let name = NodeName::new("/", "test").unwrap();
-    let mut node = transport.node(&name, &[]).unwrap();
+    let mut node = transport.node(&name, &Parameters::none()).unwrap();
     let mut subscription = node.subscription("/again", EventPacket::TYPE, QOS).unwrap();
     let mut other = node
         .subscription("/event_camera/frames", Frame::TYPE, QOS)

@@ -1,12 +1,12 @@
 //! Messages as ROS 2 serialises them: `peers/cdr/*.json`, which `peers/cdr/write.sh` makes with rclpy.
 
 use crate::again::again;
-use eecvs_ros::message::{EventPacket, Malformed, Message, TYPES, from_cdr};
+use eecvs_ros::message::{EventPacket, Malformed, Message, TYPES, TypeName, from_cdr};
 
 #[test]
 fn messages_have_the_bytes_of_ros() {
     for kind in TYPES {
-        let name = kind.parts().1;
+        let name = TypeName::from(kind).parts().1;
         let path = format!("{}/peers/cdr/{name}.json", env!("CARGO_MANIFEST_DIR"));
         let text = std::fs::read_to_string(&path).unwrap();
         let golden: serde_json::Value = serde_json::from_str(&text).unwrap();
@@ -38,7 +38,7 @@ fn other_representations_are_refused() {
     }
     assert_eq!(from_cdr::<EventPacket>(&[]), Err(Malformed::Representation));
     assert_eq!(
-        EventPacket::TYPE.dds(),
+        TypeName::from(EventPacket::TYPE).dds(),
         "event_camera_msgs::msg::dds_::EventPacket_"
     );
 }

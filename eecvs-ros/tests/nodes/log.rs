@@ -16,6 +16,7 @@ use eecvs_ros::names::NodeName;
 use eecvs_ros::node::log::Log;
 use eecvs_ros::node::{Context, NAMESPACE};
 use eecvs_ros::operator::{Eecvs, Job, Operator, Operators, Windowed};
+use eecvs_ros::parameters::Parameters;
 use eecvs_ros::transport::Transport;
 use eecvs_ros::transport::local::Local;
 use event_emulator::{Preset, SceneConfig, emulate};
@@ -82,16 +83,27 @@ fn encoded(operator: &dyn Operator, flags: &str) -> (EncodeSummary, Vec<Frame>) 
 
 /// Runs the node until messages have not come for a second.
 fn log(messages: &[Vec<u8>], operators: &Operators, flags: &[&str], stop: &Stop) {
+    try_log(messages, operators, flags, stop).unwrap();
+}
+
+/// As [`log`], where it may fail.
+fn try_log(
+    messages: &[Vec<u8>],
+    operators: &Operators,
+    flags: &[&str],
+    stop: &Stop,
+) -> anyhow::Result<()> {
     let local = Local::alone();
     let name = NodeName::new("/", "test").unwrap();
-    let mut node = local.node(&name, &[]).unwrap();
+    let mut node = local.node(&name, &Parameters::none()).unwrap();
     let topic = format!("{NAMESPACE}/frames");
     let mut publisher = node.publisher(&topic, Frame::TYPE, QOS).unwrap();
     let mut line = vec!["log", "--idle-s", "1", "--depth", "100000"];
     line.extend(flags);
     let log = LogLine::parse_from(line).log;
-    let arguments = RosArguments::default().node(NAMESPACE, "log", &|_| true);
-    let context = Context::new(&local, arguments.unwrap(), &[], stop.clone()).unwrap();
+    let arguments = RosArguments::default().node(NAMESPACE, "log", &[]);
+    let context =
+        Context::new(&local, arguments.unwrap(), Parameters::none(), stop.clone()).unwrap();
     std::thread::scope(|scope| {
         let run = scope.spawn(|| log.run(context, operators));
         while publisher.subscribers() == 0 {
@@ -101,8 +113,8 @@ fn log(messages: &[Vec<u8>], operators: &Operators, flags: &[&str], stop: &Stop)
         for message in messages {
             publisher.publish(message).unwrap();
         }
-        run.join().unwrap().unwrap();
-    });
+        run.join().unwrap()
+    })
 }
 
 fn text(path: &Path) -> &str {
@@ -123,6 +135,8 @@ fn tables_of(messages: &[Vec<u8>], operators: &Operators) -> (Vec<Row>, Vec<Row>
                     text(features),
                     "--coefficients",
                     text(coefficients),
+                    // Some messages are left out on purpose.
+                    "--allow-loss",
                 ];
                 log(messages, operators, &flags, &Stop::default());
             });
@@ -304,6 +318,14 @@ fn losses_leave_the_rest_as_it_is() {
         .count();
     let lost = cell(features.last().unwrap(), "frames_lost");
     assert_eq!(lost, missing.to_string());
+    // The same without leave to lose anything.
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("f.csv");
+    let flags = ["--features", text(&path)];
+    let refused = try_log(&messages, &operators, &flags, &Stop::default()).unwrap_err();
+    let want = format!("{missing} frames have not come, 3 frames were left out");
+    assert!(refused.to_string().contains(&want), "{refused}");
+    assert!(csv(&path) == features);
 }
 
 /// A window coder whose windows tell no more than their span.
@@ -414,8 +436,9 @@ fn no_frames_are_empty_tables_and_no_file_is_written_over() {
                 .map_err(|error| error.to_string())?
                 .log;
             let local = Local::alone();
-            let arguments = RosArguments::default().node(NAMESPACE, "log", &|_| true);
-            let context = Context::new(&local, arguments.unwrap(), &[], stop.clone()).unwrap();
+            let arguments = RosArguments::default().node(NAMESPACE, "log", &[]);
+            let context =
+                Context::new(&local, arguments.unwrap(), Parameters::none(), stop.clone()).unwrap();
             let run = log.run(context, &operators);
             run.map_err(|error| format!("{error:#}"))
         };

@@ -7,6 +7,7 @@ use eecvs_nostd::Sensor;
 use eecvs_ros::message::{Density, EventPacket, Image, Message, Volume, from_cdr};
 use eecvs_ros::names::NodeName;
 use eecvs_ros::packet_reader::PacketReader;
+use eecvs_ros::parameters::Parameters;
 use eecvs_ros::transport::Transport;
 use eecvs_ros::transport::dds::Dds;
 use event_files::{EventReader, create};
@@ -68,7 +69,7 @@ fn a_cameras_events_are_published() {
     writer.finish().unwrap();
     let transport = Dds::join(domain, true).unwrap();
     let name = NodeName::new("/", "test").unwrap();
-    let mut node = transport.node(&name, &[]).unwrap();
+    let mut node = transport.node(&name, &Parameters::none()).unwrap();
     let subscription = node.subscription("/event_camera/events", EventPacket::TYPE, QOS);
     let device = format!("sim:davis346:{}", recording.display());
     // Its first events come before anyone has found it.
@@ -100,7 +101,7 @@ fn volumes_pictures_and_densities_are_made_for_those_who_ask() {
     let domain = 62;
     let transport = Dds::join(domain, true).unwrap();
     let name = NodeName::new("/", "test").unwrap();
-    let mut node = transport.node(&name, &[]).unwrap();
+    let mut node = transport.node(&name, &Parameters::none()).unwrap();
     let mut subscribe = |topic: &str, kind| {
         let topic = format!("/event_camera/{topic}");
         node.subscription(&topic, kind, QOS).unwrap()

@@ -9,6 +9,7 @@ use crate::pipeline::{Network, counted, scene, through_programs};
 use crate::program::{PATIENCE, Program, free_port};
 use eecvs_ros::message::{Density, EventPacket, Frame, Message};
 use eecvs_ros::names::NodeName;
+use eecvs_ros::parameters::Parameters;
 use eecvs_ros::transport::graph::{key_of, tokens_of};
 use eecvs_ros::transport::zenoh::{Links, Router, Zenoh};
 use eecvs_ros::transport::{Qos, Transport};
@@ -93,7 +94,7 @@ fn messages_and_tokens_are_as_ros_has_them() {
         .unwrap();
     let transport = join(7, &endpoint);
     let name = NodeName::new("/a", "encode").unwrap();
-    let mut node = transport.node(&name, &[]).unwrap();
+    let mut node = transport.node(&name, &Parameters::none()).unwrap();
     let mut publisher = node.publisher("/a/frames", Frame::TYPE, QOS).unwrap();
     let next_token = || {
         let sample = tokens.recv_timeout(Duration::from_secs(10)).unwrap();
@@ -124,7 +125,8 @@ fn ends_find_each_other_across_routers() {
     let (_routers, [send, receive]) = chain();
     let [here, there, elsewhere] = [join(3, &send), join(3, &receive), join(4, &send)];
     let name = NodeName::new("/", "a").unwrap();
-    let mut nodes = [&here, &there, &elsewhere].map(|zenoh| zenoh.node(&name, &[]).unwrap());
+    let mut nodes =
+        [&here, &there, &elsewhere].map(|zenoh| zenoh.node(&name, &Parameters::none()).unwrap());
     let mut publisher = nodes[0].publisher("/x", EventPacket::TYPE, QOS).unwrap();
     let mut subscribe = |at: usize, topic, kind| nodes[at].subscription(topic, kind, QOS).unwrap();
     let mut wanted = subscribe(1, "/x", EventPacket::TYPE);
@@ -174,12 +176,12 @@ fn links_are_made_anew() {
     let [from, to] = [client(5), client(5)];
     let name = NodeName::new("/", "a").unwrap();
     let mut publisher = from
-        .node(&name, &[])
+        .node(&name, &Parameters::none())
         .unwrap()
         .publisher("/x", EventPacket::TYPE, QOS)
         .unwrap();
     let mut subscription = to
-        .node(&name, &[])
+        .node(&name, &Parameters::none())
         .unwrap()
         .subscription("/x", EventPacket::TYPE, QOS)
         .unwrap();

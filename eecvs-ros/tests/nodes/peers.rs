@@ -11,6 +11,7 @@ use crate::program::{PATIENCE, Program, QOS, free_port};
 use eecvs_ros::bag::{Storage, Topic, Writer};
 use eecvs_ros::message::{EventPacket, Frame, Header, Message, TYPES, Time, Type, to_cdr};
 use eecvs_ros::names::NodeName;
+use eecvs_ros::parameters::Parameters;
 use eecvs_ros::transport::dds::Dds;
 use eecvs_ros::transport::zenoh::{Links, Router, Zenoh};
 use eecvs_ros::transport::{Qos, Transport};
@@ -73,7 +74,7 @@ fn messages(output: &str) -> Vec<Value> {
 fn relay(peer: impl Fn() -> Command, domain: u16, kind: Type) {
     let transport = Dds::join(domain, true).unwrap();
     let name = NodeName::new("/", "test").unwrap();
-    let mut node = transport.node(&name, &[]).unwrap();
+    let mut node = transport.node(&name, &Parameters::none()).unwrap();
     let mut subscription = node.subscription("/there", kind, QOS).unwrap();
     let mut publisher = node.publisher("/back", kind, QOS).unwrap();
     let start = |what: &str, topic: &str, more: &str| {
@@ -170,8 +171,10 @@ fn count_losses_of(peer: impl Fn() -> Command, domain: u16) {
             let summary = &lines(&said).pop().unwrap()["summary"];
             assert_eq!(summary["sent"], came);
             node.terminate();
-            let (_, said) = node.finish(PATIENCE);
+            let (_, said) = node.ends_with(1, PATIENCE);
             assert!(said.contains(&told), "no {told:?} in: {said}");
+            let lost = format!("{lost} messages");
+            assert!(said.contains(&lost), "no {lost:?} in: {said}");
         }
     }
 }
@@ -184,6 +187,7 @@ fn have_losses_counted(peer: impl Fn() -> Command, domain: u16) {
         let topic = Topic {
             name: TOPIC.to_owned(),
             kind: EventPacket::TYPE.name.to_owned(),
+            ..Topic::default()
         };
         let mut writer =
             Writer::create(&bag, Storage::Mcap, vec![(topic, EventPacket::TYPE)]).unwrap();
@@ -353,6 +357,81 @@ fn ros_sees_the_nodes() {
     );
 }
 
+/// What `ros2 param` asks for and sets.
+#[test]
+fn ros_has_typed_parameters() {
+    let Some(folder) = folder() else { return };
+    let domain = 91;
+    let _decode = Program::eecvs_ros(domain, &["decode", "--image-hz", "20"]);
+    let mut command = rclpy(&folder);
+    command.args(["parameters", "/event_camera/decode", "--names"]);
+    command.args([
+        "image_hz",
+        "image",
+        "volume_bytes",
+        "connect",
+        "reliable",
+        "use_sim_time",
+    ]);
+    for value in [
+        "image_hz=10.0",
+        "image_hz=10",
+        "image=rgb8",
+        "image=gif",
+        "volume_bytes=5",
+        "none=5",
+        "use_sim_time=true",
+        "use_sim_time=false",
+    ] {
+        command.args(["--set", value]);
+    }
+    let (output, _) = Program::start("parameters", domain, command).finish(PATIENCE);
+    let seen = lines(&output).pop().unwrap();
+    let listed = seen["listed"].as_array().unwrap();
+    for name in ["image_hz", "volume_bytes", "use_sim_time"] {
+        assert!(listed.contains(&name.into()), "{seen}");
+    }
+    let values = serde_json::json!([20.0, "mono8", 98_000, null, false, false]);
+    assert_eq!(seen["values"], values, "{seen}");
+    assert_eq!(seen["types"], serde_json::json!([3, 4, 2, 0, 1, 1]));
+    assert_eq!(seen["undeclared"], 0);
+    let described = |index: usize| &seen["described"][index];
+    assert_eq!(described(0)["type"], 3);
+    assert_eq!(described(0)["floating_point_range"][0][1], 1000.0);
+    assert_eq!(described(0)["read_only"], false);
+    assert_eq!(
+        described(2)["integer_range"][0],
+        serde_json::json!([0, u32::MAX, 0])
+    );
+    assert_eq!(described(2)["read_only"], true);
+    assert_eq!(described(3)["type"], 9);
+    let description = described(2)["description"].as_str().unwrap();
+    assert!(
+        description.contains("Maximum bytes of values per message"),
+        "{seen}"
+    );
+    let want = [
+        "",
+        "of type {double}, setting it to {integer}",
+        "",
+        "mono8, rgb8",
+        "read-only",
+        "not declared",
+        "not supported",
+        "",
+    ];
+    let set = seen["set"].as_array().unwrap();
+    assert_eq!(set.len(), want.len());
+    for (set, want) in set.iter().zip(want) {
+        assert!(
+            set["reason"].as_str().unwrap().contains(want),
+            "{set} is not {want}"
+        );
+        assert_eq!(set["successful"], want.is_empty(), "{set}");
+    }
+    assert_eq!(seen["atomically"]["successful"], false, "{seen}");
+}
+
 /// Messages come back as they went, the hashes are those that follow from the definitions, and the ends of topics
 /// are seen with their QoS.
 #[test]
@@ -420,7 +499,7 @@ fn packets_and_frames_pass_over_zenoh_and_back() {
         let domain = 9;
         let transport = Zenoh::join(domain, &connects).unwrap();
         let name = NodeName::new("/robot", "test").unwrap();
-        let mut node = transport.node(&name, &[]).unwrap();
+        let mut node = transport.node(&name, &Parameters::none()).unwrap();
         let mut subscription = node.subscription("/back", kind, QOS).unwrap();
         let qos = Qos {
             reliable: true,

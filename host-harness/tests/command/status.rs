@@ -250,3 +250,66 @@ fn what_cannot_be_written_is_an_error() {
         folder.as_is(line).fails(&["/dev/full"]);
     }
 }
+
+/// Arguments that are not UTF-8 are values like others, or are refused: files may have such names.
+#[cfg(unix)]
+#[test]
+fn arguments_may_be_of_any_bytes() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt as _;
+    use std::process::Command;
+    let folder = tempfile::tempdir().unwrap();
+    let run = |arguments: &[&OsStr]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_eecvs"));
+        let output = command.args(arguments).current_dir(folder.path()).output();
+        let output = output.unwrap();
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(!said.contains("panicked"), "{arguments:?}: {said}");
+        (output.status.code(), said)
+    };
+    let nowhere = OsStr::from_bytes(b"nowhere\xff");
+    let help = Command::new(env!("CARGO_BIN_EXE_eecvs"))
+        .arg("--help")
+        .output();
+    let help = String::from_utf8(help.unwrap().stdout).unwrap();
+    let commands = help.lines().skip_while(|line| *line != "Commands:").skip(1);
+    let commands = commands.take_while(|line| !line.is_empty());
+    let commands: Vec<&str> = commands
+        .filter(|line| line.starts_with("  ") && !line.starts_with("   "))
+        .filter_map(|line| line.split_whitespace().next())
+        .collect();
+    assert!(commands.len() > 10, "{commands:?}");
+    for command in commands
+        .into_iter()
+        .map(OsStr::new)
+        .filter(|command| *command != "help")
+    {
+        for arguments in [
+            vec![command, nowhere],
+            vec![command, nowhere, nowhere],
+            vec![command, OsStr::new("-o"), nowhere, nowhere],
+            vec![command, OsStr::new("--scene"), nowhere],
+        ] {
+            let (status, said) = run(&arguments);
+            assert!(
+                matches!(status, Some(1 | 2)),
+                "{arguments:?}: {status:?}: {said}"
+            );
+            assert!(!said.is_empty(), "{arguments:?}");
+        }
+    }
+    // A file's name may be so, in every format.
+    for ending in [
+        "csv", "raw", "aedat4", "mcap", "db3", "bag", "npz", "parquet", "h5",
+    ] {
+        let path = [b"a\xff.".as_slice(), ending.as_bytes()].concat();
+        let path = OsStr::from_bytes(&path);
+        let line = ["emulate", "indoor-flying", "--duration-us", "20000", "-o"];
+        let mut line: Vec<&OsStr> = line.into_iter().map(OsStr::new).collect();
+        line.push(path);
+        let (status, said) = run(&line);
+        assert_eq!(status, Some(0), "{path:?}: {said}");
+        let (status, said) = run(&[OsStr::new("info"), path]);
+        assert_eq!(status, Some(0), "{path:?}: {said}");
+    }
+}

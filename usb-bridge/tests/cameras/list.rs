@@ -33,3 +33,39 @@ fn a_list_is_printed_with_devices_or_without() {
         assert!(row["speed"].is_string() && row["use"].is_string());
     }
 }
+
+/// Arguments that are not UTF-8 are values like others, or are refused.
+#[cfg(unix)]
+#[test]
+fn arguments_may_be_of_any_bytes() {
+    use std::os::unix::ffi::OsStrExt as _;
+    let bad = std::ffi::OsStr::from_bytes(b"a\xff");
+    let replayed = std::ffi::OsStr::from_bytes(b"replay:a\xff.stream");
+    for arguments in [
+        vec!["list"],
+        vec!["capture", "--device"],
+        vec!["capture", "--rate"],
+        vec!["capture"],
+        vec!["capture", "-o"],
+        vec!["forward", "--to"],
+        vec!["receive"],
+        vec!["mcu"],
+        vec!["simulate"],
+        vec![],
+    ] {
+        for value in [bad, replayed] {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_eecvs-usb"));
+            let output = command.args(&arguments).arg(value).output().unwrap();
+            let said = String::from_utf8_lossy(&output.stderr);
+            let status = output.status.code();
+            assert!(
+                matches!(status, Some(1 | 2)),
+                "{arguments:?}: {status:?}: {said}"
+            );
+            assert!(
+                !said.is_empty() && !said.contains("panicked"),
+                "{arguments:?}: {said}"
+            );
+        }
+    }
+}

@@ -60,25 +60,35 @@ pub trait Messages: Send {
 /// First bytes of a Zstandard frame; a ROS 2 message begins with 0 and its encapsulation instead.
 const ZSTD_MAGIC: [u8; 4] = [0x28, 0xb5, 0x2f, 0xfd];
 
+/// Decompresses a CDR message that rosbag2's compression mode `message` has compressed; leaves others as they are.
+///
+/// # Errors
+/// The message is damaged, or longer than [`MESSAGE_MAX`]; the error says so.
+pub fn unpack(message: &mut Vec<u8>) -> Result<(), String> {
+    if !message.starts_with(&ZSTD_MAGIC) {
+        return Ok(());
+    }
+    let broken = |what: &dyn std::fmt::Display| {
+        format!("a message cannot be decompressed ({what}): it is damaged")
+    };
+    let mut unpacked = Vec::new();
+    let decoder = ruzstd::decoding::StreamingDecoder::new(message.as_slice());
+    let decoder = decoder.map_err(|error| broken(&error))?;
+    let read = decoder
+        .take(MESSAGE_MAX as u64 + 1)
+        .read_to_end(&mut unpacked);
+    read.map_err(|error| broken(&error))?;
+    if unpacked.len() > MESSAGE_MAX {
+        return Err(broken(&format_args!(
+            "it has more than {MESSAGE_MAX} bytes"
+        )));
+    }
+    *message = unpacked;
+    Ok(())
+}
+
 /// A source of messages that may each be compressed, by rosbag2's compression mode `message`.
 struct Unpacked(Box<dyn Messages>);
-
-impl Unpacked {
-    fn unpack(message: &mut Vec<u8>) -> Result<(), String> {
-        let mut unpacked = Vec::new();
-        let decoder = ruzstd::decoding::StreamingDecoder::new(message.as_slice());
-        let decoder = decoder.map_err(|error| error.to_string())?;
-        let read = decoder
-            .take(MESSAGE_MAX as u64 + 1)
-            .read_to_end(&mut unpacked);
-        read.map_err(|error| error.to_string())?;
-        if unpacked.len() > MESSAGE_MAX {
-            return Err(format!("it has more than {MESSAGE_MAX} bytes"));
-        }
-        *message = unpacked;
-        Ok(())
-    }
-}
 
 impl Messages for Unpacked {
     fn format(&self) -> &'static str {
@@ -92,11 +102,8 @@ impl Messages for Unpacked {
         skipped: &mut Skipped,
     ) -> Result<Option<(Kind, Serialisation)>> {
         let next = self.0.next(message, topics, skipped)?;
-        if matches!(next, Some((_, Serialisation::Cdr))) && message.starts_with(&ZSTD_MAGIC) {
-            Self::unpack(message).map_err(|what| {
-                let what = format!("a message cannot be decompressed ({what}): it is damaged");
-                self.0.error(0, &what)
-            })?;
+        if matches!(next, Some((_, Serialisation::Cdr))) {
+            unpack(message).map_err(|what| self.0.error(0, &what))?;
         }
         Ok(next)
     }

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use event_types::stream::{Context, Result};
 use event_types::{Sensor, bail, ensure, error};
-use tempfile::TempPath;
+pub use tempfile::TempPath;
 
 use super::decoder::{Messages, RosReader};
 use super::fields::Serialisation;
@@ -96,14 +96,29 @@ struct Opened {
     _unpacked: Option<TempPath>,
 }
 
-/// Opens one file of a bag; a file that rosbag2 compressed as a whole (`.zstd`) is unpacked to a temporary file.
+/// Opens one file of a bag.
 fn open_file(path: &Path) -> Result<Opened> {
     let name = path.display().to_string();
+    let unpacked = unpacked(path)?;
+    let (content, called) = match &unpacked {
+        Some(unpacked) => (unpacked.to_path_buf(), path.with_extension("")),
+        None => (path.to_owned(), path.to_owned()),
+    };
+    Ok(Opened {
+        messages: open_plain(&content, &called, &name)?,
+        _unpacked: unpacked,
+    })
+}
+
+/// Unpacks a file that rosbag2 compressed as a whole (`.zstd`) to a temporary file, which is removed when the returned
+/// path is dropped; returns `None` for any other file.
+///
+/// # Errors
+/// The file cannot be read or is damaged, or the temporary file cannot be written.
+pub fn unpacked(path: &Path) -> Result<Option<TempPath>> {
+    let name = path.display().to_string();
     if path.extension().is_none_or(|extension| extension != "zstd") {
-        return Ok(Opened {
-            messages: open_plain(path, path, &name)?,
-            _unpacked: None,
-        });
+        return Ok(None);
     }
     let packed = File::open(path).with_context(|| format!("{name}: cannot be opened"))?;
     let mut unpacked =
@@ -113,11 +128,7 @@ fn open_file(path: &Path) -> Result<Opened> {
         .map_err(std::io::Error::other)
         .with_context(what)?;
     std::io::copy(&mut decoder, unpacked.as_file_mut()).with_context(what)?;
-    let unpacked = unpacked.into_temp_path();
-    Ok(Opened {
-        messages: open_plain(&unpacked, &path.with_extension(""), &name)?,
-        _unpacked: Some(unpacked),
-    })
+    Ok(Some(unpacked.into_temp_path()))
 }
 
 /// Opens the file at `path`, whose name in the bag is `called`.

@@ -12,7 +12,7 @@ use clap::Args;
 use eecvs::decode::FrameCounts;
 
 use super::frame_reader::{Account, FrameReader};
-use super::{Context, QosOptions};
+use super::{Context, LossOptions, QosOptions, refuse_losses};
 use crate::message::{Frame, Time};
 use crate::operator::{Decoded, Operators};
 use file::{Files, LogFile};
@@ -40,6 +40,9 @@ pub struct Log {
     idle_s: Option<u32>,
 
     #[command(flatten)]
+    losses: LossOptions,
+
+    #[command(flatten)]
     qos: QosOptions,
 }
 
@@ -51,7 +54,8 @@ impl Log {
     /// Writes the tables until a stop is requested, or until no frames arrive for the idle time.
     ///
     /// # Errors
-    /// No file is requested, a file exists or cannot be written, or the transport fails.
+    /// No file is requested, a file exists or cannot be written, the transport fails, or something was lost and the
+    /// options do not allow it.
     pub fn run(self, mut context: Context, operators: &Operators) -> Result<()> {
         ensure!(
             self.features.is_some() || self.coefficients.is_some(),
@@ -84,7 +88,7 @@ impl Log {
         for file in self.features.iter().chain(&coefficients) {
             context.say(&format!("{}: written", file.name()));
         }
-        Ok(())
+        refuse_losses(self.losses.allow_loss, &frames.account().losses())
     }
 }
 
@@ -100,14 +104,15 @@ struct Totals {
 impl Totals {
     fn line(&self, account: &Account, counts: &FrameCounts) -> String {
         format!(
-            "{} windows of {} events and {} coefficients in {} frames ({} lost, {} left out) of {} bytes; at the encoder \
-             {} late, {} filtered, {} dropped, {} thinned",
+            "{} windows of {} events and {} coefficients in {} frames ({} lost, {} left out, {} of another publisher) of \
+             {} bytes; at the encoder {} late, {} filtered, {} dropped, {} thinned",
             self.windows,
             self.events,
             self.coefficients,
             account.frames,
             account.sequence.lost,
             account.refused,
+            account.others,
             self.bytes,
             counts.events_late,
             counts.events_filtered,

@@ -10,6 +10,7 @@ use eecvs_nostd::{Event, Sensor};
 use eecvs_ros::message::{EventPacket, Message};
 use eecvs_ros::names::NodeName;
 use eecvs_ros::packet_reader::{PacketReader, look};
+use eecvs_ros::parameters::Parameters;
 use eecvs_ros::transport::Transport;
 use eecvs_ros::transport::dds::Dds;
 use eecvs_ros::transport::zenoh::{Links, Zenoh};
@@ -116,7 +117,7 @@ pub fn through_programs(
 ) -> Vec<Event> {
     let transport = network.join();
     let name = NodeName::new("/", "test").unwrap();
-    let mut node = transport.node(&name, &[]).unwrap();
+    let mut node = transport.node(&name, &Parameters::none()).unwrap();
     let kind = EventPacket::TYPE;
     let subscription = node.subscription("/event_camera/decoded/events", kind, QOS);
     let decode = network.start(program, true, &["decode", "--idle-s", "3"]);

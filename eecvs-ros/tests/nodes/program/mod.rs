@@ -67,7 +67,12 @@ impl Program {
     }
 
     /// Waits for its end; its output and errors, where it ended well and in time.
-    pub fn finish(mut self, most: Duration) -> (String, String) {
+    pub fn finish(self, most: Duration) -> (String, String) {
+        self.ends_with(0, most)
+    }
+
+    /// Waits for its end; its output and errors, where it ended with this status and in time.
+    pub fn ends_with(mut self, wanted: i32, most: Duration) -> (String, String) {
         let until = Instant::now() + most;
         let status: Option<ExitStatus> = loop {
             match self.child.try_wait().unwrap() {
@@ -92,8 +97,8 @@ impl Program {
             .read_to_string(errors)
             .unwrap();
         assert!(
-            status.is_some_and(|status| status.success()),
-            "{}: {status:?}\n{out}\n{errors}",
+            status.is_some_and(|status| status.code() == Some(wanted)),
+            "{}: {status:?}, not {wanted}\n{out}\n{errors}",
             self.name
         );
         let [out, errors] = texts;
