@@ -299,16 +299,10 @@ impl Sensor {
     pub(super) fn decide(&mut self, now_us: u64, is_end: bool) {
         for at in 0..self.runs.len() {
             let run = &self.runs[at];
-            if run.lane.is_some() {
+            if run.lane.is_some() || run.holder.is_some() {
                 continue;
             }
             let id = run.id;
-            if let Some(holder) = run.holder {
-                let holder = self.runs.iter().find(|run| run.id == holder);
-                let lane = holder.map_or(Some(0), |holder| holder.lane);
-                self.runs[at].lane = lane.or(is_end.then_some(0));
-                continue;
-            }
             let mut others = self.runs.iter().filter(|other| other.lane.is_some());
             let is_open = others.any(|other| {
                 self.lives.is_heard(other.id, now_us) && !self.lives.overlap(other.id, id)
@@ -321,6 +315,15 @@ impl Sensor {
                 runs.all(|other| !self.lives.overlap(other.id, id))
             };
             self.runs[at].lane = (0..=RUNS_MAX).find(is_free);
+        }
+        // What a store has of an earlier run is its sensor's.
+        for at in 0..self.runs.len() {
+            let run = &self.runs[at];
+            if let (None, Some(holder)) = (run.lane, run.holder) {
+                let holder = self.runs.iter().find(|run| run.id == holder);
+                let lane = holder.map_or(Some(0), |holder| holder.lane);
+                self.runs[at].lane = lane.or(is_end.then_some(0));
+            }
         }
     }
 
@@ -521,7 +524,7 @@ mod tests {
             up_us: 3600 * S,
         };
         let mut sensor = Sensor::default();
-        let mut say = |sensor: &mut Sensor, id: u64, began_us: u64, at_us: u64| {
+        let say = |sensor: &mut Sensor, id: u64, began_us: u64, at_us: u64| {
             sensor.hear(id, at_us - began_us, at_us);
             sensor.begin(id, 0, at_us - began_us, joined);
             sensor.decide(at_us, false);
@@ -538,8 +541,8 @@ mod tests {
         assert!(sensor.may_say_gone(9, 5, 113 * S));
         assert_eq!(sensor.report.at_once, 1);
         // Another one of this name, while that one goes on.
-        say(&mut sensor, 7, 120 * S, 120 * S);
         say(&mut sensor, 5, 111 * S, 120 * S);
+        say(&mut sensor, 7, 120 * S, 120 * S);
         assert_eq!(lanes(&sensor)[2], (7, None));
         say(&mut sensor, 5, 111 * S, 121 * S + 1);
         say(&mut sensor, 7, 120 * S, 121 * S + 2);
@@ -547,6 +550,8 @@ mod tests {
         assert_eq!(sensor.report.at_once, 2);
         assert!(!sensor.may_say_gone(5, 7, 200 * S));
         // The other one is started again: it follows itself.
+        say(&mut sensor, 5, 111 * S, 129 * S);
+        say(&mut sensor, 7, 120 * S, 129 * S);
         say(&mut sensor, 8, 130 * S, 130 * S);
         for at_us in [131 * S, 132 * S, 133 * S] {
             say(&mut sensor, 5, 111 * S, at_us);
