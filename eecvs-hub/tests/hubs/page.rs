@@ -212,7 +212,7 @@ impl Feeder {
                         let other = Status {
                             run: RUN + 1,
                             up_us: 8_000_000_000 + 20_000 * step,
-                            ..Status::default()
+                            ..cast.status(0)
                         };
                         board.status(&name(cast.name), other);
                     }
