@@ -9,8 +9,8 @@
 //! ```
 //!
 //! A certificate's common name is `hub:NAME`, `sensor:NAME` or `receiver:NAME`. A sensor may publish only under its
-//! own name. A receiver may receive from the listed names, and request their frames again. Hubs are permitted
-//! everything. A valid certificate whose name is not listed is permitted nothing.
+//! own name. A receiver may receive from the listed names, request their frames again, and ask for their clocks. Hubs
+//! are permitted everything. A valid certificate whose name is not listed is permitted nothing.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -172,6 +172,7 @@ impl Access {
         }
         for name in &self.sensors {
             let key = |kind| vec![name.key(kind)];
+            let asked = vec![name.key(Kind::Again), name.key(Kind::Clock)];
             rules.allow(
                 &Role::Sensor(name.clone()),
                 [
@@ -180,11 +181,11 @@ impl Access {
                         IN,
                         vec![name.key(Kind::Frames), name.key(Kind::Status)],
                     ),
-                    (&["declare_queryable", "reply"], IN, key(Kind::Again)),
+                    (&["declare_queryable", "reply"], IN, asked.clone()),
                     (&["liveliness_token"], IN, key(Kind::Alive)),
                     (&["declare_subscriber"], IN, key(Kind::Budget)),
                     (&["put"], OUT, key(Kind::Budget)),
-                    (&["query"], OUT, key(Kind::Again)),
+                    (&["query"], OUT, asked),
                     // Publishers are notified of subscribers, by key expressions that may match many sensors.
                     (&["declare_subscriber"], OUT, vec!["**".to_owned()]),
                 ],
@@ -199,11 +200,12 @@ impl Access {
                     .collect()
             };
             let heard = [Kind::Frames, Kind::Status];
+            let asked = [Kind::Again, Kind::Clock];
             rules.allow(
                 &Role::Receiver(name.clone()),
                 [
                     (&["declare_subscriber"], IN, keys(&heard)),
-                    (&["query"], IN, keys(&[Kind::Again])),
+                    (&["query"], IN, keys(&asked)),
                     (
                         &["liveliness_query", "declare_liveliness_subscriber"],
                         IN,
@@ -211,7 +213,7 @@ impl Access {
                     ),
                     (&["liveliness_token"], IN, vec![format!("{RECEIVERS}/**")]),
                     (&["put"], OUT, keys(&heard)),
-                    (&["reply", "declare_queryable"], OUT, keys(&[Kind::Again])),
+                    (&["reply", "declare_queryable"], OUT, keys(&asked)),
                     (&["liveliness_token"], OUT, keys(&[Kind::Alive])),
                 ],
             );

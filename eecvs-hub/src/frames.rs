@@ -10,14 +10,14 @@ use crate::uplink::Uplink;
 /// A writer that takes one frame of docs/wire-format.md per write and passes it to an [`Uplink`].
 pub struct FrameSink<'u> {
     uplink: &'u Uplink,
-    /// Converts the sensor's time to the time at which it was due.
+    /// Converts the sensor's time to the time at which it was due, by the run's clock.
     end_us: &'u dyn Fn(u64) -> u64,
     failed: Option<anyhow::Error>,
 }
 
 impl<'u> FrameSink<'u> {
-    /// Creates a sink; `end_us` converts the sensor's time to the time at which it was due, in microseconds since
-    /// 1970.
+    /// Creates a sink; `end_us` converts the sensor's time to the time at which it was due, by the run's clock: in
+    /// microseconds since 1970.
     pub fn new(uplink: &'u Uplink, end_us: &'u dyn Fn(u64) -> u64) -> Self {
         Self {
             uplink,

@@ -1,6 +1,6 @@
 //! A hub: a router that observes its sensors and limits their rates.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::net::TcpListener;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -16,7 +16,7 @@ use zenoh::{Session, Wait};
 use crate::access::{Access, RECEIVERS};
 use crate::board::{Board, HubFigures, page};
 use crate::key::{Kind, Name, name_of};
-use crate::link::{Links, Router, said};
+use crate::link::{Links, Router, ask_clock, said};
 use crate::message::{Budget, Message, Stamp, Status};
 
 /// Options of a hub.
@@ -38,6 +38,9 @@ pub struct Options {
 /// Interval at which sensors are sent their budgets.
 const TELL: Duration = Duration::from_secs(1);
 
+/// A run that was heard within this time is live: a sensor sends its status twice a second.
+const LIVE: Duration = Duration::from_secs(2);
+
 /// Longest sleep before the stop request is checked again.
 const LOOK: Duration = Duration::from_millis(50);
 
@@ -58,14 +61,38 @@ struct Shared {
     receivers: Mutex<std::collections::HashSet<String>>,
 }
 
-/// The recent rate of a sensor.
-#[derive(Debug, Clone, Copy)]
+/// The recent rates of the runs of a name: of one sensor, unless the name was given to several.
+#[derive(Debug, Default)]
 struct Demand {
+    runs: BTreeMap<u64, Made>,
+    /// The budget that each was last sent.
+    told: Option<u32>,
+}
+
+/// What a run has made.
+#[derive(Debug, Clone, Copy)]
+struct Made {
     bytes: u64,
     at: Instant,
     bytes_per_s: f64,
-    /// The budget that it was last sent.
-    told: Option<u32>,
+}
+
+impl Demand {
+    fn bytes_per_s(&self) -> f64 {
+        self.runs.values().map(|made| made.bytes_per_s).sum()
+    }
+
+    /// Returns how many sensors share what the name is allowed: 1, unless the name was given to several.
+    fn sharing(&self) -> u32 {
+        let live = self.runs.values().filter(|made| made.at.elapsed() < LIVE);
+        (live.count() as u32).max(1)
+    }
+
+    /// Forgets runs that have ended; returns whether any is left.
+    fn tidy(&mut self, kept: Duration) -> bool {
+        self.runs.retain(|_, made| made.at.elapsed() < kept);
+        !self.runs.is_empty()
+    }
 }
 
 impl Hub {
@@ -234,22 +261,31 @@ const RECEIVERS_MAX: usize = 10_000;
 /// Maximum number of sensors that are sent budgets.
 const SENSORS_MAX: usize = 10_000;
 
+/// Maximum number of runs of a name whose rates are known at once.
+const RUNS_MAX: usize = 16;
+
 impl Shared {
     fn status(&self, name: &Name, status: Status) {
         let now = Instant::now();
         let mut sensors = self.sensors.lock().unwrap_or_else(PoisonError::into_inner);
         let is_known = sensors.contains_key(name);
         if is_known || sensors.len() < SENSORS_MAX {
-            let demand = sensors.entry(name.clone()).or_insert(Demand {
-                bytes: status.bytes,
-                at: now,
-                bytes_per_s: 0.0,
-                told: None,
-            });
-            let since_s = now.saturating_duration_since(demand.at).as_secs_f64();
-            if since_s >= 0.25 {
-                let made = status.bytes.saturating_sub(demand.bytes) as f64 / since_s;
-                (demand.bytes, demand.at, demand.bytes_per_s) = (status.bytes, now, made);
+            let demand = sensors.entry(name.clone()).or_default();
+            if demand.runs.len() < RUNS_MAX || demand.runs.contains_key(&status.run) {
+                let made = demand.runs.entry(status.run).or_insert(Made {
+                    bytes: status.bytes,
+                    at: now,
+                    bytes_per_s: 0.0,
+                });
+                let since_s = now.saturating_duration_since(made.at).as_secs_f64();
+                if since_s >= 0.25 {
+                    let bytes = status.bytes.saturating_sub(made.bytes);
+                    *made = Made {
+                        bytes: status.bytes,
+                        at: now,
+                        bytes_per_s: bytes as f64 / since_s,
+                    };
+                }
             }
         }
         drop(sensors);
@@ -274,11 +310,12 @@ impl Shared {
                 routers: router.routers(),
                 receivers,
             });
+            self.ask_clocks(router.session());
             if self.options.budgets.is_empty() && self.options.total.is_none() {
                 continue;
             }
             let mut sensors = self.sensors.lock().unwrap_or_else(PoisonError::into_inner);
-            sensors.retain(|_, demand| demand.at.elapsed() < 10 * TELL);
+            sensors.retain(|_, demand| demand.tidy(10 * TELL));
             let own: Vec<Option<u32>> = sensors.keys().map(|name| self.own(name)).collect();
             let demands: Vec<Wanted> = sensors
                 .values()
@@ -291,6 +328,8 @@ impl Shared {
             };
             let mut budgets = Vec::new();
             for ((name, demand), share) in sensors.iter_mut().zip(shares) {
+                // Sensors of one name hear the same budget.
+                let share = share.map(|share| (share / demand.sharing()).max(1));
                 demand.told = share;
                 budgets.push((name.key(Kind::Budget), share));
             }
@@ -300,6 +339,17 @@ impl Shared {
                 // A message that gets lost is followed by another.
                 let _ = router.session().put(key, budget.to_bytes()).wait();
             }
+        }
+    }
+
+    /// Asks sensors for their clocks, so that latencies can be measured.
+    fn ask_clocks(&self, session: &Session) {
+        for name in self.board.clocks_due() {
+            let (board, own) = (Arc::clone(&self.board), name.clone());
+            // A question that cannot be sent now is sent later.
+            let _ = ask_clock(session, &name, board.clock(), move |trip| {
+                board.trip(&own, trip);
+            });
         }
     }
 
@@ -327,13 +377,14 @@ struct Wanted {
 impl Wanted {
     /// A sensor near its budget is assumed to want any amount more, since it is held back.
     fn of(demand: &Demand, most: Option<u32>) -> Self {
+        let bytes_per_s = demand.bytes_per_s();
         let is_held = demand
             .told
-            .is_some_and(|told| demand.bytes_per_s > f64::from(told) * 0.75);
+            .is_some_and(|told| bytes_per_s > f64::from(told) * f64::from(demand.sharing()) * 0.75);
         let more = if is_held {
             f64::INFINITY
         } else {
-            demand.bytes_per_s * 1.5 + 16_384.0
+            bytes_per_s * 1.5 + 16_384.0
         };
         Self {
             bytes_per_s: more.min(most.map_or(f64::INFINITY, f64::from)),

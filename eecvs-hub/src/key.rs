@@ -4,6 +4,7 @@
 //! eecvs/NAME/frames     the sensor's frames of docs/wire-format.md, each with a [`crate::message::Stamp`]
 //! eecvs/NAME/status     its report on itself, twice a second: [`crate::message::Status`]
 //! eecvs/NAME/again      queried to have frames sent again: [`crate::message::Wish`]
+//! eecvs/NAME/clock      queried for what its clock shows: [`crate::message::Time`]
 //! eecvs/NAME/budget     a hub's limit on its rate: [`crate::message::Budget`]
 //! eecvs/NAME/alive      a token that exists while the sensor is connected
 //! ```
@@ -92,6 +93,8 @@ pub enum Kind {
     Status,
     /// Frames that are sent again on request.
     Again,
+    /// What the sensor's clock shows, on request.
+    Clock,
     /// A hub's limits on the sensor's rate.
     Budget,
     /// Token that exists while the sensor is connected.
@@ -106,6 +109,7 @@ impl Kind {
             Self::Frames => "frames",
             Self::Status => "status",
             Self::Again => "again",
+            Self::Clock => "clock",
             Self::Budget => "budget",
             Self::Alive => "alive",
         }
@@ -158,6 +162,7 @@ mod tests {
                 Kind::Frames,
                 Kind::Status,
                 Kind::Again,
+                Kind::Clock,
                 Kind::Budget,
                 Kind::Alive,
             ] {

@@ -34,7 +34,8 @@ impl Default for Latencies {
 }
 
 impl Latencies {
-    /// Adds a delay in microseconds. A negative delay, from clocks that differ, counts as 0, except in the maximum.
+    /// Adds a delay in microseconds. A negative delay, from an offset between clocks that is not known exactly,
+    /// counts as 0, except in the maximum.
     pub fn add(&mut self, delay_us: i64) {
         let place = place(delay_us.max(0) as u64);
         if place >= self.counts.len() {
@@ -78,17 +79,14 @@ impl Latencies {
         0.0
     }
 
-    /// Returns the median, 99th percentile and maximum.
+    /// Returns the median, 99th percentile and maximum; `None` if there are no delays.
     #[must_use]
-    pub fn quantiles(&self) -> Quantiles {
-        if self.count == 0 {
-            return Quantiles::default();
-        }
-        Quantiles {
+    pub fn quantiles(&self) -> Option<Quantiles> {
+        (self.count > 0).then(|| Quantiles {
             p50_ms: self.quantile_us(0.5) * 1e-3,
             p99_ms: self.quantile_us(0.99) * 1e-3,
             max_ms: self.max_us as f64 * 1e-3,
-        }
+        })
     }
 }
 
@@ -135,18 +133,18 @@ mod tests {
                 let found = latencies.quantile_us(part);
                 prop_assert!((found - exact).abs() <= exact / 16.0, "{} {}", found, exact);
             }
-            let all = latencies.quantiles();
+            let all = latencies.quantiles().unwrap();
             prop_assert_eq!(all.max_ms, delays[delays.len() - 1] as f64 * 1e-3);
             prop_assert_eq!(latencies.count(), delays.len() as u64);
         }
     }
 
     #[test]
-    fn clocks_may_differ() {
+    fn a_delay_may_seem_negative() {
         let mut latencies = Latencies::default();
-        assert_eq!(latencies.quantiles(), Quantiles::default());
+        assert_eq!(latencies.quantiles(), None);
         latencies.add(-5000);
-        assert_eq!(latencies.quantiles().max_ms, -5.0);
+        assert_eq!(latencies.quantiles().unwrap().max_ms, -5.0);
         latencies.add(i64::MAX);
         assert_eq!(latencies.count(), 2);
     }

@@ -7,6 +7,7 @@
 //! * A sensor waits when its link takes no more, so that it notices and lowers its rate. A hub drops what a
 //!   receiver does not take at once, so that one hanging receiver does not hold up the others. Receivers request
 //!   dropped frames again.
+//! * Hubs put no times of their own on messages: nothing depends on the clocks of different computers.
 //! * A link that is silent for 4 s has failed, and a failed link is tried again within a second.
 
 use std::fmt::Display;
@@ -18,9 +19,14 @@ use std::thread;
 use std::time::Duration;
 
 use anyhow::{Context as _, Result, anyhow, ensure};
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::{Config, Session, Wait};
 
 use crate::access::Access;
+use crate::clock::{Clock, RoundTrip};
+use crate::key::{Kind, Name};
+use crate::message::{Message as _, Time};
 
 /// Default endpoint of a hub.
 pub const HUB: &str = "tcp/127.0.0.1:7447";
@@ -67,6 +73,7 @@ const CLIENT_SETTINGS: &[(&str, &str)] = &[(
 
 /// Settings of hubs.
 const HUB_SETTINGS: &[(&str, &str)] = &[
+    ("timestamping/enabled", "false"),
     ("transport/unicast/max_sessions", "10000"),
     // Maximum number of concurrent handshakes, whose peers have not been authenticated yet.
     ("transport/unicast/accept_pending", "1000"),
@@ -182,6 +189,43 @@ impl Router {
     pub fn routers(&self) -> usize {
         self.session.info().routers_zid().wait().count()
     }
+}
+
+/// How long an answer to a question for a clock is accepted: a slower one says little.
+const CLOCK: Duration = Duration::from_secs(5);
+
+/// Asks the sensors of a name what their clocks show; `answered` is called with each answer.
+pub(crate) fn ask_clock(
+    session: &Session,
+    name: &Name,
+    clock: Clock,
+    answered: impl Fn(RoundTrip) + Send + Sync + 'static,
+) -> Result<()> {
+    let key = name.key(Kind::Clock);
+    let asked_us = clock.now_us();
+    let asked = session
+        .get(key.as_str())
+        .target(QueryTarget::All)
+        .consolidation(ConsolidationMode::None)
+        // Question and answer overtake frames, so that the round trip is short.
+        .congestion_control(CongestionControl::Drop)
+        .priority(Priority::InteractiveHigh)
+        .timeout(CLOCK)
+        .callback(move |reply| {
+            let answered_us = clock.now_us();
+            let sample = reply.result().ok();
+            let time = sample.and_then(|sample| Time::from_bytes(&sample.payload().to_bytes()));
+            if let Some(time) = time {
+                answered(RoundTrip {
+                    run: time.run,
+                    asked_us,
+                    shown_us: time.now_us,
+                    answered_us,
+                });
+            }
+        })
+        .wait();
+    asked.map_err(said(key))
 }
 
 /// A client's session, which is opened in the background: there is none until a hub answers.

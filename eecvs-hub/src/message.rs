@@ -9,12 +9,12 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 /// Version of these messages.
-const VERSION: u8 = 1;
+const VERSION: u8 = 2;
 
 /// Maximum number of ranges of frame numbers in one [`Wish`].
 pub const RANGES_MAX: usize = 64;
 
-/// Maximum number of ranges in [`Status::held`].
+/// Maximum number of runs in [`Status::held`].
 pub const HELD_MAX: usize = 16;
 
 /// A message with a versioned encoding.
@@ -34,7 +34,7 @@ pub trait Message: Serialize + DeserializeOwned {
     }
 }
 
-/// Returns the time by this computer's clock, in microseconds since 1970.
+/// Returns the time by this computer's clock, which may be set at any moment, in microseconds since 1970.
 #[must_use]
 pub fn now_us() -> u64 {
     let now = SystemTime::now().duration_since(UNIX_EPOCH);
@@ -44,12 +44,16 @@ pub fn now_us() -> u64 {
 /// Identification of a frame, attached to every frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Stamp {
-    /// Start time of the sensor's process, which identifies the run: microseconds since 1970.
+    /// Identifies the run, which is one start of the sensor's process: when it started by the clock of the sensor's
+    /// computer, in microseconds since 1970, or a later time if the sensor's store has frames of that run or a later
+    /// one. That clock may be wrong, so a run's number says nothing of its age.
     pub run: u64,
     /// Number of the frame in the run, from 0.
     pub number: u64,
-    /// End of the frame's window, by the clock of the sensor's computer: microseconds since 1970.
+    /// End of the frame's window, by the run's [`crate::clock::Clock`]: microseconds since 1970.
     pub end_us: u64,
+    /// Time from the run's start to when the frame was sent, in microseconds; 0 if it was sent again.
+    pub up_us: u64,
 }
 
 impl Message for Stamp {}
@@ -81,11 +85,24 @@ impl Message for Wish {}
 pub struct Answer {
     /// The run, as in [`Stamp`].
     pub run: u64,
-    /// Requested numbers that the sensor no longer holds.
+    /// The run of the sensor that answers: a later one than `run`, if the sensor was started again.
+    pub by: u64,
+    /// Requested numbers that the sensor does not hold.
     pub gone: Vec<Range>,
 }
 
 impl Message for Answer {}
+
+/// Reply to a question for a sensor's clock.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Time {
+    /// The run, as in [`Stamp`].
+    pub run: u64,
+    /// What the run's clock shows: microseconds since 1970.
+    pub now_us: u64,
+}
+
+impl Message for Time {}
 
 /// A hub's limit on a sensor's rate.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -130,10 +147,22 @@ pub struct Stored {
     pub disk_failures: u64,
 }
 
+/// Frames of an earlier run that a sensor's store holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Held {
+    /// The run, as in [`Stamp`].
+    pub run: u64,
+    /// Numbers of the frames, from the first to the last that is held.
+    pub range: Range,
+    /// How long ago the run began, by the clock of the sensor's computer, in microseconds; `None` if that clock was
+    /// set back since, and cannot tell.
+    pub ago_us: Option<u64>,
+}
+
 /// A sensor's report on itself.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Status {
-    /// Start of the run, as in [`Stamp`].
+    /// The run, as in [`Stamp`].
     pub run: u64,
     /// Number of the next frame: all frames below it exist.
     pub next: u64,
@@ -141,8 +170,8 @@ pub struct Status {
     pub width: u16,
     /// Rows of the sensor.
     pub height: u16,
-    /// Time of this report, by the clock of the sensor's computer: microseconds since 1970.
-    pub now_us: u64,
+    /// Time from the run's start to this report, in microseconds.
+    pub up_us: u64,
     /// Counts of the sensor's events.
     pub events: Events,
     /// Bytes of all frames made.
@@ -161,8 +190,8 @@ pub struct Status {
     pub again: u64,
     /// State of the sensor's store.
     pub stored: Stored,
-    /// What the store holds of earlier runs: run and numbers, in at most [`HELD_MAX`] ranges.
-    pub held: Vec<(u64, Range)>,
+    /// What the store holds of earlier runs, the newest [`HELD_MAX`] of them.
+    pub held: Vec<Held>,
 }
 
 impl Message for Status {}
@@ -179,6 +208,7 @@ mod tests {
             run: 1 << 51,
             number: 7,
             end_us: (1 << 51) + 9,
+            up_us: 8,
         };
         assert_eq!(Stamp::from_bytes(&stamp.to_bytes()), Some(stamp));
         let status = Status {
@@ -186,12 +216,16 @@ mod tests {
             width: 640,
             windows: [1, 2, 3],
             budget: Some(1_000_000),
-            held: vec![(2, Range { from: 4, to: 9 })],
+            held: vec![Held {
+                run: 2,
+                range: Range { from: 4, to: 9 },
+                ago_us: Some(1),
+            }],
             ..Status::default()
         };
         assert_eq!(Status::from_bytes(&status.to_bytes()), Some(status));
         let mut other = stamp.to_bytes();
-        other[0] = 2;
+        other[0] = 1;
         assert_eq!(Stamp::from_bytes(&other), None);
         assert_eq!(Stamp::from_bytes(&[]), None);
     }
@@ -202,7 +236,7 @@ mod tests {
             let mut bytes = bytes;
             bytes.insert(0, VERSION);
             let _ = (Stamp::from_bytes(&bytes), Wish::from_bytes(&bytes), Answer::from_bytes(&bytes));
-            let _ = (Budget::from_bytes(&bytes), Status::from_bytes(&bytes));
+            let _ = (Budget::from_bytes(&bytes), Status::from_bytes(&bytes), Time::from_bytes(&bytes));
         }
     }
 }

@@ -21,6 +21,7 @@ pub struct Numbers {
     received: u64,
     needless: u64,
     lost: u64,
+    passed: u64,
 }
 
 impl Numbers {
@@ -35,6 +36,7 @@ impl Numbers {
             received: 0,
             needless: 0,
             lost: 0,
+            passed: 0,
         }
     }
 
@@ -106,7 +108,25 @@ impl Numbers {
 
     /// Gives up the missing numbers in a range; returns how many there were.
     pub fn give_up(&mut self, range: Range) -> u64 {
-        let mut lost = 0;
+        let lost = self.remove(range);
+        self.lost = self.lost.saturating_add(lost);
+        lost
+    }
+
+    /// Passes over the missing numbers in a range, which are no longer wanted and not lost; returns how many there
+    /// were.
+    pub fn pass(&mut self, range: Range) -> u64 {
+        let passed = self.remove(range);
+        self.passed = self.passed.saturating_add(passed);
+        passed
+    }
+
+    /// Removes the numbers in a range from the missing ones; returns how many there were.
+    fn remove(&mut self, range: Range) -> u64 {
+        let mut removed = 0;
+        if range.from >= range.to {
+            return 0;
+        }
         let start = self.missing.range(..=range.from).next_back();
         let start = start.map_or(range.from, |(&from, _)| from);
         let touched: Vec<(u64, u64)> = self
@@ -123,11 +143,10 @@ impl Numbers {
             if to > range.to {
                 self.missing.insert(range.to, to);
             }
-            lost += to.min(range.to) - from.max(range.from);
+            removed += to.min(range.to) - from.max(range.from);
         }
-        self.missing_count -= lost;
-        self.lost = self.lost.saturating_add(lost);
-        lost
+        self.missing_count -= removed;
+        removed
     }
 
     /// Returns the number below which all frames have arrived or are lost.
@@ -178,6 +197,12 @@ impl Numbers {
     pub const fn lost(&self) -> u64 {
         self.lost
     }
+
+    /// Returns how many frames were passed over.
+    #[must_use]
+    pub const fn passed(&self) -> u64 {
+        self.passed
+    }
 }
 
 #[cfg(test)]
@@ -200,6 +225,7 @@ mod tests {
         assert_eq!(numbers.gaps(1), gaps[..1]);
         assert_eq!(numbers.give_up(Range { from: 0, to: 7 }), 1);
         assert_eq!((numbers.lost(), numbers.settled()), (1, 8));
+        assert_eq!(numbers.give_up(Range { from: 9, to: 7 }), 0);
         assert!(numbers.take(8) && !numbers.take(6));
         assert_eq!(
             (numbers.settled(), numbers.received(), numbers.needless()),
@@ -242,6 +268,7 @@ mod tests {
         Take(u64),
         Until(u64),
         GiveUp(u64, u64),
+        Pass(u64, u64),
     }
 
     fn step() -> impl Strategy<Value = Step> {
@@ -249,6 +276,7 @@ mod tests {
             4 => (0_u64..60).prop_map(Step::Take),
             1 => (0_u64..60).prop_map(Step::Until),
             1 => (0_u64..60, 0_u64..9).prop_map(|(from, more)| Step::GiveUp(from, from + more)),
+            1 => (0_u64..60, 0_u64..9).prop_map(|(from, more)| Step::Pass(from, from + more)),
         ]
     }
 
@@ -258,6 +286,7 @@ mod tests {
         fn numbers_are_accounted_for(first in 0_u64..20, steps in prop::collection::vec(step(), 0..80)) {
             let mut numbers = Numbers::from(first);
             let (mut missing, mut come, mut lost) = (BTreeSet::new(), BTreeSet::new(), BTreeSet::new());
+            let mut passed = BTreeSet::new();
             let mut next = first;
             for step in steps {
                 match step {
@@ -279,6 +308,11 @@ mod tests {
                         prop_assert_eq!(numbers.give_up(Range { from, to }), given.len() as u64);
                         for number in given { missing.remove(&number); lost.insert(number); }
                     }
+                    Step::Pass(from, to) => {
+                        let given: Vec<u64> = missing.range(from..to).copied().collect();
+                        prop_assert_eq!(numbers.pass(Range { from, to }), given.len() as u64);
+                        for number in given { missing.remove(&number); passed.insert(number); }
+                    }
                 }
                 let gaps: BTreeSet<u64> = numbers.gaps(usize::MAX).iter()
                     .flat_map(|range| range.from..range.to).collect();
@@ -288,7 +322,9 @@ mod tests {
                 prop_assert_eq!(numbers.lost(), lost.len() as u64);
                 prop_assert_eq!(numbers.settled(), missing.first().copied().unwrap_or(next));
                 prop_assert_eq!(numbers.next(), next);
-                prop_assert_eq!(numbers.received() + numbers.missing() + numbers.lost(), next - first);
+                prop_assert_eq!(numbers.passed(), passed.len() as u64);
+                let known = numbers.received() + numbers.missing() + numbers.lost() + numbers.passed();
+                prop_assert_eq!(known, next - first);
             }
         }
     }

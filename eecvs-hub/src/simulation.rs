@@ -30,12 +30,12 @@ use usb_bridge::usage::Usage;
 
 use crate::access::{Access, Role};
 use crate::certificate::Authority;
+use crate::clock::Clock;
 use crate::downlink::{self, Delivered, Downlink};
 use crate::hub::{self, Hub};
 use crate::key::Name;
 use crate::latency::Latencies;
 use crate::link::Links;
-use crate::message::now_us;
 use crate::uplink::{self, Uplink};
 
 /// Parameters of a simulation.
@@ -94,12 +94,13 @@ pub struct Outcome {
     pub outages: u64,
     /// How long after the end the last frame arrived.
     pub late_s: f64,
-    /// Median time from when a frame was due to its arrival, in milliseconds, for frames that were not sent again.
-    pub delay_p50_ms: f64,
+    /// Median time from when a frame was due to its arrival, in milliseconds, for frames that were not sent again;
+    /// `None` if nothing was measured.
+    pub delay_p50_ms: Option<f64>,
     /// 99th percentile of the same.
-    pub delay_p99_ms: f64,
+    pub delay_p99_ms: Option<f64>,
     /// Maximum of the same.
-    pub delay_max_ms: f64,
+    pub delay_max_ms: Option<f64>,
     /// Processor seconds per second, of all parts together, while the sensors sent.
     pub cores: f64,
     /// Peak of the resident memory.
@@ -247,7 +248,11 @@ pub fn simulate(
         outcome.delay_p50_ms,
         outcome.delay_p99_ms,
         outcome.delay_max_ms,
-    ) = (delays.p50_ms, delays.p99_ms, delays.max_ms);
+    ) = (
+        delays.map(|delays| delays.p50_ms),
+        delays.map(|delays| delays.p99_ms),
+        delays.map(|delays| delays.max_ms),
+    );
     outcome.memory_peak_bytes = Usage::now().memory_peak_bytes.unwrap_or(0);
     // All at once, since closing a session takes a moment.
     thread::scope(|scope| {
@@ -270,7 +275,6 @@ fn play(
     let window = Duration::from_micros(options.window_us.into());
     let usage = Usage::now();
     let started = Instant::now();
-    let origin_us = now_us();
     // When each sensor's next frame is due, staggered evenly over a window.
     let mut due: BinaryHeap<Reverse<(Duration, usize, u64)>> = (0..uplinks.len())
         .map(|number| Reverse((window * number as u32 / uplinks.len() as u32, number, 0)))
@@ -285,7 +289,10 @@ fn play(
         }
         let part = &parts[&fleet.names[sensor]];
         let (frame, events) = &part.frames[(part.start + number as usize) % part.frames.len()];
-        uplinks[sensor].send(frame, origin_us + at.as_micros() as u64)?;
+        // The frame is due as long ago as the loop is late.
+        let late_us = started.elapsed().saturating_sub(at).as_micros() as u64;
+        let uplink = &uplinks[sensor];
+        uplink.send(frame, uplink.clock().now_us().saturating_sub(late_us))?;
         outcome.frames += 1;
         outcome.events += u64::from(*events);
         outcome.bytes += frame.len() as u64;
@@ -462,6 +469,7 @@ impl Fleet {
             memory_bytes: 4 << 20,
             disk: None,
             bytes_per_second: None,
+            clock: Clock::start(),
         };
         let role = format!("sensor-{}", name.as_str().replace('/', "."));
         Uplink::start(&options, &self.links(hub, &role)).context("a sensor")

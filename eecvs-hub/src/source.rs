@@ -11,7 +11,7 @@ use event_files::{BATCH_EVENTS, EventReader, Pause, Skipped};
 use usb_bridge::peripheral::stream::Pace;
 use usb_bridge::stop::Stop;
 
-use crate::message::now_us;
+use crate::clock::Clock;
 
 /// Longest wait for the next event before a read returns none.
 const WAIT: Duration = Duration::from_millis(2);
@@ -19,19 +19,20 @@ const WAIT: Duration = Duration::from_millis(2);
 /// Maximum number of events in a repeated recording, which is held in memory.
 pub const REPEATED_MAX: usize = 1 << 26;
 
-/// Converts the sensor's time to the time at which its events were due, by this computer's clock.
-#[derive(Debug, Default)]
-pub struct Clock {
-    /// The computer's time (microseconds since 1970) at the sensor's time 0, plus 1; 0 if the two do not run at the
+/// Converts the time of a sensor's events to the time at which they were due, by the clock of its run.
+#[derive(Debug)]
+pub struct Due {
+    clock: Clock,
+    /// What the clock shows (microseconds since 1970) at the events' time 0, plus 1; 0 if the two do not run at the
     /// same pace.
     origin_us: AtomicU64,
-    /// The computer's time of the latest read.
+    /// What the clock showed at the latest read.
     read_us: AtomicU64,
 }
 
-impl Clock {
-    /// Returns when a time of the sensor was due, in microseconds since 1970; if the sensor's time does not run at
-    /// the computer's pace, the time of the latest read.
+impl Due {
+    /// Returns when a time of the events was due, in microseconds since 1970; if the events' time does not run at
+    /// the clock's pace, the time of the latest read.
     #[must_use]
     pub fn at(&self, t_us: u64) -> u64 {
         match self.origin_us.load(Ordering::Relaxed) {
@@ -46,7 +47,7 @@ pub struct Live {
     events: From,
     pace: Pace,
     stop: Stop,
-    clock: Arc<Clock>,
+    due: Arc<Due>,
     sensor: Sensor,
     skipped: Skipped,
     format: &'static str,
@@ -74,7 +75,8 @@ enum From {
 }
 
 impl Live {
-    /// Plays the events of a reader at a pace. With `repeat`, starts again at the end, with times that continue.
+    /// Plays the events of a reader at a pace, by a clock. With `repeat`, starts again at the end, with times that
+    /// continue.
     ///
     /// # Errors
     /// The recording cannot be read, or it is to be repeated and has no events or too many.
@@ -82,6 +84,7 @@ impl Live {
         mut reader: Box<dyn EventReader>,
         pace: Pace,
         repeat: bool,
+        clock: Clock,
         stop: Stop,
     ) -> Result<Self> {
         let (sensor, format) = (reader.sensor(), reader.format());
@@ -113,7 +116,11 @@ impl Live {
             events,
             pace,
             stop,
-            clock: Arc::default(),
+            due: Arc::new(Due {
+                clock,
+                origin_us: AtomicU64::new(0),
+                read_us: AtomicU64::new(0),
+            }),
             sensor,
             skipped: Skipped::default(),
             format,
@@ -126,10 +133,10 @@ impl Live {
         })
     }
 
-    /// Returns the clock by which the events are due.
+    /// Returns when the events are due.
     #[must_use]
-    pub fn clock(&self) -> Arc<Clock> {
-        Arc::clone(&self.clock)
+    pub fn due_times(&self) -> Arc<Due> {
+        Arc::clone(&self.due)
     }
 
     /// Reads the next events if none are waiting.
@@ -179,10 +186,15 @@ impl Live {
         let (at, first_us) = match self.start {
             Some(start) => start,
             None => {
-                // Take the computer's time first, so that no event is returned before its due time by the clock.
-                let origin_us = now_us().wrapping_sub(first.t_us).wrapping_add(1);
+                // Take the clock's time first, so that no event is returned before its due time by the clock.
+                let origin_us = self
+                    .due
+                    .clock
+                    .now_us()
+                    .wrapping_sub(first.t_us)
+                    .wrapping_add(1);
                 if self.pace == Pace::Recorded(1.0) {
-                    self.clock.origin_us.store(origin_us, Ordering::Relaxed);
+                    self.due.origin_us.store(origin_us, Ordering::Relaxed);
                 }
                 *self.start.insert((Instant::now(), first.t_us))
             }
@@ -234,7 +246,9 @@ impl EventReader for Live {
             thread::sleep(left.min(WAIT).max(Duration::from_micros(100)));
             (due, _) = self.due(Instant::now());
         }
-        self.clock.read_us.store(now_us(), Ordering::Relaxed);
+        self.due
+            .read_us
+            .store(self.due.clock.now_us(), Ordering::Relaxed);
         let now = self
             .waiting
             .get(self.used..self.used + due)
@@ -285,8 +299,11 @@ mod tests {
     #[test]
     fn events_come_when_they_are_due() {
         let want = all(scene().as_mut());
-        let mut live = Live::new(scene(), Pace::Recorded(1.0), false, Stop::default()).unwrap();
-        let clock = live.clock();
+        // An hour behind this computer's clock.
+        let clock = Clock::start_ahead(-3_600_000_000);
+        let pace = Pace::Recorded(1.0);
+        let mut live = Live::new(scene(), pace, false, clock, Stop::default()).unwrap();
+        let due = live.due_times();
         let started = Instant::now();
         let mut events = Vec::new();
         let first_us = want[0].t_us;
@@ -296,7 +313,8 @@ mod tests {
             let passed_us = started.elapsed().as_micros() as u64;
             for event in &events[before..] {
                 assert!(event.t_us - first_us <= passed_us, "not before it is due");
-                assert!(clock.at(event.t_us) <= now_us());
+                let late_us = clock.now_us().checked_sub(due.at(event.t_us));
+                assert!(late_us.is_some_and(|late_us| late_us < 60_000_000));
             }
             if let Pause::Until(until_us) = live.pause() {
                 // Later events have later times.
@@ -312,7 +330,7 @@ mod tests {
     fn a_recording_goes_on_at_its_end() {
         let want = all(scene().as_mut());
         let stop = Stop::default();
-        let mut live = Live::new(scene(), Pace::Max, true, stop.clone()).unwrap();
+        let mut live = Live::new(scene(), Pace::Max, true, Clock::start(), stop.clone()).unwrap();
         let mut events = Vec::new();
         while events.len() < want.len() * 5 / 2 {
             live.read(&mut events).unwrap();
@@ -340,7 +358,8 @@ mod tests {
     fn a_rate_holds() {
         let want = all(scene().as_mut());
         let rate = want.len() as f64 * 5.0;
-        let mut live = Live::new(scene(), Pace::Rate(rate), false, Stop::default()).unwrap();
+        let (pace, clock) = (Pace::Rate(rate), Clock::start());
+        let mut live = Live::new(scene(), pace, false, clock, Stop::default()).unwrap();
         let started = Instant::now();
         let mut events = Vec::new();
         while live.pause() != Pause::Ended {

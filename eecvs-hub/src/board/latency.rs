@@ -13,8 +13,8 @@ const SLOTS: usize = 6;
 /// Maximum number of samples in a slot.
 const SAMPLES_MAX: usize = 128;
 
-/// Latencies of frames that arrived in order, in microseconds. A negative one means that the sensor's clock is
-/// ahead of this computer's; the figures then say more about the clocks than about the link.
+/// Latencies of frames that arrived in order, in microseconds, without the difference between the clocks. A negative
+/// one is one of 0, within the error of that difference.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Latency {
     /// Median.

@@ -115,7 +115,7 @@ const METRICS: &[Metric] = &[
     ),
     gauge(
         "latency_seconds",
-        "From a window's end to its arrival, by both computers' clocks",
+        "From a window's end to its arrival, without the difference between the clocks",
         "quantile",
         |row| {
             let latency = row.latency.map(|latency| {
@@ -127,6 +127,34 @@ const METRICS: &[Metric] = &[
             });
             latency.into_iter().flatten().collect()
         },
+    ),
+    gauge(
+        "clock_ahead_seconds",
+        "How far the sensor's clock is ahead of this hub's",
+        "",
+        |row| {
+            let clock = row.clock.into_iter();
+            clock
+                .flat_map(|clock| one(clock.ahead_us as f64 / 1e6))
+                .collect()
+        },
+    ),
+    gauge(
+        "clock_error_seconds",
+        "Bound of the error of that difference, and of latencies",
+        "",
+        |row| {
+            let clock = row.clock.into_iter();
+            clock
+                .flat_map(|clock| one(clock.error_us as f64 / 1e6))
+                .collect()
+        },
+    ),
+    gauge(
+        "sensors_at_once",
+        "Sensors that send under this name now: more than one mix their figures",
+        "",
+        |row| one(row.at_once as f64),
     ),
     counter(
         "lost_events",

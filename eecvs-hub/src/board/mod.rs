@@ -18,7 +18,7 @@ mod sensor;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
-use std::time::Instant;
+use std::time::Duration;
 
 use eecvs_nostd::Frame;
 use serde::Serialize;
@@ -26,6 +26,7 @@ use serde::Serialize;
 pub use row::Row;
 use sensor::{Arrived, Moment, Sensor};
 
+use crate::clock::{Clock, RoundTrip};
 use crate::key::Name;
 use crate::message::{Stamp, Status, now_us};
 
@@ -65,7 +66,7 @@ pub struct Overview {
 #[derive(Debug)]
 pub struct Board {
     hub: String,
-    began: Instant,
+    clock: Clock,
     sensors: RwLock<BTreeMap<Name, Arc<Sensor>>>,
     refused: AtomicU64,
     malformed: AtomicU64,
@@ -78,7 +79,7 @@ impl Board {
     pub fn new(hub: &str) -> Self {
         Self {
             hub: hub.to_owned(),
-            began: Instant::now(),
+            clock: Clock::start(),
             sensors: RwLock::default(),
             refused: AtomicU64::new(0),
             malformed: AtomicU64::new(0),
@@ -87,10 +88,17 @@ impl Board {
     }
 
     fn now(&self) -> Moment {
+        let up_us = self.clock.up_us();
         Moment {
-            at: self.began.elapsed(),
-            unix_us: now_us(),
+            at: Duration::from_micros(up_us),
+            unix_us: self.clock.origin_us().saturating_add(up_us),
         }
+    }
+
+    /// Returns the clock by which the board measures.
+    #[must_use]
+    pub const fn clock(&self) -> Clock {
+        self.clock
     }
 
     /// Returns a known sensor.
@@ -135,6 +143,31 @@ impl Board {
         }
     }
 
+    /// Records what a sensor's clock showed on request.
+    pub fn trip(&self, name: &Name, trip: RoundTrip) {
+        if let Some(sensor) = self.known(name) {
+            sensor.trip(trip);
+        }
+    }
+
+    /// Returns the sensors to ask for their clocks now, and records that they are asked.
+    #[must_use]
+    pub fn clocks_due(&self) -> Vec<Name> {
+        let now = self.now();
+        let sensors = self.all().into_iter();
+        let due = sensors.filter(|(_, sensor)| sensor.is_clock_due(now));
+        due.map(|(name, _)| name).collect()
+    }
+
+    /// Returns the names under which several sensors send at present, each with their number.
+    #[must_use]
+    pub fn shared_names(&self) -> Vec<(Name, usize)> {
+        let now = self.now();
+        let sensors = self.all().into_iter();
+        let counts = sensors.map(|(name, sensor)| (name, sensor.at_once(now)));
+        counts.filter(|(_, count)| *count > 1).collect()
+    }
+
     /// Records that a sensor's token has appeared or disappeared.
     pub fn alive(&self, name: &Name, is_alive: bool) {
         if let Some(sensor) = self.sensor(name) {
@@ -164,15 +197,20 @@ impl Board {
         }
     }
 
+    /// Returns all sensors, sorted by name.
+    fn all(&self) -> Vec<(Name, Arc<Sensor>)> {
+        let sensors = self.sensors.read().unwrap_or_else(PoisonError::into_inner);
+        // Writers wait for readers, so hold the lock only to copy the references.
+        sensors
+            .iter()
+            .map(|(name, sensor)| (name.clone(), Arc::clone(sensor)))
+            .collect()
+    }
+
     /// Returns what is known of each sensor, sorted by name.
     #[must_use]
     pub fn rows(&self) -> Vec<Row> {
-        let sensors = self.sensors.read().unwrap_or_else(PoisonError::into_inner);
-        // Writers wait for readers, so hold the lock only to copy the references.
-        let sensors: Vec<_> = sensors
-            .iter()
-            .map(|(name, sensor)| (name.clone(), Arc::clone(sensor)))
-            .collect();
+        let sensors = self.all();
         let now = self.now();
         sensors
             .iter()

@@ -36,6 +36,7 @@ const losses = ({ losses: l }) => l.frames_missing + l.frames_missing_before + l
 const age = row => Math.min(row.frame_age_s ?? Infinity, row.status_age_s ?? Infinity);
 
 const state = row => {
+  if (row.at_once > 1) return [`▲ ${row.at_once} sensors of this name`, "state bad"];
   if (!row.is_connected) return ["○ not connected", "state off"];
   const frame = row.frame_age_s;
   if (frame === null) return ["◐ no frames yet", "state quiet"];
@@ -49,11 +50,12 @@ const times = ({ window: w, rate }) => {
   const thinned = rate.thinned_per_s > 0 ? `, thinned by ${short(rate.thinned_per_s)}/s` : "";
   return `${kept}, ${w.coder} coder${thinned}`;
 };
-const latency = ({ latency: l }) => {
-  if (!l) return ["–", ""];
-  // A clock that is ahead of the hub's: no latency, and not one of 0.
-  if (l.p50_us < 0) return [`clocks differ: ${micros(l.p50_us)}`, "warn"];
-  return [`${micros(l.p50_us)}, p99 ${micros(l.p99_us)}`, ""];
+// The difference between the clocks is taken off; while it is not known, there is no latency.
+const latency = ({ latency: l, clock: c, frame_age_s: age }) => {
+  if (!c) return [age === null ? "–" : "not known: its clock has not answered", ""];
+  const took = l ? `${micros(Math.max(0, l.p50_us))}, p99 ${micros(Math.max(0, l.p99_us))}, ± ${micros(c.error_us)}` : "–";
+  if (!c.is_different) return [took, ""];
+  return [`${took}; its clock is ${time(Math.abs(c.ahead_us) / 1e6)} ${c.ahead_us > 0 ? "ahead" : "behind"}`, "warn"];
 };
 
 // The last minute of a card's rate, from 0 to its highest.
@@ -120,9 +122,9 @@ const draw = (card, row) => {
   write(parts.budget, row.is_congested ? `${budget}, link congested` : budget);
   mark(parts.budget, row.is_congested ? "warn" : "");
   write(parts.store, row.status_age_s === null ? "not told" : `${size(row.store_memory_bytes)}, disk ${size(row.store_disk_bytes)}`);
-  const runs = row.run > 0 ? (latest.now_us - row.run) / 1e6 : -1;
   const heard = age(row);
-  write(parts.sensor, [row.columns > 0 ? `${row.columns} × ${row.rows}` : "size not told", runs >= 0 ? `up ${time(runs)}` : "",
+  write(parts.sensor, [row.columns > 0 ? `${row.columns} × ${row.rows}` : "size not told", row.up_s === null ? "" : `up ${time(row.up_s)}`,
+    row.at_once < 2 && row.at_once_most > 1 ? `name was that of ${row.at_once_most} at once` : "",
     heard === Infinity ? "never heard" : heard > 1.5 ? `heard ${time(heard)} ago` : ""].filter(text => text).join(", "));
   const isFed = row.is_connected && row.frame_age_s !== null && row.frame_age_s <= QUIET_S;
   write(parts.blank, isFed ? "waiting for a picture" : "no frames, no picture");

@@ -5,6 +5,7 @@ use serde::Serialize;
 
 use super::latency::Latency;
 use super::rate::Rates;
+use crate::clock::Estimate;
 use crate::key::Name;
 
 /// All that is known of one sensor. Ages are in seconds, by the hub's own clock.
@@ -19,8 +20,15 @@ pub struct Row {
     pub columns: u16,
     /// Rows of the sensor; 0 if unknown.
     pub rows: u16,
-    /// Start of the sensor's run, as in [`crate::message::Stamp`]; 0 if unknown.
+    /// The sensor's run, as in [`crate::message::Stamp`]; 0 if unknown.
     pub run: u64,
+    /// Seconds since the run's start; `None` if unknown.
+    pub up_s: Option<f64>,
+    /// Number of sensors that send under this name at present: more than 1 if the name was given to several, whose
+    /// figures are then mixed here; 0 if none is heard.
+    pub at_once: usize,
+    /// The largest such number so far.
+    pub at_once_most: usize,
     /// Seconds since the last frame arrived.
     pub frame_age_s: Option<f64>,
     /// Seconds since the last status arrived.
@@ -39,8 +47,11 @@ pub struct Row {
     pub window: Option<Latest>,
     /// Losses by cause.
     pub losses: Losses,
-    /// Time from the end of a window to the arrival of its frames here, over the last ten seconds.
+    /// Time from the end of a window to the arrival of its frames here, over the last ten seconds, without the
+    /// difference between the clocks; `None` if that is unknown, or no frame arrived.
     pub latency: Option<Latency>,
+    /// How far the clock of the present run is ahead of the hub's; `None` if unknown.
+    pub clock: Option<Estimate>,
     /// Limit on the sensor's rate in bytes per second, if there is one.
     pub budget: Option<u32>,
     /// Whether the sensor lowers its rate because its link cannot take more.

@@ -1,6 +1,14 @@
 //! Which of a sensor's frames have arrived here, run by run.
 
+use std::collections::VecDeque;
+
 use crate::order::Numbers;
+
+/// Maximum number of runs that are tracked.
+const RUNS_MAX: usize = 8;
+
+/// Maximum number of earlier runs that are remembered.
+const PAST_MAX: usize = 64;
 
 /// A run of a sensor.
 #[derive(Debug, Clone)]
@@ -19,21 +27,22 @@ struct Run {
 pub enum Place {
     /// In the present run, after all that have arrived.
     New,
-    /// In the present run or the one before it, and missing until now.
+    /// In an earlier run, or missing until now.
     Late,
     /// It arrived before.
     Again,
-    /// In a run before these two, which is not tracked.
+    /// In a run that is no longer tracked.
     Old,
 }
 
-/// The present run, the one before it, and the losses of the earlier ones.
+/// The latest runs, and the losses of the earlier ones. Runs are in the order in which they were first heard; their
+/// numbers, which come from the clock of the sensor's computer, say nothing of it.
 #[derive(Debug, Clone, Default)]
 pub struct Runs {
-    now: Option<Run>,
-    before: Option<Run>,
-    /// Whether a status has named the present run.
-    is_told: bool,
+    /// The tracked runs, the present one last.
+    runs: VecDeque<Run>,
+    /// Runs that are no longer tracked.
+    past: VecDeque<u64>,
     lost_before: u64,
 }
 
@@ -61,55 +70,54 @@ impl Run {
 }
 
 impl Runs {
-    /// Makes a run the present one.
-    fn begin(&mut self, run: u64) {
-        let known = self.before.take_if(|before| before.run == run);
+    /// Returns the place of a tracked run; a run that is not known becomes the present one. `None` if it is no longer
+    /// tracked.
+    fn at(&mut self, run: u64) -> Option<usize> {
+        if let Some(at) = self.runs.iter().position(|known| known.run == run) {
+            return Some(at);
+        }
+        if self.past.contains(&run) {
+            return None;
+        }
         // If the sensor was known before, a new run is tracked from its first frame on.
-        let numbers = self.now.is_some().then(|| Numbers::from(0));
-        let began = known.unwrap_or(Run {
+        let numbers = (!self.runs.is_empty()).then(|| Numbers::from(0));
+        self.runs.push_back(Run {
             run,
             numbers,
             newest: None,
             next: None,
         });
-        let was = self.now.replace(began);
-        if let Some(older) = std::mem::replace(&mut self.before, was) {
-            self.lost_before = self.lost_before.saturating_add(older.missing());
+        if self.runs.len() > RUNS_MAX
+            && let Some(oldest) = self.runs.pop_front()
+        {
+            self.lost_before = self.lost_before.saturating_add(oldest.missing());
+            self.past.push_back(oldest.run);
         }
-        self.is_told = false;
+        if self.past.len() > PAST_MAX {
+            self.past.pop_front();
+        }
+        Some(self.runs.len() - 1)
     }
 
     /// Records a frame, and returns its place.
     pub fn take(&mut self, run: u64, number: u64) -> Place {
-        let is_now = self.now.as_ref().is_some_and(|now| now.run == run);
-        if !is_now {
-            if let Some(before) = self.before.as_mut().filter(|before| before.run == run) {
-                return match before.take(number) {
-                    Place::New => Place::Late,
-                    place => place,
-                };
-            }
-            // If a status has named the present run, an earlier run is old. Otherwise the sensor's clock may have
-            // been set back.
-            if self.is_told && self.now.as_ref().is_some_and(|now| run < now.run) {
-                return Place::Old;
-            }
-            self.begin(run);
+        let Some(at) = self.at(run) else {
+            return Place::Old;
+        };
+        let is_present = at + 1 == self.runs.len();
+        match self.runs[at].take(number) {
+            Place::New if !is_present => Place::Late,
+            place => place,
         }
-        let now = self.now.as_mut();
-        now.map_or(Place::Old, |now| now.take(number))
     }
 
     /// Records the sensor's report: its run, and that all frames below a number exist.
     pub fn told(&mut self, run: u64, next: u64) {
-        if self.now.as_ref().is_none_or(|now| now.run != run) {
-            self.begin(run);
-        }
-        self.is_told = true;
-        let Some(now) = &mut self.now else { return };
+        let Some(at) = self.at(run) else { return };
+        let run = &mut self.runs[at];
         // Frames and statuses travel separately: use the previous status, whose frames have had time to arrive.
-        if let Some(earlier) = now.next.replace(next) {
-            let numbers = now.numbers.get_or_insert_with(|| Numbers::from(earlier));
+        if let Some(earlier) = run.next.replace(next) {
+            let numbers = run.numbers.get_or_insert_with(|| Numbers::from(earlier));
             numbers.until(earlier);
         }
     }
@@ -117,19 +125,22 @@ impl Runs {
     /// Returns the present run; 0 if there is none.
     #[must_use]
     pub fn run(&self) -> u64 {
-        self.now.as_ref().map_or(0, |now| now.run)
+        self.runs.back().map_or(0, |run| run.run)
     }
 
     /// Returns the number of frames that have not arrived, in the present run and the one before.
     #[must_use]
     pub fn missing(&self) -> u64 {
-        let both = self.now.iter().chain(&self.before);
+        let both = self.runs.iter().rev().take(2);
         both.fold(0, |sum, run| sum.saturating_add(run.missing()))
     }
 
     /// Returns the number of frames that never arrived, in all earlier runs.
     #[must_use]
-    pub const fn missing_before(&self) -> u64 {
-        self.lost_before
+    pub fn missing_before(&self) -> u64 {
+        let earlier = self.runs.iter().rev().skip(2);
+        earlier.fold(self.lost_before, |sum, run| {
+            sum.saturating_add(run.missing())
+        })
     }
 }

@@ -11,7 +11,9 @@ use super::picture;
 use super::rate::{Amount, Rate};
 use super::row::{Latest, Losses, Row};
 use super::runs::{Place, Runs};
+use crate::clock::{Ahead, Estimate, RoundTrip};
 use crate::key::Name;
+use crate::lives::Lives;
 use crate::message::{Stamp, Status};
 
 /// How long frames are kept after a request for a picture.
@@ -23,7 +25,17 @@ const BETWEEN: Duration = Duration::from_secs(1);
 /// If no token was ever seen, a sensor heard within this time counts as connected.
 const HEARD: Duration = Duration::from_secs(5);
 
-/// A moment: time since the board began, and time by this computer's clock.
+/// Interval at which a sensor is asked for its clock, and for the first few times.
+const CLOCK: Duration = Duration::from_secs(10);
+const CLOCK_FIRST: Duration = Duration::from_secs(1);
+
+/// Number of answers after which the longer interval applies.
+const CLOCK_FEW: usize = 3;
+
+/// Maximum number of runs whose clocks are known.
+const CLOCKS_MAX: usize = 4;
+
+/// A moment: time since the board began, and time by the board's clock.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Moment {
     pub at: Duration,
@@ -51,6 +63,11 @@ struct State {
     is_alive: Option<bool>,
     size: Option<Size>,
     runs: Runs,
+    lives: Lives,
+    at_once_most: usize,
+    /// Differences of the clocks of the latest runs.
+    clocks: Vec<(u64, Ahead)>,
+    clock_asked_at: Option<Duration>,
     frame_at: Option<Duration>,
     status_at: Option<Duration>,
     status: Status,
@@ -90,12 +107,28 @@ impl Sensor {
 
     pub(super) fn status(&self, now: Moment, status: Status) {
         let mut state = lock(&self.state);
+        state.hear(status.run, status.up_us, now);
         state.runs.told(status.run, status.next);
         state.size = Size::new(status.width, status.height).or(state.size);
         state.status = status;
         // Only the figures are needed.
         state.status.held = Vec::new();
         state.status_at = Some(now.at);
+    }
+
+    /// Records what the sensor's clock showed.
+    pub(super) fn trip(&self, trip: RoundTrip) {
+        lock(&self.state).trip(trip);
+    }
+
+    /// Returns whether to ask for the sensor's clock now, and records that it is asked for.
+    pub(super) fn is_clock_due(&self, now: Moment) -> bool {
+        lock(&self.state).is_clock_due(now)
+    }
+
+    /// Returns how many sensors send under this name at present.
+    pub(super) fn at_once(&self, now: Moment) -> usize {
+        lock(&self.state).lives.at_once(now.unix_us)
     }
 
     pub(super) fn alive(&self, is_alive: bool) {
@@ -161,8 +194,10 @@ impl State {
             run,
             number,
             end_us,
+            up_us,
         } = arrived.stamp;
         self.frame_at = Some(now.at);
+        self.hear(run, up_us, now);
         let place = self.runs.take(run, number);
         if place == Place::Again {
             self.repeated += 1;
@@ -188,10 +223,11 @@ impl State {
         if place != Place::New {
             return;
         }
-        // Real times fit; a stamp with an impossible time must not overflow.
-        let signed = |us: u64| i64::try_from(us).unwrap_or(i64::MAX);
-        let latency_us = signed(now.unix_us).saturating_sub(signed(end_us));
-        self.latencies.add(now.at, latency_us);
+        // Between clocks whose difference is not known there is no latency.
+        if let Some(clock) = self.clock(run, now) {
+            let latency_us = clock.since_us(end_us, now.unix_us);
+            self.latencies.add(now.at, latency_us);
+        }
         self.size = Some(header.sensor);
         self.latest = Some(Latest::of(header));
         if run != self.kept_run {
@@ -201,6 +237,48 @@ impl State {
         if self.tidy(now.at) {
             self.kept.take(number, header, arrived.bytes);
         }
+    }
+
+    /// Records that a run was up.
+    fn hear(&mut self, run: u64, up_us: u64, now: Moment) {
+        self.lives.hear(run, up_us, now.unix_us);
+        self.at_once_most = self.at_once_most.max(self.lives.at_once(now.unix_us));
+    }
+
+    fn trip(&mut self, trip: RoundTrip) {
+        if let Some((_, ahead)) = self.clocks.iter_mut().find(|(run, _)| *run == trip.run) {
+            return ahead.add(trip);
+        }
+        if self.clocks.len() >= CLOCKS_MAX {
+            self.clocks.remove(0);
+        }
+        let mut ahead = Ahead::default();
+        ahead.add(trip);
+        self.clocks.push((trip.run, ahead));
+    }
+
+    /// Returns how far a run's clock is ahead.
+    fn clock(&self, run: u64, now: Moment) -> Option<Estimate> {
+        let (_, ahead) = self.clocks.iter().find(|(of, _)| *of == run)?;
+        ahead.at(now.unix_us)
+    }
+
+    fn is_clock_due(&mut self, now: Moment) -> bool {
+        let run = self.runs.run();
+        if !self.lives.is_heard(run, now.unix_us) {
+            return false;
+        }
+        let ahead = self.clocks.iter().find(|(of, _)| *of == run);
+        let every = match ahead.map_or(0, |(_, ahead)| ahead.trips()) {
+            0..CLOCK_FEW => CLOCK_FIRST,
+            _ => CLOCK,
+        };
+        let since = self.clock_asked_at.map(|at| now.at.saturating_sub(at));
+        let is_due = ahead.is_none() || since.is_none_or(|since| since >= every);
+        if is_due {
+            self.clock_asked_at = Some(now.at);
+        }
+        is_due
     }
 
     /// Returns whether somebody looks at the picture; if not, drops the frames kept for it.
@@ -226,6 +304,9 @@ impl State {
             columns: self.size.map_or(0, |size| size.width),
             rows: self.size.map_or(0, |size| size.height),
             run: self.runs.run(),
+            up_s: age(self.status_at).map(|age_s| status.up_us as f64 / 1e6 + age_s),
+            at_once: self.lives.at_once(now.unix_us),
+            at_once_most: self.at_once_most,
             frame_age_s: age(self.frame_at),
             status_age_s: age(self.status_at),
             rate: self.rate.over(now.at),
@@ -250,6 +331,7 @@ impl State {
                 outages_s: status.outages_us as f64 / 1e6,
             },
             latency: self.latencies.over(now.at),
+            clock: self.clock(self.runs.run(), now),
             budget: status.budget,
             is_congested: status.is_congested,
             store_memory_bytes: stored.memory_bytes,

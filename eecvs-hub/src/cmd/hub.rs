@@ -1,5 +1,6 @@
 //! `eecvs-hub hub`: routes between sensors and receivers, and shows the sensors on a page.
 
+use std::collections::BTreeMap;
 use std::net::TcpListener;
 use std::path::PathBuf;
 use std::thread;
@@ -137,11 +138,19 @@ impl Hub {
             eprintln!("eecvs-hub: its page is http://{address}/");
         }
         let mut told = 0;
+        let mut shared = BTreeMap::new();
         while !stop.is_asked() && !hub.has_ended() {
             let routers = hub.routers();
             if routers != told {
                 eprintln!("eecvs-hub: {routers} other hubs are connected");
                 told = routers;
+            }
+            for (name, sensors) in hub.board().shared_names() {
+                if shared.insert(name.clone(), sensors) != Some(sensors) {
+                    eprintln!(
+                        "eecvs-hub: {name}: {sensors} sensors send under this name at once: give each a name of its own"
+                    );
+                }
             }
             thread::sleep(LOOK);
         }

@@ -1,5 +1,6 @@
 //! The subcommands of `eecvs-hub`, one file each.
 
+mod files;
 pub mod hub;
 pub mod keys;
 pub mod options;

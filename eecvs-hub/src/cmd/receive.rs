@@ -1,20 +1,22 @@
 //! `eecvs-hub receive`: writes the frames of sensors, received from a hub, into files.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File, OpenOptions};
-use std::io::{BufWriter, Write as _};
-use std::path::{Path, PathBuf};
+use std::fs;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, bail};
 use clap::Args;
 use eecvs_cli::output::{print, print_json};
+use serde::Serialize;
 use usb_bridge::stop::Stop;
 
+use super::files::{Files, Written};
 use super::options::ClientOptions;
-use crate::downlink::{Deliver, Downlink, Options, Report};
-use crate::key::{Name, names};
+use crate::downlink::{Deliver, Downlink, Options, Report, SensorReport};
+use crate::key::names;
 
 /// Receive sensors' frames from a hub, into one file per sensor or only to show statistics; missing frames are
 /// requested again
@@ -27,7 +29,8 @@ pub struct Receive {
     #[command(flatten)]
     client: ClientOptions,
 
-    /// Folder for files NAME.eecvs, with dots for slashes; existing files are appended to
+    /// Folder for files NAME.eecvs, with dots for slashes; existing files are appended to. If several sensors send
+    /// under one name, the second one's file is NAME~2.eecvs
     #[arg(long, value_name = "FOLDER")]
     to: Option<PathBuf>,
 
@@ -56,9 +59,21 @@ pub struct Receive {
     #[arg(long, value_name = "S")]
     idle_s: Option<u32>,
 
+    /// Exit with 0 even if frames were lost, or several sensors sent under one name
+    #[arg(long)]
+    allow_loss: bool,
+
     /// Print one JSON object instead of the table
     #[arg(long)]
     json: bool,
+}
+
+/// What was received, and the files in which it is; the fields are the JSON keys.
+#[derive(Serialize)]
+struct Received<'r> {
+    #[serde(flatten)]
+    report: &'r Report,
+    files: Vec<Written>,
 }
 
 /// Intervals at which the stop request is checked, and losses are reported.
@@ -69,7 +84,8 @@ impl Receive {
     /// Receives until a stop is requested, or until the set or the idle time is over.
     ///
     /// # Errors
-    /// Keys are invalid, or the folder cannot be written.
+    /// Keys are invalid, or the folder cannot be written; also, unless that is allowed, if frames were lost or several
+    /// sensors sent under one name.
     pub fn run(self, stop: &Stop) -> Result<()> {
         let options = Options {
             names: self.names.clone(),
@@ -78,12 +94,17 @@ impl Receive {
             patience: Duration::from_secs(self.patience_s.into()),
             waiting_bytes: usize::from(self.waiting_mib) << 20,
         };
+        let mut files = None;
         let deliver: Deliver = match &self.to {
             None => Box::new(|_| Ok(())),
             Some(folder) => {
                 fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-                let mut files = Files::new(folder);
-                Box::new(move |delivered| files.write(delivered.name, delivered.frame))
+                let own = Arc::new(Mutex::new(Files::new(folder)));
+                files = Some(Arc::clone(&own));
+                Box::new(move |delivered| {
+                    let mut files = own.lock().unwrap_or_else(PoisonError::into_inner);
+                    files.write(delivered.name, delivered.lane, delivered.frame)
+                })
             }
         };
         let downlink = Downlink::start(options, &self.client.links(), deliver)?;
@@ -111,10 +132,31 @@ impl Receive {
             }
         }
         let report = downlink.finish()?;
-        if self.json {
-            return print_json(&report);
+        watched.tell_names(&report);
+        let files = match files {
+            None => Vec::new(),
+            Some(files) => {
+                let mut files = files.lock().unwrap_or_else(PoisonError::into_inner);
+                files.finish()?
+            }
+        };
+        match self.json {
+            true => print_json(&Received {
+                report: &report,
+                files,
+            })?,
+            false => print(&report.table())?,
         }
-        print(&report.table())
+        let wrong = report.wrong();
+        if wrong.is_empty() {
+            return Ok(());
+        }
+        let wrong = wrong.join("; ");
+        if !self.allow_loss {
+            bail!("{wrong}; --allow-loss makes it no error");
+        }
+        eprintln!("eecvs-hub: {wrong}");
+        Ok(())
     }
 }
 
@@ -125,11 +167,27 @@ struct Watched {
     lost: u64,
     missing: u64,
     outages: u64,
+    /// The number of sensors of each name, where there are several.
+    at_once: BTreeMap<String, u64>,
 }
 
 impl Watched {
+    /// Prints a line to stderr for each name under which several sensors send.
+    fn tell_names(&mut self, report: &Report) {
+        for sensor in report.shared_names() {
+            let SensorReport { name, at_once, .. } = sensor;
+            if self.at_once.insert(name.clone(), *at_once) != Some(*at_once) {
+                eprintln!(
+                    "eecvs-hub: {name}: {at_once} sensors send under this name at once, and each is kept apart: give \
+                     each a name of its own"
+                );
+            }
+        }
+    }
+
     /// Prints a line to stderr if something has changed.
     fn tell(&mut self, report: &Report) {
+        self.tell_names(report);
         if report.outages > self.outages {
             eprintln!("eecvs-hub: the hub does not answer; it is tried again");
             self.outages = report.outages;
@@ -147,58 +205,43 @@ impl Watched {
     }
 }
 
-/// One file per sensor.
-struct Files {
-    folder: PathBuf,
-    open: BTreeMap<Name, BufWriter<File>>,
-}
-
-/// Maximum number of files open at once.
-const OPEN_MAX: usize = 256;
-
-impl Files {
-    fn new(folder: &Path) -> Self {
-        Self {
-            folder: folder.to_owned(),
-            open: BTreeMap::new(),
-        }
-    }
-
-    fn write(&mut self, name: &Name, frame: &[u8]) -> Result<()> {
-        // Names contain no dots, so file names are distinct.
-        let path = || {
-            self.folder
-                .join(format!("{}.eecvs", name.as_str().replace('/', ".")))
-        };
-        if !self.open.contains_key(name) {
-            if self.open.len() >= OPEN_MAX
-                && let Some((_, mut oldest)) = self.open.pop_first()
-            {
-                oldest
-                    .flush()
-                    .with_context(|| self.folder.display().to_string())?;
-            }
-            let file = OpenOptions::new().create(true).append(true).open(path());
-            let file = file.with_context(|| path().display().to_string())?;
-            self.open.insert(name.clone(), BufWriter::new(file));
-        }
-        match self.open.get_mut(name) {
-            Some(file) => file
-                .write_all(frame)
-                .with_context(|| path().display().to_string()),
-            None => Ok(()),
-        }
-    }
-}
-
 impl Report {
+    /// Returns the sensors whose name is that of several.
+    fn shared_names(&self) -> impl Iterator<Item = &SensorReport> {
+        self.sensors.iter().filter(|sensor| sensor.at_once > 1)
+    }
+
+    /// Returns what went wrong, in words.
+    fn wrong(&self) -> Vec<String> {
+        let mut wrong = Vec::new();
+        let lost = self.sensors.iter().map(|sensor| sensor.lost);
+        let lost = lost.fold(0, u64::saturating_add);
+        if lost > 0 {
+            wrong.push(format!("{lost} frames are lost"));
+        }
+        if self.refused > 0 {
+            wrong.push(format!(
+                "{} messages are of no sensor that there is room for",
+                self.refused
+            ));
+        }
+        for sensor in self.shared_names() {
+            wrong.push(format!(
+                "{}: {} sensors sent under this name at once",
+                sensor.name, sensor.at_once
+            ));
+        }
+        wrong
+    }
+
     /// Returns the report as a table for people to read.
     #[must_use]
     pub fn table(&self) -> String {
         let head = [
-            "sensor", "frames", "events", "bytes", "again", "missing", "lost", "damaged", "p50 ms",
-            "p99 ms",
+            "sensor", "frames", "events", "bytes", "again", "before", "missing", "lost", "damaged",
+            "p50 ms", "p99 ms",
         ];
+        let delay = |ms: Option<f64>| ms.map_or("unknown".to_owned(), |ms| format!("{ms:.2}"));
         let mut lines = vec![head.map(str::to_owned)];
         lines.extend(self.sensors.iter().map(|sensor| {
             [
@@ -207,11 +250,12 @@ impl Report {
                 sensor.events.to_string(),
                 sensor.bytes.to_string(),
                 sensor.again.to_string(),
+                sensor.before.to_string(),
                 sensor.missing.to_string(),
                 sensor.lost.to_string(),
                 sensor.damaged.to_string(),
-                format!("{:.2}", sensor.delay_p50_ms),
-                format!("{:.2}", sensor.delay_p99_ms),
+                delay(sensor.delay_p50_ms),
+                delay(sensor.delay_p99_ms),
             ]
         }));
         let width = |column: usize| {
@@ -232,10 +276,129 @@ impl Report {
             }
             table.push('\n');
         }
+        for sensor in &self.sensors {
+            table += &sensor.remarks();
+        }
         table
             + &format!(
                 "without a link {} times; {} frames found no room at first; {} messages of no sensor\n",
                 self.outages, self.no_room, self.refused
             )
+    }
+}
+
+impl SensorReport {
+    /// Returns lines about what is unusual of the sensor's clock and name.
+    fn remarks(&self) -> String {
+        let Self { name, .. } = self;
+        let mut remarks = String::new();
+        match self.clock {
+            Some(clock) if clock.is_different() => {
+                let side = if clock.ahead_us > 0 {
+                    "ahead of"
+                } else {
+                    "behind"
+                };
+                remarks += &format!(
+                    "{name}: its clock is {:.3} s {side} this computer's, within {:.1} ms: the delays are without that\n",
+                    clock.ahead_us.unsigned_abs() as f64 * 1e-6,
+                    clock.error_us as f64 * 1e-3,
+                );
+            }
+            None if self.frames > 0 => {
+                remarks +=
+                    &format!("{name}: its clock did not answer, so the delays are unknown\n");
+            }
+            _ => {}
+        }
+        if self.at_once > 1 {
+            remarks += &format!(
+                "{name}: {} sensors sent under this name at once\n",
+                self.at_once
+            );
+        }
+        remarks
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::{Ahead, RoundTrip};
+
+    fn sensor(name: &str, ahead_us: Option<i64>) -> SensorReport {
+        let clock = ahead_us.and_then(|ahead_us| {
+            let mut ahead = Ahead::default();
+            ahead.add(RoundTrip {
+                run: 1,
+                asked_us: 5_000_000_000,
+                shown_us: 5_000_000_200_u64.saturating_add_signed(ahead_us),
+                answered_us: 5_000_000_400,
+            });
+            ahead.at(5_000_000_400)
+        });
+        SensorReport {
+            name: name.to_owned(),
+            frames: 9,
+            at_once: 1,
+            delay_p50_ms: clock.map(|_| 1.5),
+            delay_p99_ms: clock.map(|_| 2.5),
+            clock,
+            ..SensorReport::default()
+        }
+    }
+
+    #[test]
+    fn the_table_says_what_delays_are_of() {
+        let report = Report {
+            sensors: vec![
+                sensor("ahead", Some(3_600_000_000)),
+                sensor("behind", Some(-1_500_000)),
+                sensor("right", Some(100)),
+                sensor("silent", None),
+            ],
+            ..Report::default()
+        };
+        let table = report.table();
+        for line in [
+            "ahead: its clock is 3600.000 s ahead of this computer's, within 0.2 ms: the delays are without that",
+            "behind: its clock is 1.500 s behind this computer's, within 0.2 ms: the delays are without that",
+            "silent: its clock did not answer, so the delays are unknown",
+        ] {
+            assert!(table.lines().any(|other| other == line), "{line}: {table}");
+        }
+        assert!(!table.contains("right: "), "{table}");
+        let cells = |name: &str| {
+            let line = table.lines().find(|line| line.starts_with(name)).unwrap();
+            let cells: Vec<&str> = line.split_whitespace().collect();
+            [cells[cells.len() - 2], cells[cells.len() - 1]].map(str::to_owned)
+        };
+        assert_eq!(cells("right"), ["1.50", "2.50"]);
+        assert_eq!(cells("silent "), ["unknown", "unknown"]);
+        assert!(report.wrong().is_empty());
+    }
+
+    #[test]
+    fn losses_and_shared_names_are_wrong() {
+        let mut door = sensor("door", Some(0));
+        (door.lost, door.at_once) = (3, 2);
+        let report = Report {
+            sensors: vec![door, sensor("gate", Some(0))],
+            refused: 4,
+            ..Report::default()
+        };
+        assert_eq!(
+            report.wrong(),
+            [
+                "3 frames are lost",
+                "4 messages are of no sensor that there is room for",
+                "door: 2 sensors sent under this name at once"
+            ]
+        );
+        assert!(
+            report
+                .table()
+                .contains("door: 2 sensors sent under this name at once\n")
+        );
     }
 }

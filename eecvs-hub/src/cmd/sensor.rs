@@ -24,9 +24,9 @@ use usb_bridge::session::{self, Session};
 use usb_bridge::stop::Stop;
 
 use super::options::ClientOptions;
+use crate::clock::Clock;
 use crate::frames::FrameSink;
 use crate::key::Name;
-use crate::message::now_us;
 use crate::source::Live;
 use crate::uplink::{Options, Summary, Uplink};
 
@@ -100,6 +100,17 @@ pub struct Sensor {
     #[arg(long, value_name = "S", default_value_t = 10)]
     linger_s: u32,
 
+    /// Seconds by which the times in what is sent are ahead of this computer's clock: for a computer whose clock is
+    /// known to be wrong and cannot be set, and for tests
+    #[arg(
+        long,
+        value_name = "S",
+        default_value_t = 0,
+        hide = true,
+        allow_negative_numbers = true
+    )]
+    clock_ahead_s: i32,
+
     /// Print one JSON object instead of the table
     #[arg(long)]
     json: bool,
@@ -166,7 +177,11 @@ impl Sensor {
         refuse_late(&sent.name, &order, self.order)
     }
 
-    fn uplink(&self, sensor: Size) -> Result<Uplink> {
+    fn clock(&self) -> Clock {
+        Clock::start_ahead(i64::from(self.clock_ahead_s) * 1_000_000)
+    }
+
+    fn uplink(&self, sensor: Size, clock: Clock) -> Result<Uplink> {
         let options = Options {
             name: self.name.clone(),
             sensor,
@@ -176,6 +191,7 @@ impl Sensor {
                 .clone()
                 .map(|folder| (folder, u64::from(self.store_mib) << 20)),
             bytes_per_second: self.codec.config(sensor)?.bytes_per_second.map(u32::from),
+            clock,
         };
         Uplink::start(&options, &self.client.links())
     }
@@ -186,10 +202,11 @@ impl Sensor {
 
     fn file(&self, reader: Box<dyn EventReader>, stop: &Stop) -> Result<(EncodeSummary, Summary)> {
         let stop = self.timed(stop);
-        let live = Live::new(reader, self.rate, self.repeat, stop)?;
-        let clock = live.clock();
-        let uplink = self.uplink(live.sensor())?;
-        let encoding = self.encode(Box::new(live), &uplink, &|t_us| clock.at(t_us));
+        let clock = self.clock();
+        let live = Live::new(reader, self.rate, self.repeat, clock, stop)?;
+        let due = live.due_times();
+        let uplink = self.uplink(live.sensor(), clock)?;
+        let encoding = self.encode(Box::new(live), &uplink, &|t_us| due.at(t_us));
         let summary = self.finish(uplink);
         Ok((encoding?, summary))
     }
@@ -217,11 +234,13 @@ impl Sensor {
         let sends_frames = source.model.name() == mcu::NAME;
         let session = Session::start(source, QUEUE_BYTES, &stop, session::Limits::default())?;
         let reader = session.reader();
-        let uplink = self.uplink(reader.sensor())?;
+        let clock = self.clock();
+        let uplink = self.uplink(reader.sensor(), clock)?;
         let encoding = match sends_frames {
             true => {
                 drop(reader);
-                let mut out = FrameSink::new(&uplink, &|_| now_us());
+                let end_us = |_| clock.now_us();
+                let mut out = FrameSink::new(&uplink, &end_us);
                 let mut order = Order::default();
                 let ended = encoders_frames(&session, &mut out, &mut order);
                 out.finish(ended).map(|()| EncodeSummary {
@@ -233,7 +252,7 @@ impl Sensor {
                 })
             }
             // It is unknown when a camera's events were due: use the time of arrival.
-            false => self.encode(Box::new(reader), &uplink, &|_| now_us()),
+            false => self.encode(Box::new(reader), &uplink, &|_| clock.now_us()),
         };
         let (report, unstopped) = session.finish();
         warn_of_losses(&report);

@@ -109,6 +109,7 @@ impl Outcome {
     }
 
     fn table(&self) -> String {
+        let delay = |ms: Option<f64>| ms.map_or("not measured".to_owned(), |ms| format!("{ms:.2}"));
         rows([
             (
                 "sensors, hubs, receivers",
@@ -128,9 +129,9 @@ impl Outcome {
             ("  lost", self.lost.to_string()),
             ("links that failed", self.outages.to_string()),
             ("last frame after the end, s", format!("{:.2}", self.late_s)),
-            ("delay, median, ms", format!("{:.2}", self.delay_p50_ms)),
-            ("  99th percentile", format!("{:.2}", self.delay_p99_ms)),
-            ("  longest", format!("{:.1}", self.delay_max_ms)),
+            ("delay, median, ms", delay(self.delay_p50_ms)),
+            ("  99th percentile", delay(self.delay_p99_ms)),
+            ("  longest", delay(self.delay_max_ms)),
             ("cores", format!("{:.2}", self.cores)),
             ("memory, MiB", (self.memory_peak_bytes >> 20).to_string()),
         ])

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::Result;
 use zenoh::qos::{CongestionControl, Priority};
-use zenoh::query::ConsolidationMode;
+use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::{Session, Wait};
 
 use super::{Came, Shared, came};
@@ -33,6 +33,8 @@ pub(super) fn ask(
     let asked = session
         .get(key.as_str())
         .payload(wish.to_bytes())
+        // Several sensors may have the name.
+        .target(QueryTarget::All)
         .consolidation(ConsolidationMode::None)
         // Answers inherit these settings: they give way to new frames.
         .congestion_control(CongestionControl::Drop)
@@ -40,7 +42,9 @@ pub(super) fn ask(
         .timeout(ANSWERS)
         .callback(move |reply| {
             if let Ok(sample) = reply.result() {
-                end.shared.put(came(end.name.clone(), Kind::Again, sample));
+                let at_us = end.shared.clock.now_us();
+                end.shared
+                    .put(came(end.name.clone(), Kind::Again, sample, at_us));
             }
         })
         .wait();

@@ -22,10 +22,11 @@ use zenoh::sample::Sample;
 use zenoh::{Session, Wait};
 
 use crate::access::RECEIVERS;
+use crate::clock::{Clock, Estimate, RoundTrip};
 use crate::key::{Kind, Name, name_of, names};
 use crate::latency::Latencies;
 use crate::link::{Client, Links, said};
-use crate::message::{Answer, Message, Stamp, Status, now_us};
+use crate::message::{Answer, Message, Stamp, Status};
 pub(crate) use sensor::ANSWER_MAX;
 use taking::Taking;
 
@@ -61,6 +62,8 @@ impl Default for Options {
 pub struct Delivered<'f> {
     /// Name of its sensor.
     pub name: &'f Name,
+    /// Which of the sensors of this name sent it, from 0: more than one only if the name was given to several.
+    pub lane: usize,
     /// The frame's run, number and time.
     pub stamp: Stamp,
     /// The frame, undamaged.
@@ -98,13 +101,20 @@ pub struct SensorReport {
     pub malformed: u64,
     /// Number of times that the sensor was started.
     pub runs: u64,
+    /// Frames from before this receiver heard of their run, as far as they are known; they were not requested, or
+    /// were not held any more.
+    pub before: u64,
+    /// Largest number of sensors that sent under this name at once: 1, unless the name was given to several.
+    pub at_once: u64,
+    /// How far the sensor's clock is ahead of this computer's; `None` if the sensor did not answer for it.
+    pub clock: Option<Estimate>,
     /// Median time from a window's end to the arrival of its frame, in milliseconds, for frames that were not
-    /// requested.
-    pub delay_p50_ms: f64,
+    /// requested, without the difference between the clocks; `None` if that is not known, or there are no frames.
+    pub delay_p50_ms: Option<f64>,
     /// 99th percentile of the same.
-    pub delay_p99_ms: f64,
+    pub delay_p99_ms: Option<f64>,
     /// Maximum of the same.
-    pub delay_max_ms: f64,
+    pub delay_max_ms: Option<f64>,
 }
 
 /// What a receiver knows of its sensors and its link.
@@ -132,8 +142,8 @@ pub struct Downlink {
 
 struct Shared {
     options: Options,
-    /// Time of the start: runs that began later are received from their first frame.
-    started_us: u64,
+    /// Clock of the receiver, by whose start runs that began later are received from their first frame.
+    clock: Clock,
     inbox: Mutex<Inbox>,
     changed: Condvar,
     ends: OnceLock<Ends>,
@@ -163,8 +173,14 @@ enum Came {
         at_us: u64,
         is_again: bool,
     },
-    Status(Name, Box<Status>),
+    Status {
+        name: Name,
+        status: Box<Status>,
+        at_us: u64,
+    },
     Gone(Name, Answer),
+    /// What a sensor's clock showed between two times of the receiver's.
+    Trip(Name, RoundTrip),
     /// No further answers to the request of this number will arrive.
     Answered(Name, u64),
     Malformed(Name),
@@ -182,7 +198,7 @@ impl Downlink {
         }
         let shared = Arc::new(Shared {
             options,
-            started_us: now_us(),
+            clock: Clock::start(),
             inbox: Mutex::new(Inbox::default()),
             changed: Condvar::new(),
             ends: OnceLock::new(),
@@ -292,7 +308,7 @@ impl Shared {
     fn take(&self, kind: Kind, sample: &Sample) {
         let came = match name_of(sample.key_expr().as_str(), kind) {
             None => return lock(&self.inbox).refused += 1,
-            Some(name) => came(name, kind, sample),
+            Some(name) => came(name, kind, sample, self.clock.now_us()),
         };
         self.put(came);
     }
@@ -316,8 +332,8 @@ impl Shared {
     }
 }
 
-/// Classifies a sample.
-fn came(name: Name, kind: Kind, sample: &Sample) -> Came {
+/// Classifies a sample that arrived at `at_us` of the receiver's clock.
+fn came(name: Name, kind: Kind, sample: &Sample, at_us: u64) -> Came {
     let payload = sample.payload().to_bytes();
     let stamp = sample
         .attachment()
@@ -327,7 +343,7 @@ fn came(name: Name, kind: Kind, sample: &Sample) -> Came {
             name,
             stamp,
             frame: payload.into_owned(),
-            at_us: now_us(),
+            at_us,
             is_again: kind == Kind::Again,
         },
         (Kind::Again, None) => match Answer::from_bytes(&payload) {
@@ -335,7 +351,11 @@ fn came(name: Name, kind: Kind, sample: &Sample) -> Came {
             None => Came::Malformed(name),
         },
         (Kind::Status, _) => match Status::from_bytes(&payload) {
-            Some(status) => Came::Status(name, Box::new(status)),
+            Some(status) => Came::Status {
+                name,
+                status: Box::new(status),
+                at_us,
+            },
             None => Came::Malformed(name),
         },
         _ => Came::Malformed(name),
@@ -349,9 +369,9 @@ impl Came {
     fn bytes(&self) -> usize {
         match self {
             Self::Frame { frame, .. } => BYTES + frame.len(),
-            Self::Status(_, status) => BYTES + size_of_val(status.held.as_slice()),
+            Self::Status { status, .. } => BYTES + size_of_val(status.held.as_slice()),
             Self::Gone(_, answer) => BYTES + size_of_val(answer.gone.as_slice()),
-            Self::Answered(..) | Self::Malformed(_) => BYTES,
+            Self::Answered(..) | Self::Malformed(_) | Self::Trip(..) => BYTES,
         }
     }
 }

@@ -10,15 +10,12 @@ use anyhow::Result;
 use eecvs_nostd::Frame;
 
 use super::ask::ask;
-use super::sensor::{Asking, Joined, RUNS_MAX, Sensor};
+use super::sensor::{Asking, Joined, Run, Sensor};
 use super::{Came, Deliver, Delivered, Report, SENSORS_MAX, SensorReport, Shared, lock};
 use crate::key::Name;
 use crate::latency::Latencies;
-use crate::link::Client;
-use crate::message::{RANGES_MAX, Range, Stamp, Wish, now_us};
-
-/// A sensor counts as heard if something arrived from it within this time: it sends its status twice a second.
-const HEARD: Duration = Duration::from_secs(3);
+use crate::link::{Client, ask_clock};
+use crate::message::{Answer, HELD_MAX, RANGES_MAX, Range, Stamp, Status, Wish};
 
 /// Interval at which missing frames are looked for and requested.
 const WISH: Duration = Duration::from_millis(50);
@@ -51,6 +48,7 @@ impl Taking {
                 let since = now.saturating_duration_since(wished);
                 wished = now;
                 self.look();
+                self.decide(false)?;
                 self.wish();
                 self.give_up(since)?;
             }
@@ -79,8 +77,9 @@ impl Taking {
 
     fn take(&mut self, came: Came) -> Result<()> {
         let (Came::Frame { name, .. }
-        | Came::Status(name, _)
+        | Came::Status { name, .. }
         | Came::Gone(name, _)
+        | Came::Trip(name, _)
         | Came::Answered(name, _)
         | Came::Malformed(name)) = &came;
         let name = name.clone();
@@ -88,21 +87,8 @@ impl Taking {
             lock(&self.shared.inbox).refused += 1;
             return Ok(());
         }
-        let sensor = self.sensors.entry(name.clone()).or_insert_with(|| Sensor {
-            report: SensorReport {
-                name: name.to_string(),
-                ..SensorReport::default()
-            },
-            ..Sensor::default()
-        });
-        if !matches!(came, Came::Answered(..)) {
-            sensor.heard = Some(Instant::now());
-        }
-        let options = &self.shared.options;
-        let joined = Joined {
-            from_start: options.from_start,
-            started_us: self.shared.started_us,
-        };
+        let sensor = self.sensors.entry(name.clone());
+        let sensor = sensor.or_insert_with(|| Sensor::new(&name));
         match came {
             Came::Malformed(_) => sensor.report.malformed += 1,
             Came::Answered(_, wish) => {
@@ -110,40 +96,117 @@ impl Taking {
                     sensor.asking.wish = None;
                 }
             }
-            Came::Status(_, status) => {
-                sensor.note_clock(status.now_us, now_us());
-                if let Some(run) = sensor.run(status.run, status.next, joined) {
-                    run.until(status.next);
-                }
-                for (number, range) in status.held {
-                    // Frames from before this receiver are wanted only if the options say so.
-                    let is_known = sensor.runs.contains_key(&number);
-                    if number < status.run && (is_known || sensor.is_whole(number, joined)) {
-                        let from = if joined.from_start { range.from } else { 0 };
-                        if let Some(run) = sensor.run(number, from, joined) {
-                            run.until(range.to);
-                        }
-                    }
-                }
-            }
-            Came::Gone(_, answer) => {
-                sensor.asking.hear();
-                if let Some(run) = sensor.runs.get_mut(&answer.run) {
-                    for range in &answer.gone {
-                        run.numbers.give_up(*range);
-                    }
-                    self.settle(&name)?;
-                }
-            }
+            Came::Trip(_, trip) => sensor.trip(trip),
+            Came::Status { status, at_us, .. } => return self.status(&name, &status, at_us),
+            Came::Gone(_, answer) => return self.gone(&name, &answer),
             Came::Frame {
                 stamp,
                 frame,
                 at_us,
                 is_again,
                 ..
-            } => {
-                return self.frame(&name, stamp, frame, at_us, is_again);
+            } => return self.frame(&name, stamp, frame, at_us, is_again),
+        }
+        Ok(())
+    }
+
+    /// Returns what is wanted of a run from which a message arrived at `at_us`.
+    fn joined(&self, at_us: u64) -> Joined {
+        Joined {
+            from_start: self.shared.options.from_start,
+            up_us: at_us.saturating_sub(self.shared.clock.origin_us()),
+        }
+    }
+
+    fn status(&mut self, name: &Name, status: &Status, at_us: u64) -> Result<()> {
+        let joined = self.joined(at_us);
+        self.make_room(name, status.run)?;
+        let Some(sensor) = self.sensors.get_mut(name) else {
+            return Ok(());
+        };
+        sensor.hear(status.run, status.up_us, at_us);
+        sensor
+            .begin(status.run, status.next, status.up_us, joined)
+            .until(status.next);
+        let (mut unwanted, mut postponed) = (0_u64, 0_u64);
+        for held in status.held.iter().take(HELD_MAX) {
+            let count = held.range.to.saturating_sub(held.range.from);
+            if held.run == status.run || sensor.has_forgotten(held.run) {
+                continue;
             }
+            if !sensor.wants(held, joined) {
+                unwanted = unwanted.saturating_add(count);
+                continue;
+            }
+            if !sensor.tracks(held.run)
+                && !sensor.has_room()
+                && let Some(complete) = sensor.complete(at_us)
+            {
+                sensor.forget(complete);
+            }
+            // While earlier runs are still coming, later ones wait: the next status names them again.
+            if !sensor.tracks(held.run) && !sensor.has_room() {
+                postponed = postponed.saturating_add(count);
+                continue;
+            }
+            let run = sensor.begin_held(held, status.run, joined);
+            run.until(held.range.to);
+        }
+        (sensor.unwanted_held, sensor.postponed) = (unwanted, postponed);
+        self.settle(name)
+    }
+
+    /// Takes the numbers of requested frames that a sensor does not hold.
+    fn gone(&mut self, name: &Name, answer: &Answer) -> Result<()> {
+        let now_us = self.shared.clock.now_us();
+        let Some(sensor) = self.sensors.get_mut(name) else {
+            return Ok(());
+        };
+        // Another sensor of this name knows nothing of the run.
+        if !sensor.may_say_gone(answer.run, answer.by, now_us) {
+            return Ok(());
+        }
+        sensor.asking.hear();
+        let Some(run) = sensor.run(answer.run) else {
+            return Ok(());
+        };
+        for range in &answer.gone {
+            let before = Range {
+                from: range.from,
+                to: range.to.min(run.joined),
+            };
+            run.numbers.pass(before);
+            run.numbers.give_up(*range);
+        }
+        self.settle(name)
+    }
+
+    /// Forgets a run if there are too many to track another one: what is missing of it is lost.
+    fn make_room(&mut self, name: &Name, run: u64) -> Result<()> {
+        let now_us = self.shared.clock.now_us();
+        let Some(sensor) = self.sensors.get_mut(name) else {
+            return Ok(());
+        };
+        if sensor.tracks(run) || sensor.has_room() {
+            return Ok(());
+        }
+        let at = sensor.oldest(now_us);
+        sensor.decide(now_us, true);
+        let Some(oldest) = sensor.runs.get_mut(at) else {
+            return Ok(());
+        };
+        oldest.numbers.give_up(all(oldest.numbers.next()));
+        let lane = oldest.lane.unwrap_or(0);
+        let held = std::mem::take(&mut oldest.held);
+        sensor.forget(at);
+        for (stamp, frame) in held.into_values() {
+            self.held_bytes -= frame.len();
+            (self.deliver)(Delivered {
+                name,
+                lane,
+                stamp,
+                frame: &frame,
+            })?;
         }
         Ok(())
     }
@@ -156,11 +219,10 @@ impl Taking {
         at_us: u64,
         is_again: bool,
     ) -> Result<()> {
+        let joined = self.joined(at_us);
         let options = &self.shared.options;
-        let joined = Joined {
-            from_start: options.from_start,
-            started_us: self.shared.started_us,
-        };
+        let as_they_come = options.as_they_come;
+        let is_full = self.held_bytes + frame.len() > options.waiting_bytes;
         let Some(sensor) = self.sensors.get_mut(name) else {
             return Ok(());
         };
@@ -170,63 +232,68 @@ impl Taking {
             return Ok(());
         };
         let events = parsed.header.events;
-        let is_full = self.held_bytes + frame.len() > options.waiting_bytes;
-        // A frame sent again is too old for its stamp to show the sensor's clock.
-        if !is_again {
-            sensor.note_clock(stamp.end_us, at_us);
-        }
-        let (is_new, is_behind) = match sensor.run(stamp.run, stamp.number, joined) {
-            None => (false, false),
-            Some(run) => {
-                let is_behind =
-                    !options.as_they_come && is_full && stamp.number != run.numbers.settled();
-                // The frame would have to wait for earlier ones, and there is no room: it is requested once they
-                // have arrived.
-                if is_behind {
-                    run.until(stamp.number.saturating_add(1));
-                }
-                (!is_behind && run.take(stamp.number), is_behind)
-            }
-        };
-        if is_behind {
-            lock(&self.shared.inbox).no_room += 1;
-            return Ok(());
-        }
-        if !is_new {
+        // A frame sent again says nothing of when its run was up, and is wanted only if its run is tracked.
+        if is_again && !sensor.tracks(stamp.run) {
             sensor.report.needless += 1;
             return Ok(());
         }
+        if !is_again {
+            self.make_room(name, stamp.run)?;
+        }
+        let Some(sensor) = self.sensors.get_mut(name) else {
+            return Ok(());
+        };
+        if !is_again {
+            sensor.hear(stamp.run, stamp.up_us, at_us);
+        }
+        let run = sensor.begin(stamp.run, stamp.number, stamp.up_us, joined);
+        let waits = run.lane.is_none() || (!as_they_come && stamp.number != run.numbers.settled());
+        // The frame would have to wait, and there is no room: it is requested later.
+        if is_full && waits {
+            run.until(stamp.number.saturating_add(1));
+            lock(&self.shared.inbox).no_room += 1;
+            return Ok(());
+        }
+        if !run.take(stamp.number) {
+            sensor.report.needless += 1;
+            return Ok(());
+        }
+        let bytes = frame.len();
+        run.held.insert(stamp.number, (stamp, frame));
+        self.held_bytes += bytes;
         sensor.report.frames += 1;
-        sensor.report.bytes += frame.len() as u64;
+        sensor.report.bytes += bytes as u64;
         sensor.report.events += u64::from(events);
         if is_again {
             sensor.report.again += 1;
             sensor.asking.hear();
         } else {
-            sensor.delays.add(at_us as i64 - stamp.end_us as i64);
-        }
-        if options.as_they_come {
-            return (self.deliver)(Delivered {
-                name,
-                stamp,
-                frame: &frame,
-            });
-        }
-        self.held_bytes += frame.len();
-        if let Some(run) = sensor.runs.get_mut(&stamp.run) {
-            run.held.insert(stamp.number, (stamp, frame));
+            sensor.arrived(stamp.run, stamp.end_us, at_us);
         }
         self.settle(name)
     }
 
     /// Delivers the held frames that no longer wait for missing ones. A run's missing frames also hold up the next
-    /// run.
+    /// run of the same sensor.
     fn settle(&mut self, name: &Name) -> Result<()> {
+        let as_they_come = self.shared.options.as_they_come;
+        let now_us = self.shared.clock.now_us();
         let Some(sensor) = self.sensors.get_mut(name) else {
             return Ok(());
         };
-        for run in sensor.runs.values_mut() {
-            let settled = run.numbers.settled();
+        sensor.decide(now_us, false);
+        // A bit for each lane, of which there are few.
+        let mut held_up = 0_u32;
+        for run in &mut sensor.runs {
+            let Some(lane) = run.lane else { continue };
+            let bit = 1_u32.checked_shl(lane as u32).unwrap_or(0);
+            if held_up & bit != 0 && !as_they_come {
+                continue;
+            }
+            let settled = match as_they_come {
+                true => u64::MAX,
+                false => run.numbers.settled(),
+            };
             while let Some(first) = run.held.first_entry() {
                 if *first.key() >= settled {
                     break;
@@ -235,12 +302,13 @@ impl Taking {
                 self.held_bytes -= frame.len();
                 (self.deliver)(Delivered {
                     name,
+                    lane,
                     stamp,
                     frame: &frame,
                 })?;
             }
             if run.numbers.missing() > 0 {
-                break;
+                held_up |= bit;
             }
         }
         Ok(())
@@ -261,7 +329,24 @@ impl Taking {
         self.is_down = is_down;
     }
 
-    /// Requests from every sensor what is missing in its oldest incomplete run.
+    /// Finds out which sensors have made runs for which that was open.
+    fn decide(&mut self, is_end: bool) -> Result<()> {
+        let now_us = self.shared.clock.now_us();
+        let mut decided = Vec::new();
+        for (name, sensor) in &mut self.sensors {
+            if sensor.runs.iter().any(|run| run.lane.is_none()) {
+                sensor.decide(now_us, is_end);
+                decided.push(name.clone());
+            }
+        }
+        for name in decided {
+            self.settle(&name)?;
+        }
+        Ok(())
+    }
+
+    /// Requests from every sensor what is missing in its oldest incomplete run, or in another one if that was in
+    /// vain; and asks for its clock.
     fn wish(&mut self) {
         let Some(session) = self.client.session() else {
             return;
@@ -271,18 +356,30 @@ impl Taking {
         }
         let zid = session.zid().to_le_bytes();
         let receiver = zid.first_chunk().map_or(0, |zid| u64::from_le_bytes(*zid));
+        let now_us = self.shared.clock.now_us();
         for (name, sensor) in &mut self.sensors {
+            if sensor.is_clock_due(now_us) {
+                let (shared, own) = (Arc::clone(&self.shared), name.clone());
+                // A question that cannot be sent now is sent later.
+                let _ = ask_clock(session, name, shared.clock, move |trip| {
+                    shared.put(Came::Trip(own.clone(), trip));
+                });
+            }
             if !sensor.asking.is_due() {
                 continue;
             }
-            let missing = sensor
-                .runs
-                .iter()
-                .find(|(_, run)| run.numbers.missing() > 0 && run.progress.elapsed() >= WISH);
-            let Some((&run, missing)) = missing else {
+            let is_incomplete =
+                |run: &&Run| run.numbers.missing() > 0 && run.progress.elapsed() >= WISH;
+            let count = sensor.runs.iter().filter(is_incomplete).count();
+            let turn = (sensor.asking.in_vain as usize).checked_rem(count);
+            let missing = turn.and_then(|turn| {
+                let mut runs = sensor.runs.iter().filter(is_incomplete);
+                runs.nth(turn)
+            });
+            let Some(missing) = missing else {
                 continue;
             };
-            let ranges = missing.numbers.gaps(RANGES_MAX);
+            let (run, ranges) = (missing.id, missing.numbers.gaps(RANGES_MAX));
             self.wishes += 1;
             sensor.asking.ask(self.wishes);
             let wish = Wish {
@@ -301,35 +398,24 @@ impl Taking {
     /// still hold the frames.
     fn give_up(&mut self, since: Duration) -> Result<()> {
         let patience = self.shared.options.patience;
+        let now_us = self.shared.clock.now_us();
         let is_down = self.is_down;
         let mut given_up = Vec::new();
         for (name, sensor) in &mut self.sensors {
-            let newest = sensor.runs.keys().next_back().copied();
-            let many = sensor.runs.len() > RUNS_MAX;
-            let is_heard = !is_down && sensor.heard.is_some_and(|heard| heard.elapsed() < HEARD);
-            for (index, run) in sensor.runs.values_mut().enumerate() {
-                if is_heard && run.numbers.missing() > 0 {
+            for at in 0..sensor.runs.len() {
+                let run = &sensor.runs[at];
+                if run.numbers.missing() == 0 {
+                    continue;
+                }
+                let is_heard = !is_down && sensor.is_heard(run, now_us);
+                let run = &mut sensor.runs[at];
+                if is_heard {
                     run.waited += since;
                 }
-                let is_old = run.waited >= patience;
-                if run.numbers.missing() > 0 && (is_old || (many && index == 0)) {
-                    let all = Range {
-                        from: 0,
-                        to: run.numbers.next(),
-                    };
-                    run.numbers.give_up(all);
+                if run.waited >= patience {
+                    run.numbers.give_up(all(run.numbers.next()));
                     given_up.push(name.clone());
                 }
-            }
-            // If there are too many runs, the oldest is forgotten, provided that none of its frames is missing or
-            // held.
-            if many
-                && let Some(mut first) = sensor.runs.first_entry()
-                && Some(*first.key()) != newest
-                && first.get_mut().held.is_empty()
-                && first.get().numbers.missing() == 0
-            {
-                sensor.lost_before += first.remove().numbers.lost();
             }
         }
         for name in given_up {
@@ -340,18 +426,17 @@ impl Taking {
 
     /// Nothing more arrives: held frames are delivered without the missing ones.
     fn end(&mut self) -> Result<()> {
+        self.decide(true)?;
         let names: Vec<Name> = self.sensors.keys().cloned().collect();
         for name in names {
             let Some(sensor) = self.sensors.get_mut(&name) else {
                 continue;
             };
-            for run in sensor.runs.values_mut() {
-                let all = Range {
-                    from: 0,
-                    to: run.numbers.next(),
-                };
-                run.numbers.give_up(all);
+            for run in &mut sensor.runs {
+                run.numbers.give_up(all(run.numbers.next()));
             }
+            let postponed = std::mem::take(&mut sensor.postponed);
+            sensor.lost_before = sensor.lost_before.saturating_add(postponed);
             self.settle(&name)?;
         }
         Ok(())
@@ -363,19 +448,10 @@ impl Taking {
             (inbox.no_room, inbox.refused)
         };
         let mut delays = Latencies::default();
+        let now_us = self.shared.clock.now_us();
         let sensors = self.sensors.values_mut().map(|sensor| {
             delays.merge(&sensor.delays);
-            let report = &mut sensor.report;
-            let lost = sensor.runs.values().map(|run| run.numbers.lost());
-            report.lost = lost.fold(sensor.lost_before, u64::saturating_add);
-            report.missing = sensor.runs.values().map(|run| run.numbers.missing()).sum();
-            let delays = sensor.delays.quantiles();
-            (
-                report.delay_p50_ms,
-                report.delay_p99_ms,
-                report.delay_max_ms,
-            ) = (delays.p50_ms, delays.p99_ms, delays.max_ms);
-            report.clone()
+            sensor.tell(now_us)
         });
         let sensors: Vec<SensorReport> = sensors.collect();
         let report = Report {
@@ -387,4 +463,9 @@ impl Taking {
         };
         *lock(&self.shared.report) = report;
     }
+}
+
+/// Returns the range of all numbers below one.
+const fn all(next: u64) -> Range {
+    Range { from: 0, to: next }
 }

@@ -196,15 +196,17 @@ impl Disk {
         numbers.min()
     }
 
-    /// Returns which frames of other runs than `but` are held: the newest `most` ranges.
+    /// Returns which runs other than `but` have frames here, the newest `most`, each with the range from its first
+    /// such frame to its last.
     #[must_use]
     pub fn held(&self, but: u64, most: usize) -> Vec<(u64, Range)> {
         let mut held: Vec<(u64, Range)> = Vec::new();
         for segment in self.segments.iter().filter(|segment| segment.run != but) {
             for &(number, ..) in &segment.records {
                 match held.last_mut() {
-                    Some((run, range)) if *run == segment.run && range.to == number => {
-                        range.to += 1;
+                    Some((run, range)) if *run == segment.run => {
+                        range.from = range.from.min(number);
+                        range.to = range.to.max(number + 1);
                     }
                     _ => held.push((
                         segment.run,
@@ -217,6 +219,12 @@ impl Disk {
             }
         }
         held.split_off(held.len().saturating_sub(most))
+    }
+
+    /// Returns the newest run that has frames here.
+    #[must_use]
+    pub fn newest_run(&self) -> Option<u64> {
+        self.segments.iter().map(|segment| segment.run).max()
     }
 
     /// Returns the counts of the store.
@@ -311,6 +319,7 @@ fn parse(record: &[u8], run: u64) -> Option<Kept> {
             run,
             number: u64::from_le_bytes(*number),
             end_us: u64::from_le_bytes(*end_us),
+            up_us: 0,
         },
         frame: frame.into(),
     };
@@ -338,6 +347,7 @@ mod tests {
                 run,
                 number,
                 end_us: number * 3,
+                up_us: 0,
             },
             frame: vec![number as u8; bytes].into(),
         }

@@ -5,6 +5,7 @@
 //! written while all is well. Both places are bounded; frames that have to be dropped, the oldest first, are
 //! counted.
 
+pub mod claim;
 pub mod disk;
 
 use std::collections::VecDeque;
@@ -93,6 +94,7 @@ impl Store {
                     run: self.run,
                     number,
                     end_us,
+                    up_us: 0,
                 },
                 frame,
             },
@@ -177,7 +179,8 @@ impl Store {
         rest.map(|there| there.kept.frame.len() as u64).sum()
     }
 
-    /// Returns which frames of earlier runs are held, in at most `most` ranges.
+    /// Returns which earlier runs have frames in the store, at most `most`, each with the range from its first such
+    /// frame to its last.
     #[must_use]
     pub fn held(&self, most: usize) -> Vec<(u64, Range)> {
         let disk = self.disk.as_ref();

@@ -234,6 +234,10 @@ impl<'s> Link<'s> {
 
     fn send(&mut self, stamp: Stamp, frame: &[u8]) {
         self.bucket.take(frame.len(), Instant::now());
+        let stamp = Stamp {
+            up_us: self.shared.clock.up_us(),
+            ..stamp
+        };
         if let Some(ends) = self.shared.ends.get() {
             // A frame that does not leave is requested again.
             let _ = ends.frames.put(frame).attachment(stamp.to_bytes()).wait();
@@ -248,6 +252,7 @@ impl<'s> Link<'s> {
             ranges: wish.ranges.into(),
             answer: Answer {
                 run: wish.run,
+                by: self.shared.run,
                 gone: Vec::new(),
             },
             bytes: 0,

@@ -23,10 +23,12 @@ use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
 
 use crate::budget::{Governor, least};
+use crate::clock::Clock;
 use crate::key::{Kind, Name};
 use crate::link::{Client, Links, said};
-use crate::message::{Budget, Events, HELD_MAX, Message, RANGES_MAX, Status, Wish, now_us};
+use crate::message::{Budget, Events, HELD_MAX, Held, Message, RANGES_MAX, Status, Time, Wish};
 use crate::store::Store;
+use crate::store::claim::Claim;
 use crate::store::disk::Disk;
 use link::Link;
 
@@ -43,6 +45,8 @@ pub struct Options {
     pub disk: Option<(PathBuf, u64)>,
     /// Maximum bytes of frames per second.
     pub bytes_per_second: Option<u32>,
+    /// The clock of the run, which began when this was started; the ends of windows are told by it.
+    pub clock: Clock,
 }
 
 /// Maximum number of waiting requests; further ones are ignored, and have to be sent again.
@@ -52,11 +56,14 @@ const WISHES_MAX: usize = 64;
 pub struct Uplink {
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
+    /// Keeps other sensors out of the folder for frames.
+    _claim: Option<Claim>,
 }
 
 struct Shared {
     name: Name,
     run: u64,
+    clock: Clock,
     sensor: Sensor,
     client: OnceLock<Client>,
     ends: OnceLock<Ends>,
@@ -71,6 +78,7 @@ struct Ends {
     frames: Publisher<'static>,
     status: Publisher<'static>,
     _again: Queryable<()>,
+    _clock: Queryable<()>,
     _budget: Subscriber<()>,
     _alive: LivelinessToken,
 }
@@ -122,19 +130,30 @@ impl Uplink {
     /// Starts to connect to a hub; frames are accepted at once.
     ///
     /// # Errors
-    /// Settings or keys are invalid, or the folder for frames cannot be used.
+    /// Settings or keys are invalid, or the folder for frames cannot be used, for instance because it is another
+    /// sensor's.
     pub fn start(options: &Options, links: &Links) -> Result<Self> {
-        let disk = match &options.disk {
-            Some((folder, bytes)) => Some(Disk::open(folder, *bytes)?),
-            None => None,
+        let (claim, disk) = match &options.disk {
+            Some((folder, bytes)) => {
+                let claim = Claim::new(folder, &options.name)?;
+                (Some(claim), Some(Disk::open(folder, *bytes)?))
+            }
+            None => (None, None),
         };
         let now = Instant::now();
-        let run = now_us();
+        // A clock that was set back since an earlier run does not make this run an earlier one.
+        let newest = disk.as_ref().and_then(Disk::newest_run);
+        let clock = options.clock;
+        let run = match newest {
+            Some(newest) => clock.origin_us().max(newest.saturating_add(1)),
+            None => clock.origin_us(),
+        };
         let mut store = Store::new(run, options.memory_bytes, disk);
         store.link(false, now);
         let shared = Arc::new(Shared {
             name: options.name.clone(),
             run,
+            clock,
             sensor: options.sensor,
             client: OnceLock::new(),
             ends: OnceLock::new(),
@@ -171,7 +190,14 @@ impl Uplink {
         Ok(Self {
             shared,
             thread: Some(thread),
+            _claim: claim,
         })
+    }
+
+    /// Returns the clock of the run.
+    #[must_use]
+    pub fn clock(&self) -> Clock {
+        self.shared.clock
     }
 
     /// Returns the encoder's budget per second, which changes over time.
@@ -180,7 +206,7 @@ impl Uplink {
         Arc::clone(&self.shared.encoder)
     }
 
-    /// Accepts the next frame, whose window ended at `end_us`, in microseconds since 1970.
+    /// Accepts the next frame, whose window ended at `end_us` of the run's clock, in microseconds since 1970.
     ///
     /// # Errors
     /// The bytes are not a frame, or there will be no link.
@@ -292,6 +318,20 @@ impl Shared {
             .callback(move |query| own.wish(query))
             .wait();
         let own = Arc::clone(self);
+        let clock = session
+            .declare_queryable(key(Kind::Clock))
+            .callback(move |query| {
+                let time = Time {
+                    run: own.run,
+                    now_us: own.clock.now_us(),
+                };
+                // Whoever gets no answer asks again.
+                let _ = query
+                    .reply(own.name.key(Kind::Clock), time.to_bytes())
+                    .wait();
+            })
+            .wait();
+        let own = Arc::clone(self);
         let budget = session
             .declare_subscriber(key(Kind::Budget))
             .callback(move |sample| {
@@ -305,6 +345,7 @@ impl Shared {
             frames: publisher(Kind::Frames)?,
             status: publisher(Kind::Status)?,
             _again: again.map_err(said(key(Kind::Again)))?,
+            _clock: clock.map_err(said(key(Kind::Clock)))?,
             _budget: budget.map_err(said(key(Kind::Budget)))?,
             _alive: alive.map_err(said(key(Kind::Alive)))?,
         });
@@ -342,7 +383,7 @@ impl Shared {
             next: state.store.next(),
             width: self.sensor.width,
             height: self.sensor.height,
-            now_us: now_us(),
+            up_us: self.clock.up_us(),
             events: state.events,
             bytes: state.bytes,
             windows: state.windows,
@@ -352,8 +393,23 @@ impl Shared {
             outages_us: state.outages_us + down_us,
             again: state.again,
             stored: state.store.stored(),
-            held: state.store.held(HELD_MAX),
+            held: self.held(&state.store),
         }
+    }
+
+    /// Returns which frames of earlier runs the store holds, and how long ago these runs began.
+    fn held(&self, store: &Store) -> Vec<Held> {
+        let held = store.held(HELD_MAX).into_iter();
+        held.map(|(run, range)| Held {
+            run,
+            range,
+            ago_us: self
+                .clock
+                .now_us()
+                .checked_sub(run)
+                .filter(|_| run < self.clock.origin_us()),
+        })
+        .collect()
     }
 }
 

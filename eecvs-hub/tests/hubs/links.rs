@@ -6,6 +6,7 @@ use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use crate::fleet::{self, Fleet, assert_all, frames, garbage, port, send, until};
+use eecvs_hub::clock::Clock;
 use eecvs_hub::key::{Kind, Name};
 use eecvs_hub::link::{Client, Links};
 use eecvs_hub::message::{Message as _, Status};
@@ -84,7 +85,7 @@ fn a_hub_that_is_gone_for_a_while_loses_nothing() {
                 let mut count = 0_usize;
                 while !stop.load(Ordering::Relaxed) {
                     uplink
-                        .send(&frames[count % frames.len()], eecvs_hub::message::now_us())
+                        .send(&frames[count % frames.len()], uplink.clock().now_us())
                         .unwrap();
                     count += 1;
                     std::thread::sleep(TICK);
@@ -148,18 +149,205 @@ fn what_was_made_without_a_link_comes_when_there_is_one() {
     drop(hub);
     until("the link is down", || !uplink.is_connected());
     send(&uplink, &frames[..50], Duration::ZERO, 50);
-    // The computer is switched off: what was not sent is on its disk, and comes with the next run.
+    // The computer is switched off: what was not sent is on its disk, and comes with the next run, also where the
+    // clock was set in between.
     let summary = uplink.finish(Duration::ZERO);
     assert!(summary.status.stored.disk_frames >= 50);
     std::thread::sleep(Duration::from_millis(10));
+    let mut want: Vec<u64> = (0..350).collect();
+    for ahead_us in [0, -HOUR_US, HOUR_US] {
+        let clock = Clock::start_ahead(ahead_us);
+        let uplink = fleet.sensor_with(0, "a", "sensor-a", Some(store.path()), clock);
+        send(&uplink, &frames, Duration::ZERO, 10);
+        let hub = fleet.hub(0, &[]);
+        want.extend(0..10);
+        until("all have come", || desk.count("a") == want.len());
+        drop(hub);
+        until("the link is down", || !uplink.is_connected());
+        send(&uplink, &frames, Duration::ZERO, 5);
+        want.extend(10..15);
+        let _ = uplink.finish(Duration::ZERO);
+    }
     let uplink = fleet.sensor(0, "a", "sensor-a", Some(store.path()));
-    send(&uplink, &frames, Duration::ZERO, 10);
     let _hub = fleet.hub(0, &[]);
-    until("all have come", || desk.count("a") == 360);
+    until("all have come", || desk.count("a") == want.len());
+    drop(uplink);
     let came = desk.came.lock().unwrap();
     let numbers: Vec<u64> = came["a"].iter().map(|(number, _)| *number).collect();
-    let want: Vec<u64> = (0..350).chain(0..10).collect();
     assert_eq!(numbers, want);
+    drop(came);
+    let report = desk.downlink.finish().unwrap();
+    let sensor = &report.sensors[0];
+    assert_eq!((sensor.lost, sensor.missing, sensor.before), (0, 0, 0));
+    assert_eq!((sensor.at_once, sensor.runs), (1, 5));
+}
+
+const HOUR_US: i64 = 3_600_000_000;
+
+/// The clock of a sensor's computer is an hour off, or was never set.
+#[test]
+fn a_clock_that_is_wrong_loses_nothing_and_delays_are_without_it() {
+    let now_us = eecvs_hub::message::now_us() as i64;
+    let frames = frames(100_000, Coder::Fast);
+    std::thread::scope(|scope| {
+        for ahead_us in [-HOUR_US, HOUR_US, -now_us, 0] {
+            let frames = &frames;
+            scope.spawn(move || {
+                let from = |first: usize| {
+                    let frames = frames.iter().cycle().skip(first).take(frames.len());
+                    frames.cloned().collect()
+                };
+                let fleet = Fleet::new(1, &["a"], &[("desk", "**")]);
+                let desk = fleet.receiver(0, "receiver-desk", "**");
+                let clock = Clock::start_ahead(ahead_us);
+                let uplink = fleet.sensor_with(0, "a", "sensor-a", None, clock);
+                let shown_us = uplink.clock().now_us() as i64;
+                let real_us = eecvs_hub::message::now_us() as i64;
+                assert!((shown_us - real_us - ahead_us).abs() < 10_000_000);
+                send(&uplink, frames, Duration::from_millis(1), 112);
+                let hub = fleet.hub(0, &[]);
+                until("the sensor is connected", || uplink.is_connected());
+                let rest: Vec<_> = from(112);
+                send(&uplink, &rest, TICK, 133);
+                until("all have come", || desk.count("a") == 245);
+                until("the clock has answered", || {
+                    let row = &hub.board().rows()[0];
+                    let report = desk.downlink.report().unwrap();
+                    row.clock.is_some() && report.sensors[0].clock.is_some()
+                });
+                // Some more, so that the hub has latencies too.
+                let rest: Vec<_> = from(245);
+                send(&uplink, &rest, TICK, 55);
+                until("all have come", || desk.count("a") == 300);
+                assert_all(&desk, "a", frames, 300);
+                let row = hub.board().rows().remove(0);
+                let latency = row.latency.unwrap();
+                let report = desk.downlink.finish().unwrap();
+                let sensor = &report.sensors[0];
+                let counts = (sensor.frames, sensor.missing, sensor.lost, sensor.before);
+                assert_eq!(counts, (300, 0, 0, 0), "{report:?}");
+                for clock in [sensor.clock.unwrap(), row.clock.unwrap()] {
+                    let off_us = clock.ahead_us.abs_diff(ahead_us);
+                    assert!(off_us <= clock.error_us + 1000, "{ahead_us} {clock:?}");
+                    assert_eq!(clock.is_different(), ahead_us != 0);
+                }
+                // What they would be by the clocks alone is an hour or more.
+                let most_ms = sensor.delay_max_ms.unwrap();
+                assert!((-1000.0..60_000.0).contains(&most_ms), "{most_ms}");
+                let range_us = -1_000_000..60_000_000;
+                assert!(range_us.contains(&latency.p50_us) && range_us.contains(&latency.p99_us));
+            });
+        }
+    });
+}
+
+/// A sensor's computer began with a clock that was never set, and was set since: the run has a number of long ago, and
+/// everything else has today's times. What is wanted of it rests on how long it has been up.
+#[test]
+fn a_clock_that_was_set_loses_nothing() {
+    let plain = Plain::new();
+    let started = Instant::now();
+    let options = downlink::Options::default();
+    let downlink = downlink::Downlink::start(options, &plain.links, Box::new(|_| Ok(()))).unwrap();
+    until("a receiver is connected", || downlink.is_connected());
+    let say = |name: &str, up_us| {
+        let name: Name = name.parse().unwrap();
+        let status = Status {
+            run: 7,
+            next: 112,
+            up_us,
+            ..Status::default()
+        };
+        plain.put(&name.key(Kind::Status), status.to_bytes());
+    };
+    let figures = |name: &str| {
+        let report = downlink.report().unwrap();
+        let sensor = report.sensors.iter().find(|sensor| sensor.name == name);
+        sensor.map(|sensor| (sensor.missing + sensor.lost, sensor.before))
+    };
+    until("what is missing is counted", || {
+        say("after", started.elapsed().as_micros() as u64 / 2);
+        figures("after") == Some((112, 0))
+    });
+    // One that began before the receiver: what it made until now is not asked for, and that is said.
+    until("what is not wanted is counted", || {
+        say("before", 3_600_000_000);
+        figures("before") == Some((0, 112))
+    });
+}
+
+/// Two sensors have one name, and one certificate: each is delivered by itself, and whole; and all say so.
+#[test]
+fn two_sensors_of_one_name_are_kept_apart() {
+    let fleet = Fleet::new(1, &["a"], &[("desk", "**")]);
+    let hub = fleet.hub(0, &[]);
+    let desk = fleet.receiver(0, "receiver-desk", "**");
+    desk.connected();
+    let frames = frames(200_000, Coder::Fast);
+    // Their frames differ.
+    let other: Vec<_> = frames.iter().rev().cloned().collect();
+    let every = Duration::from_millis(10);
+    std::thread::scope(|scope| {
+        let first = scope.spawn(|| {
+            let uplink = fleet.sensor(0, "a", "sensor-a", None);
+            send(&uplink, &frames, every, 700);
+            uplink.finish(fleet::PATIENCE)
+        });
+        until("the first is heard", || desk.count("a") > 50);
+        let second = scope.spawn(|| {
+            // With a clock that is an hour behind, it seems to have begun before.
+            let clock = Clock::start_ahead(-HOUR_US);
+            let uplink = fleet.sensor_with(0, "a", "sensor-a", None, clock);
+            send(&uplink, &other, every, 400);
+            uplink.finish(fleet::PATIENCE)
+        });
+        until("the hub says so", || {
+            hub.board().shared_names() == [("a".parse().unwrap(), 2)]
+        });
+        for summary in [first, second] {
+            assert_eq!(summary.join().unwrap().unsent, 0);
+        }
+    });
+    until("all have come", || {
+        desk.count("a") == 700 && desk.count("a~2") == 400
+    });
+    assert_all(&desk, "a", &frames, 700);
+    assert_all(&desk, "a~2", &other, 400);
+    assert_eq!(hub.board().rows()[0].at_once_most, 2);
+    let report = desk.downlink.finish().unwrap();
+    let sensor = &report.sensors[0];
+    assert_eq!((sensor.at_once, sensor.runs), (2, 2));
+    assert_eq!((sensor.frames, sensor.missing, sensor.lost), (1100, 0, 0));
+}
+
+/// A sensor without a store that is started again at once is one sensor.
+#[test]
+fn a_sensor_that_is_started_again_is_one() {
+    let fleet = Fleet::new(1, &["a"], &[("desk", "**")]);
+    let hub = fleet.hub(0, &[]);
+    let desk = fleet.receiver(0, "receiver-desk", "**");
+    desk.connected();
+    let frames = frames(200_000, Coder::Fast);
+    let mut want: Vec<u64> = Vec::new();
+    for (start, ahead_us) in [0, -HOUR_US, HOUR_US].into_iter().enumerate() {
+        let clock = Clock::start_ahead(ahead_us);
+        let uplink = fleet.sensor_with(0, "a", "sensor-a", None, clock);
+        until("the sensor is connected", || uplink.is_connected());
+        let count = 100 + start;
+        send(&uplink, &frames, TICK, count);
+        want.extend(0..count as u64);
+        assert_eq!(uplink.finish(Duration::from_secs(1)).unsent, 0);
+    }
+    until("all have come", || desk.count("a") == want.len());
+    let came = desk.came.lock().unwrap();
+    let numbers: Vec<u64> = came["a"].iter().map(|(number, _)| *number).collect();
+    assert_eq!(numbers, want);
+    assert_eq!(came.len(), 1);
+    drop(came);
+    let report = desk.downlink.finish().unwrap();
+    let sensor = &report.sensors[0];
+    assert_eq!((sensor.at_once, sensor.runs, sensor.lost), (1, 3, 0));
+    assert_eq!(hub.board().rows()[0].at_once_most, 1);
 }
 
 #[test]
@@ -360,44 +548,21 @@ fn without_keys_links_are_plain() {
 /// What is missing is waited for as long as its sensor may still have it: while it is not heard, no time runs.
 #[test]
 fn only_a_sensor_that_is_heard_is_given_up() {
-    let endpoint = format!("tcp/127.0.0.1:{}", port());
-    let links = Links {
-        listen: vec![endpoint.clone()],
-        ..Links::default()
-    };
-    let _hub = hub::Hub::start(hub::Options::default(), &links, None).unwrap();
-    let links = Links {
-        connect: vec![endpoint],
-        ..Links::default()
-    };
+    let plain = Plain::new();
     let options = downlink::Options {
         patience: Duration::from_secs(4),
         ..downlink::Options::default()
     };
-    let downlink = downlink::Downlink::start(options, &links, Box::new(|_| Ok(()))).unwrap();
+    let downlink = downlink::Downlink::start(options, &plain.links, Box::new(|_| Ok(()))).unwrap();
     until("a receiver is connected", || downlink.is_connected());
     // One that says that there are frames, and gives nobody any.
-    let said: Arc<OnceLock<zenoh::Session>> = Arc::default();
-    let own = Arc::clone(&said);
-    let _client = Client::start(&links, move |session| {
-        let _ = own.set(session.clone());
-        Ok(())
-    })
-    .unwrap();
-    until("it is connected", || said.get().is_some());
     let status = Status {
         run: eecvs_hub::message::now_us(),
         next: 100,
         ..Status::default()
     };
     let name: Name = "a".parse().unwrap();
-    let say = || {
-        let session = said.get().unwrap();
-        session
-            .put(name.key(Kind::Status), status.to_bytes())
-            .wait()
-            .unwrap();
-    };
+    let say = || plain.put(&name.key(Kind::Status), status.to_bytes());
     let figures = || {
         let report = downlink.report().unwrap();
         report
@@ -416,4 +581,45 @@ fn only_a_sensor_that_is_heard_is_given_up() {
         say();
         figures() == (0, 100)
     });
+}
+
+/// A hub without keys, and a client of it that says what it likes.
+struct Plain {
+    links: Links,
+    session: Arc<OnceLock<zenoh::Session>>,
+    _client: Client,
+    _hub: hub::Hub,
+}
+
+impl Plain {
+    fn new() -> Self {
+        let endpoint = format!("tcp/127.0.0.1:{}", port());
+        let links = Links {
+            listen: vec![endpoint.clone()],
+            ..Links::default()
+        };
+        let hub = hub::Hub::start(hub::Options::default(), &links, None).unwrap();
+        let links = Links {
+            connect: vec![endpoint],
+            ..Links::default()
+        };
+        let session: Arc<OnceLock<zenoh::Session>> = Arc::default();
+        let own = Arc::clone(&session);
+        let client = Client::start(&links, move |session| {
+            let _ = own.set(session.clone());
+            Ok(())
+        })
+        .unwrap();
+        until("it is connected", || session.get().is_some());
+        Self {
+            links,
+            session,
+            _client: client,
+            _hub: hub,
+        }
+    }
+
+    fn put(&self, key: &str, bytes: Vec<u8>) {
+        self.session.get().unwrap().put(key, bytes).wait().unwrap();
+    }
 }

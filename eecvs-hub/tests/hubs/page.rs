@@ -9,14 +9,14 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use eecvs_hub::board::{Board, HubFigures};
-use eecvs_hub::message::{Events, Status, Stored, now_us};
+use eecvs_hub::message::{Events, Status, Stored};
 use eecvs_nostd::{Coder, Fidelity, Frame, Mode};
 use event_emulator::Preset;
 use serde_json::{Value, json};
 
 use crate::browser;
 use crate::chromium::Browser;
-use crate::feed::{Scene, Served, Way, events, name, scene, stamp};
+use crate::feed::{Scene, Served, Way, answer_clock, events, name, scene, stamp};
 
 /// What measures a page.
 const MEASURE: &str = include_str!("../../../host-harness/tests/browser/measure.js");
@@ -40,6 +40,7 @@ enum What {
     Well,
     Thinned,
     Ahead,
+    Double,
     Missing,
     Damaged,
     Congested,
@@ -49,6 +50,9 @@ enum What {
     Gone,
     Silent,
 }
+
+/// The run of all sensors, by a clock that nothing is compared with.
+const RUN: u64 = 1_700_000_000_000_000;
 
 const EXACT: Mode = events(Coder::Fast, Fidelity::Lossless);
 const DENSE: Mode = events(Coder::Dense, Fidelity::Lossless);
@@ -107,7 +111,7 @@ const CAST: [Cast; 12] = [
         "street/night",
         Preset::OutdoorDark,
         Mode::Transform,
-        What::Well,
+        What::Double,
     ),
     cast("workshop/spare", Preset::OutdoorDark, EXACT, What::Silent),
     cast("yard", Preset::Motorcycle, EXACT, What::Gone),
@@ -136,11 +140,11 @@ impl Cast {
         let is = |what| self.what == what;
         let many = |is: bool, count| if is { count } else { 0 };
         Status {
-            run: 1_700_000_000_000_000,
+            run: RUN,
             next,
             width: 346,
             height: 260,
-            now_us: now_us(),
+            up_us: 7_260_000_000,
             events: Events {
                 late: many(is(What::Late), 1234),
                 filtered: many(is(What::Late), 99),
@@ -177,12 +181,16 @@ impl Cast {
         if self.what == What::Damaged && step == 5 {
             frame[40] ^= 1;
         }
-        let ago_us = if self.what == What::Ahead {
-            -250_000
+        let ahead_us = if self.what == What::Ahead {
+            7_250_000
         } else {
-            3_000 + step as i64 % 10 * 500
+            0
         };
-        board.frame(&cam, stamp(1_700_000_000_000_000, step, ago_us), &frame);
+        let ago_us = 3_000 + step as i64 % 10 * 500 - ahead_us;
+        board.frame(&cam, stamp(RUN, step, ago_us), &frame);
+        if step.is_multiple_of(25) {
+            answer_clock(board, &cam, RUN, ahead_us);
+        }
     }
 }
 
@@ -199,6 +207,15 @@ impl Feeder {
                     receivers: 17,
                 });
                 for (cast, scene) in CAST.iter().zip(&scenes) {
+                    if cast.what == What::Double && step.is_multiple_of(10) {
+                        // Another one of this name, which began before the first.
+                        let other = Status {
+                            run: RUN + 1,
+                            up_us: 8_000_000_000 + 20_000 * step,
+                            ..cast.status(0)
+                        };
+                        board.status(&name(cast.name), other);
+                    }
                     cast.feed(&board, scene, step);
                     if step.is_multiple_of(25) && cast.what != What::Silent {
                         board.status(
@@ -290,6 +307,7 @@ fn check_cards(cards: &[Value]) {
             What::Gone => has("state", "not connected"),
             What::Quiet => has("state", "quiet for"),
             What::Silent => has("state", "no frames yet"),
+            What::Double => has("state", "2 sensors of this name"),
             _ => has("state", "● connected"),
         }
         if is_live {
@@ -302,6 +320,9 @@ fn check_cards(cards: &[Value]) {
                 assert!(shown > 0.0, "{card:#}");
             }
             has("sensor", "346 × 260");
+            if cast.what != What::Double {
+                has("sensor", "up 2 h 1 min");
+            }
             let most = if cast.preset == Preset::Motorcycle {
                 "dense 100%"
             } else {
@@ -321,7 +342,10 @@ fn check_cards(cards: &[Value]) {
             _ => has("times", "in 32 bins, fast coder"),
         }
         match cast.what {
-            What::Ahead => has("latency", "clocks differ: -2"),
+            What::Ahead => {
+                has("latency", " ms, p99 ");
+                has("latency", "; its clock is 7.25 s ahead");
+            }
             _ if is_live => has("latency", " ms, p99 "),
             _ => {}
         }

@@ -145,17 +145,7 @@ fn every_event_comes_though_the_hub_is_killed() {
             "--json",
         ]));
     }
-    let figures = || {
-        let mut answer = String::new();
-        let Ok(mut stream) = std::net::TcpStream::connect(&page) else {
-            return answer;
-        };
-        use std::io::{Read as _, Write as _};
-        let request = format!("GET /metrics HTTP/1.1\r\nHost: {page}\r\nConnection: close\r\n\r\n");
-        let _ = stream.write_all(request.as_bytes());
-        let _ = stream.read_to_string(&mut answer);
-        answer
-    };
+    let figures = || figures(&page);
     until("the hub knows both", || {
         assert!(running.is_running());
         let figures = figures();
@@ -203,6 +193,142 @@ fn every_event_comes_though_the_hub_is_killed() {
     }
     running.signal("-TERM");
     assert!(running.end().status.success());
+}
+
+/// The answer of a hub's page for its figures; nothing while there is no page.
+fn figures(page: &str) -> String {
+    use std::io::{Read as _, Write as _};
+    let mut answer = String::new();
+    let Ok(mut stream) = std::net::TcpStream::connect(page) else {
+        return answer;
+    };
+    let request = format!("GET /metrics HTTP/1.1\r\nHost: {page}\r\nConnection: close\r\n\r\n");
+    let _ = stream.write_all(request.as_bytes());
+    let _ = stream.read_to_string(&mut answer);
+    answer
+}
+
+/// Two sensors are given one name, and the clock of a third is an hour behind: nothing is mixed, lost or measured by the
+/// wrong clock, and all programs say so.
+#[test]
+fn a_name_given_twice_and_a_wrong_clock_are_said() {
+    let endpoint = format!("tcp/127.0.0.1:{}", fleet::port());
+    let page = format!("127.0.0.1:{}", fleet::port());
+    let mut hub = Program::start(&["hub", "--listen", &endpoint, "--page", &page]);
+    until("the hub is there", || {
+        assert!(hub.is_running());
+        !figures(&page).is_empty()
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let to = folder.path().join("received");
+    let receive = [
+        "receive",
+        "--connect",
+        &endpoint,
+        "--to",
+        to.to_str().unwrap(),
+        "--idle-s",
+        "5",
+    ];
+    let as_json = Program::start(&[&receive[..], &["--json"]].concat());
+    until("the receiver is there", || {
+        figures(&page).contains("eecvs_hub_receivers{hub=\"hub\"} 1")
+    });
+    let sensor = |name: &str, seed: &str, ahead_s: &str| {
+        let line = [
+            "sensor",
+            name,
+            "--connect",
+            &endpoint,
+            "--scene",
+            "motorcycle",
+            "--seed",
+            seed,
+            "--width",
+            "64",
+            "--height",
+            "48",
+            "--duration-us",
+            "8000000",
+            "--window-us",
+            "10000",
+            "--coder",
+            "fast",
+            "--linger-s",
+            "20",
+            "--clock-ahead-s",
+            ahead_s,
+            "--json",
+        ];
+        Program::start(&line)
+    };
+    let mut sensors = vec![sensor("door", "3", "0"), sensor("gate", "5", "-3600")];
+    until("the hub knows them", || {
+        let figures = figures(&page);
+        figures.contains("sensor=\"door\"") && figures.contains("sensor=\"gate\"")
+    });
+    // The second of this name seems to have begun an hour later.
+    sensors.push(sensor("door", "4", "3600"));
+    until("the hub says that there are two", || {
+        figures(&page).contains("eecvs_sensors_at_once{sensor=\"door\"} 2")
+    });
+    until("the hub has measured the clock", || {
+        let figures = figures(&page);
+        let mut lines = figures.lines();
+        let of = "eecvs_clock_ahead_seconds{sensor=\"gate\"} ";
+        let ahead_s = lines.find_map(|line| line.strip_prefix(of)?.parse::<f64>().ok());
+        ahead_s.is_some_and(|ahead_s| (ahead_s + 3600.0).abs() < 5.0)
+    });
+    for sensor in sensors {
+        let output = sensor.end();
+        let told = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{told}");
+    }
+    let output = as_json.end();
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{told}");
+    let all = "door: 2 sensors sent under this name at once; --allow-loss makes it no error";
+    assert!(told.contains(all), "{told}");
+    assert!(
+        told.contains("door: 2 sensors send under this name at once, and each is kept apart"),
+        "{told}"
+    );
+    let said: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let [door, gate] = [0, 1].map(|index| &said["sensors"][index]);
+    assert_eq!((&door["at_once"], &gate["at_once"]), (&2.into(), &1.into()));
+    for sensor in [door, gate] {
+        for what in ["lost", "missing", "before", "malformed"] {
+            assert_eq!(sensor[what], 0, "{sensor}");
+        }
+    }
+    assert_eq!(gate["clock"]["is_different"], true, "{gate}");
+    let ahead_us = gate["clock"]["ahead_us"].as_i64().unwrap();
+    let error_us = gate["clock"]["error_us"].as_u64().unwrap();
+    assert!(
+        ahead_us.abs_diff(-3_600_000_000) <= error_us + 1000,
+        "{gate}"
+    );
+    let p99_ms = gate["delay_p99_ms"].as_f64().unwrap();
+    assert!((0.0..60_000.0).contains(&p99_ms), "{gate}");
+    let files = ["door.eecvs", "door~2.eecvs", "gate.eecvs"];
+    for (index, (file, seed)) in files.into_iter().zip([3, 4, 5]).enumerate() {
+        let path = to.join(file);
+        assert_eq!(
+            said["files"][index]["file"],
+            path.to_str().unwrap(),
+            "{said}"
+        );
+        assert_eq!(sorted(decoded(&path)), sorted(scene(seed)), "{file}");
+    }
+    hub.signal("-TERM");
+    let output = hub.end();
+    assert!(output.status.success());
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(
+        told.contains("door: 2 sensors send under this name at once: give each"),
+        "{told}"
+    );
+    assert!(!told.contains("gate: "), "{told}");
 }
 
 #[test]

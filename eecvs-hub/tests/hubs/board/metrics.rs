@@ -5,7 +5,7 @@ use eecvs_hub::message::Status;
 use event_emulator::Preset;
 
 use super::EXACT;
-use crate::feed::{Way, name, scene, stamp};
+use crate::feed::{Way, answer_clock, name, scene, stamp};
 
 /// A sample of the text format: its name, labels and value.
 fn sample(line: &str) -> (String, Vec<(String, String)>, f64) {
@@ -46,7 +46,11 @@ fn metrics_are_in_the_text_format() {
     let scene = scene(Preset::IndoorFlying, Way::of(EXACT));
     for at in ["one", "two/three"] {
         for (number, frame) in scene.frames.iter().enumerate() {
-            board.frame(&name(at), stamp(1, 2 * number as u64, 3_000_000), frame);
+            // A clock that is an hour behind.
+            board.frame(&name(at), stamp(1, 2 * number as u64, 3_603_000_000), frame);
+            if number == 0 {
+                answer_clock(&board, &name(at), 1, -3_600_000_000);
+            }
         }
     }
     let status = Status {
@@ -118,7 +122,12 @@ fn metrics_are_in_the_text_format() {
         let missing = [("sensor", at), ("run", "latest")];
         assert_eq!(value("eecvs_missing_frames", &missing), Some(frames - 1.0));
         let latency = [("sensor", at), ("quantile", "0.99")];
-        assert!(value("eecvs_latency_seconds", &latency).unwrap() >= 3.0);
+        let latency = value("eecvs_latency_seconds", &latency).unwrap();
+        assert!((2.9..60.0).contains(&latency), "{latency}");
+        let ahead_s = value("eecvs_clock_ahead_seconds", &sensor).unwrap();
+        assert!((ahead_s + 3600.0).abs() < 0.01, "{ahead_s}");
+        assert!(value("eecvs_clock_error_seconds", &sensor).unwrap() < 0.01);
+        assert_eq!(value("eecvs_sensors_at_once", &sensor), Some(1.0));
     }
     assert_eq!(
         value("eecvs_budget_bytes_per_second", &[("sensor", "one")]),

@@ -12,7 +12,7 @@ use eecvs_nostd::{Coder, Fidelity, Frame, Mode};
 use event_emulator::Preset;
 
 use super::EXACT;
-use crate::feed::{Way, events, name, scene, stamp};
+use crate::feed::{Way, answer_clock, events, name, scene, stamp};
 
 #[test]
 fn a_row_tells_what_came() {
@@ -21,6 +21,10 @@ fn a_row_tells_what_came() {
     let cam = name("hall-2/door");
     for (number, frame) in scene.frames.iter().enumerate() {
         board.frame(&cam, stamp(5, 3 + number as u64, 20_000), frame);
+        if number == 0 {
+            assert_eq!(board.rows()[0].latency, None, "the clock is not known yet");
+            answer_clock(&board, &cam, 5, 0);
+        }
     }
     let rows = board.rows();
     let [row] = &rows[..] else {
@@ -99,14 +103,23 @@ fn fidelity_budget_and_clocks_are_told() {
     ] {
         let scene = scene(Preset::Motorcycle, way);
         for (number, frame) in scene.frames.iter().enumerate() {
-            // A clock that is ahead.
-            board.frame(&name(at), stamp(1, number as u64, -40_000_000), frame);
+            // A clock that is ahead by 40 s, and delays of 10 ms.
+            board.frame(&name(at), stamp(1, number as u64, -39_990_000), frame);
+            if number == 0 {
+                answer_clock(&board, &name(at), 1, 40_000_000);
+            }
         }
         let row = board.rows().pop().unwrap();
         let told = row.window.unwrap();
         assert_eq!((told.coder, told.times), window);
         assert_eq!(row.rate.thinned_per_s > 0.0, at == "a", "{:?}", row.rate);
-        assert!(row.latency.unwrap().p99_us < -30_000_000, "{row:?}");
+        let (latency, clock) = (row.latency.unwrap(), row.clock.unwrap());
+        assert!((9_000..5_000_000).contains(&latency.p50_us), "{row:?}");
+        assert!(clock.is_different(), "{row:?}");
+        assert!(
+            clock.ahead_us.abs_diff(40_000_000) <= clock.error_us,
+            "{row:?}"
+        );
     }
 }
 
@@ -214,15 +227,14 @@ fn runs_are_told_apart() {
 }
 
 #[test]
-fn a_run_that_is_told_is_not_taken_back() {
+fn the_run_that_was_heard_first_last_is_the_present_one() {
     let mut runs = Runs::default();
     assert_eq!(runs.take(50, 3), Place::New);
-    // A clock that was set back: nothing says that the newer run still is.
+    // A clock that was set back.
     assert_eq!(runs.take(40, 0), Place::New);
     assert_eq!(runs.run(), 40);
     runs.told(60, 1);
     assert_eq!((runs.run(), runs.missing_before()), (60, 0));
-    assert_eq!(runs.take(30, 0), Place::Old);
     assert_eq!(runs.take(40, 1), Place::Late);
     assert_eq!(runs.take(60, 2), Place::New);
     assert_eq!(
@@ -230,6 +242,16 @@ fn a_run_that_is_told_is_not_taken_back() {
         (Place::Late, Place::Again)
     );
     assert_eq!((runs.run(), runs.missing()), (60, 1));
+    // And once more; what does not come of it counts, whatever its number.
+    runs.told(30, 7);
+    runs.told(30, 7);
+    assert_eq!((runs.run(), runs.missing()), (30, 8));
+    // Runs are bounded; those that are forgotten do not begin anew.
+    for run in 100..200 {
+        assert_eq!(runs.take(run, 1), Place::New);
+    }
+    assert_eq!((runs.take(150, 9), runs.run()), (Place::Old, 199));
+    assert_eq!((runs.missing(), runs.missing_before()), (2, 8 + 98));
     // Of a sensor whose frames do not come, its statuses tell.
     let mut runs = Runs::default();
     runs.told(1, 10);
@@ -303,4 +325,39 @@ fn latencies_are_those_of_all_frames_alike() {
     }
     let few = few.over(at).unwrap();
     assert_eq!((few.p50_us, few.p99_us), (-3, 40));
+}
+
+/// A board hears two sensors of one name, and one that is started again.
+#[test]
+fn sensors_of_one_name_are_counted() {
+    let board = Board::new("hall");
+    let status = |run, up_s: u64| Status {
+        run,
+        next: 0,
+        up_us: up_s * 1_000_000,
+        ..Status::default()
+    };
+    board.status(&name("again"), status(7, 100));
+    board.status(&name("again"), status(3, 0));
+    // The clock of the second one is an hour behind.
+    for up_s in [100, 101] {
+        board.status(&name("twice"), status(3_600_000_007, up_s));
+        board.status(&name("twice"), status(7, up_s - 50));
+    }
+    let rows = board.rows();
+    let counts: Vec<_> = rows
+        .iter()
+        .map(|row| (row.name.as_str(), row.at_once))
+        .collect();
+    assert_eq!(counts, [("again", 1), ("twice", 2)]);
+    assert_eq!(board.shared_names(), [(name("twice"), 2)]);
+    let up_s = rows[1].up_s.unwrap();
+    assert!((51.0..60.0).contains(&up_s), "{up_s}");
+    let figures = board.metrics();
+    for line in [
+        "eecvs_sensors_at_once{sensor=\"again\"} 1",
+        "eecvs_sensors_at_once{sensor=\"twice\"} 2",
+    ] {
+        assert!(figures.contains(line), "{figures}");
+    }
 }

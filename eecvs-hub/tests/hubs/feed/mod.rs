@@ -10,6 +10,7 @@ use std::time::Duration;
 use eecvs::encode::{Limits, encode};
 use eecvs_bench::source::Source;
 use eecvs_hub::board::{Board, page};
+use eecvs_hub::clock::RoundTrip;
 use eecvs_hub::key::Name;
 use eecvs_hub::message::{Stamp, now_us};
 use eecvs_nostd::{
@@ -102,7 +103,20 @@ pub fn stamp(run: u64, number: u64, ago_us: i64) -> Stamp {
         run,
         number,
         end_us: now_us().saturating_add_signed(-ago_us),
+        up_us: 0,
     }
+}
+
+/// A run's clock, which is so far ahead, answers the hub.
+pub fn answer_clock(board: &Board, name: &Name, run: u64, ahead_us: i64) {
+    let answered_us = board.clock().now_us();
+    let trip = RoundTrip {
+        run,
+        asked_us: answered_us - 200,
+        shown_us: (answered_us - 100).saturating_add_signed(ahead_us),
+        answered_us,
+    };
+    board.trip(name, trip);
 }
 
 /// A board that is served until it is dropped.

@@ -11,10 +11,10 @@ use std::time::{Duration, Instant};
 use eecvs::encode::{Limits, encode};
 use eecvs_hub::access::{Access, Role};
 use eecvs_hub::certificate::Authority;
+use eecvs_hub::clock::Clock;
 use eecvs_hub::downlink::{self, Downlink};
 use eecvs_hub::hub::{self, Hub};
 use eecvs_hub::link::Links;
-use eecvs_hub::message::now_us;
 use eecvs_hub::uplink::{self, Uplink};
 use eecvs_nostd::{
     Coder, Config, Density, Fidelity, Hybrid, Mode, Sensor, Thresholds, WindowConfig,
@@ -116,12 +116,25 @@ impl Fleet {
     }
 
     pub fn sensor(&self, hub: usize, name: &str, keys: &str, store: Option<&Path>) -> Uplink {
+        self.sensor_with(hub, name, keys, store, Clock::start())
+    }
+
+    /// Starts a sensor whose computer has this clock.
+    pub fn sensor_with(
+        &self,
+        hub: usize,
+        name: &str,
+        keys: &str,
+        store: Option<&Path>,
+        clock: Clock,
+    ) -> Uplink {
         let options = uplink::Options {
             name: name.parse().unwrap(),
             sensor: SENSOR,
             memory_bytes: 1 << 20,
             disk: store.map(|folder| (folder.to_owned(), 64 << 20)),
             bytes_per_second: None,
+            clock,
         };
         Uplink::start(&options, &self.links(hub, keys)).unwrap()
     }
@@ -139,7 +152,11 @@ impl Fleet {
         let own = Arc::clone(&came);
         let deliver = move |delivered: downlink::Delivered<'_>| {
             let mut came = own.lock().unwrap();
-            let of = came.entry(delivered.name.to_string()).or_default();
+            let name = match delivered.lane {
+                0 => delivered.name.to_string(),
+                lane => format!("{}~{}", delivered.name, lane + 1),
+            };
+            let of = came.entry(name).or_default();
             of.push((delivered.stamp.number, delivered.frame.to_vec()));
             Ok(())
         };
@@ -148,7 +165,7 @@ impl Fleet {
     }
 }
 
-/// Numbers and frames, by name.
+/// Numbers and frames, by name; `NAME~2` is the second sensor of a name.
 pub type Came = BTreeMap<String, Vec<(u64, Vec<u8>)>>;
 
 pub struct Receiver {
@@ -216,7 +233,7 @@ impl std::io::Write for Pieces {
 pub fn send(uplink: &Uplink, frames: &[Vec<u8>], every: Duration, most: usize) {
     for number in 0..most {
         uplink
-            .send(&frames[number % frames.len()], now_us())
+            .send(&frames[number % frames.len()], uplink.clock().now_us())
             .unwrap();
         std::thread::sleep(every);
     }

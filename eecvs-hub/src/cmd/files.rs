@@ -1,0 +1,311 @@
+//! The files into which `eecvs-hub receive` writes frames: one for each sensor, which no other sensor and no other
+//! process writes to.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File, OpenOptions};
+use std::io::{BufWriter, ErrorKind, Write as _};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, bail};
+use serde::Serialize;
+
+use crate::key::Name;
+use crate::store::claim::lock;
+
+/// Maximum number of files open at once.
+const OPEN_MAX: usize = 256;
+
+/// Maximum number of files whose names begin with one sensor's name.
+const NUMBERS_MAX: u32 = 10_000;
+
+/// A file that was written; the fields are the JSON keys.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(super) struct Written {
+    /// Name of the sensor.
+    pub(super) sensor: String,
+    /// Path of the file.
+    pub(super) file: String,
+    /// Frames that were written to it.
+    pub(super) frames: u64,
+}
+
+/// A sensor, and which one of this name.
+type Who = (Name, usize);
+
+/// One file per sensor.
+pub(super) struct Files {
+    folder: PathBuf,
+    open: BTreeMap<Who, BufWriter<File>>,
+    /// All files so far, with the number of frames in each.
+    paths: BTreeMap<Who, (PathBuf, u64)>,
+}
+
+impl Files {
+    pub(super) fn new(folder: &Path) -> Self {
+        Self {
+            folder: folder.to_owned(),
+            open: BTreeMap::new(),
+            paths: BTreeMap::new(),
+        }
+    }
+
+    /// Writes a frame to the file of its sensor.
+    ///
+    /// # Errors
+    /// The file cannot be written, or another process writes to it.
+    pub(super) fn write(&mut self, name: &Name, lane: usize, frame: &[u8]) -> Result<()> {
+        let who = (name.clone(), lane);
+        if !self.open.contains_key(&who) {
+            if self.open.len() >= OPEN_MAX
+                && let Some((who, mut first)) = self.open.pop_first()
+            {
+                let path = self.paths.get(&who).map(|(path, _)| path);
+                let path = path.unwrap_or(&self.folder);
+                first.flush().with_context(|| path.display().to_string())?;
+            }
+            let file = match self.paths.get(&who) {
+                Some((path, _)) => append(path, false)?,
+                None => {
+                    let (path, file) = self.create(name, lane)?;
+                    self.paths.insert(who.clone(), (path, 0));
+                    file
+                }
+            };
+            self.open.insert(who.clone(), BufWriter::new(file));
+        }
+        if let (Some(file), Some((path, frames))) =
+            (self.open.get_mut(&who), self.paths.get_mut(&who))
+        {
+            file.write_all(frame)
+                .with_context(|| path.display().to_string())?;
+            *frames += 1;
+        }
+        Ok(())
+    }
+
+    /// Opens the file of a sensor that has none yet.
+    ///
+    /// The first sensor of a name has `NAME.eecvs`, which is appended to if it is there. A further one of the same
+    /// name has a new file with a number, and so has a sensor whose file name is another file's to the file system.
+    fn create(&self, name: &Name, lane: usize) -> Result<(PathBuf, File)> {
+        // Names contain no dots and no tildes, so file names are distinct.
+        let stem = name.as_str().replace('/', ".");
+        let plain = format!("{stem}.eecvs");
+        let path = self.folder.join(&plain);
+        if lane == 0 {
+            match self.alias(&plain)? {
+                None => {
+                    let file = append(&path, false)?;
+                    if file.metadata().is_ok_and(|data| data.len() > 0) {
+                        eprintln!(
+                            "eecvs-hub: {} is there: frames are appended",
+                            path.display()
+                        );
+                    }
+                    return Ok((path, file));
+                }
+                Some(other) => eprintln!(
+                    "eecvs-hub: {} and {other} are one file to this file system: the file of {name} has a number",
+                    path.display()
+                ),
+            }
+        }
+        for number in 2..NUMBERS_MAX {
+            let path = self.folder.join(format!("{stem}~{number}.eecvs"));
+            match append(&path, true) {
+                Ok(file) => return Ok((path, file)),
+                Err(error) if is_there(&error) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        bail!(
+            "{}: too many files of {name}: give another folder",
+            self.folder.display()
+        )
+    }
+
+    /// Returns the name of the file that the file system takes for the one of this name, if it has another name.
+    fn alias(&self, file_name: &str) -> Result<Option<String>> {
+        let at = || self.folder.display().to_string();
+        match fs::symlink_metadata(self.folder.join(file_name)) {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
+            there => there.with_context(at)?,
+        };
+        let mut names = Vec::new();
+        for entry in fs::read_dir(&self.folder).with_context(at)? {
+            let name = entry.with_context(at)?.file_name();
+            names.push(name.to_string_lossy().into_owned());
+        }
+        Ok(alias_among(&names, file_name))
+    }
+
+    /// Writes all that is left, and returns what was written.
+    ///
+    /// # Errors
+    /// A file cannot be written.
+    pub(super) fn finish(&mut self) -> Result<Vec<Written>> {
+        for (who, file) in &mut self.open {
+            let path = self.paths.get(who).map(|(path, _)| path);
+            let path = path.unwrap_or(&self.folder);
+            file.flush().with_context(|| path.display().to_string())?;
+        }
+        let paths = self.paths.iter();
+        Ok(paths
+            .map(|((name, _), (path, frames))| Written {
+                sensor: name.to_string(),
+                file: path.display().to_string(),
+                frames: *frames,
+            })
+            .collect())
+    }
+}
+
+/// Returns which of the names in a folder is that of a file that is there under `file_name`: another one, if the file
+/// system does not tell upper from lower case.
+fn alias_among(names: &[String], file_name: &str) -> Option<String> {
+    if names.iter().any(|name| name == file_name) {
+        return None;
+    }
+    let mut names = names.iter();
+    let other = names.find(|name| name.eq_ignore_ascii_case(file_name));
+    Some(other.map_or("another name", String::as_str).to_owned())
+}
+
+/// Opens a file to append to it, for this process alone; with `is_new` only if it is not there.
+fn append(path: &Path, is_new: bool) -> Result<File> {
+    let mut options = OpenOptions::new();
+    options.append(true).create(true).create_new(is_new);
+    let file = options.open(path);
+    let file = file.with_context(|| path.display().to_string())?;
+    lock(&file, path)?;
+    Ok(file)
+}
+
+fn is_there(error: &anyhow::Error) -> bool {
+    let mut causes = error.chain().filter_map(|cause| cause.downcast_ref());
+    causes.any(|io: &std::io::Error| io.kind() == ErrorKind::AlreadyExists)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names<const N: usize>(names: [&str; N]) -> [Name; N] {
+        names.map(|name| name.parse().unwrap())
+    }
+
+    #[test]
+    fn every_sensor_has_a_file_of_its_own() {
+        let folder = tempfile::tempdir().unwrap();
+        let [door, upper, part, dashed] = names(["hall/door", "hall/DOOR", "hall", "hall-door"]);
+        let mut files = Files::new(folder.path());
+        for round in 0..3_u8 {
+            for (index, (name, lane)) in [
+                (&door, 0),
+                (&door, 1),
+                (&upper, 0),
+                (&part, 0),
+                (&dashed, 0),
+                (&door, 2),
+            ]
+            .into_iter()
+            .enumerate()
+            {
+                files.write(name, lane, &[index as u8, round]).unwrap();
+            }
+        }
+        let written = files.finish().unwrap();
+        assert_eq!(written.len(), 6);
+        let mut seen = std::collections::BTreeSet::new();
+        for file in &written {
+            let bytes = fs::read(&file.file).unwrap();
+            let index = bytes[0];
+            assert_eq!(bytes, [index, 0, index, 1, index, 2], "{file:?}");
+            assert_eq!(file.frames, 3);
+            assert!(seen.insert(index));
+        }
+        let names: Vec<&str> = written
+            .iter()
+            .filter(|file| file.sensor == "hall/door")
+            .map(|file| file.file.rsplit('/').next().unwrap())
+            .collect();
+        assert_eq!(
+            names,
+            ["hall.door.eecvs", "hall.door~2.eecvs", "hall.door~3.eecvs"]
+        );
+    }
+
+    /// A file that is there is appended to; one with a number is never another session's.
+    #[test]
+    fn what_is_there_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let [door] = names(["door"]);
+        for session in 0..2_u8 {
+            let mut files = Files::new(folder.path());
+            files.write(&door, 0, &[session]).unwrap();
+            files.write(&door, 1, &[session]).unwrap();
+            files.finish().unwrap();
+        }
+        for (file, want) in [
+            ("door.eecvs", &[0, 1][..]),
+            ("door~2.eecvs", &[0]),
+            ("door~3.eecvs", &[1]),
+        ] {
+            assert_eq!(fs::read(folder.path().join(file)).unwrap(), want, "{file}");
+        }
+    }
+
+    #[test]
+    fn a_file_is_written_by_one_process() {
+        let folder = tempfile::tempdir().unwrap();
+        let [door] = names(["door"]);
+        let mut first = Files::new(folder.path());
+        first.write(&door, 0, &[1]).unwrap();
+        let mut second = Files::new(folder.path());
+        let said = second.write(&door, 0, &[2]).unwrap_err().to_string();
+        assert!(
+            said.contains("door.eecvs: another process uses it"),
+            "{said}"
+        );
+        // Two names of one file, as on a file system that does not tell upper from lower case.
+        #[cfg(unix)]
+        {
+            let [gate] = names(["gate"]);
+            let link = folder.path().join("gate.eecvs");
+            std::os::unix::fs::symlink("door.eecvs", link).unwrap();
+            assert!(first.write(&gate, 0, &[3]).is_err());
+        }
+        first.finish().unwrap();
+        assert_eq!(fs::read(folder.path().join("door.eecvs")).unwrap(), [1]);
+    }
+
+    #[test]
+    fn names_that_differ_only_by_case_are_told() {
+        let there = ["Door.eecvs", "gate.eecvs"].map(str::to_owned);
+        for (name, want) in [
+            ("gate.eecvs", None),
+            ("door.eecvs", Some("Door.eecvs")),
+            ("stair.eecvs", Some("another name")),
+        ] {
+            assert_eq!(alias_among(&there, name).as_deref(), want);
+        }
+    }
+
+    #[test]
+    fn more_sensors_than_open_files() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut files = Files::new(folder.path());
+        let many = OPEN_MAX + 20;
+        for round in 0..2_u8 {
+            for number in 0..many {
+                let name: Name = format!("s{number}").parse().unwrap();
+                files.write(&name, number % 2, &[round]).unwrap();
+            }
+        }
+        let written = files.finish().unwrap();
+        assert_eq!(written.len(), many);
+        for file in written {
+            assert_eq!(fs::read(&file.file).unwrap(), [0, 1], "{file:?}");
+        }
+    }
+}
