@@ -364,6 +364,39 @@ fn text() {
     }
 }
 
+#[test]
+fn a_byte_order_mark_before_a_header_is_skipped() {
+    let folder = tempfile::tempdir().unwrap();
+    let want = events(COUNTS[1]);
+    let mut seen = Vec::new();
+    for format in event_files::FORMATS {
+        let Some(create) = format.create else {
+            continue;
+        };
+        let name = format!("a{}", format.endings[0]);
+        let path = folder.path().join(&name);
+        let mut writer = create(&path, SENSOR).unwrap();
+        writer.write(&want).unwrap();
+        writer.finish().unwrap();
+        let bytes = fs::read(&path).unwrap();
+        let is_text = bytes.starts_with(b"%") || bytes.starts_with(b"#!AER");
+        if is_text || format.is_table && bytes.is_ascii() {
+            let marked = [b"\xef\xbb\xbf".as_slice(), &bytes].concat();
+            wants(folder.path(), &name, &marked, false, &want, format.name);
+            let reader = event_files::open(&path, None).unwrap();
+            // Of the first bytes, columns are known, and not whether they are of .txt or of .csv.
+            let as_text = ["text", "csv"].contains(&format.name);
+            assert!(reader.format() == format.name || as_text, "{}", format.name);
+            seen.push(format.name);
+        }
+    }
+    for name in [
+        "evt2", "evt21", "evt3", "evt4", "dat", "aedat2", "aedat4", "text", "csv",
+    ] {
+        assert!(seen.contains(&name), "{name}: {seen:?}");
+    }
+}
+
 /// Returns an array file of this version whose dictionary has `keys`, followed by `padding` spaces.
 fn npy(version: u8, keys: &[String], padding: usize, end: &str, data: &[u8]) -> Vec<u8> {
     let dictionary = format!("{{{}{end}}}{}\n", keys.join(", "), " ".repeat(padding));
