@@ -289,9 +289,8 @@ mod tests {
             text.contains("\ntau_high = 18446744.073709551615\n"),
             "{text}"
         );
-        // As editors of Windows save it; an error's line is that of the file.
-        let marked = format!("\u{feff}{}", text.replace('\n', "\r\n"));
-        std::fs::write(&path, marked).unwrap();
+        // With the mark that some editors put in front; an error's line is that of the file.
+        std::fs::write(&path, format!("\u{feff}{text}")).unwrap();
         assert_eq!(ThresholdsFile::read(&path).unwrap(), example());
         std::fs::write(&path, "\u{feff}tau_low = 1\ntau_high = x\n").unwrap();
         let error = ThresholdsFile::read(&path).unwrap_err().to_string();
