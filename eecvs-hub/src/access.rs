@@ -122,7 +122,9 @@ impl Access {
             }
             Err(error) => return Err(error).with_context(|| path.display().to_string()),
         };
-        let access: Self = toml::from_str(&text).with_context(|| path.display().to_string())?;
+        // Some editors put a byte-order mark in front.
+        let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
+        let access: Self = toml::from_str(text).with_context(|| path.display().to_string())?;
         for names in access.receivers.values().flatten() {
             key::names(names).with_context(|| path.display().to_string())?;
         }
@@ -289,6 +291,13 @@ mod tests {
         access.add(&Role::Receiver("desk".to_owned()), &["a/**".to_owned()]);
         access.write(folder.path()).unwrap();
         assert_eq!(access.sensors.len(), 2);
+        assert_eq!(Access::read(folder.path()).unwrap(), access);
+        // As editors of Windows save it.
+        let path = folder.path().join(FILE);
+        let text = std::fs::read_to_string(&path)
+            .unwrap()
+            .replace('\n', "\r\n");
+        std::fs::write(&path, format!("\u{feff}{text}")).unwrap();
         assert_eq!(Access::read(folder.path()).unwrap(), access);
         for bad in [
             "hubs = 1",

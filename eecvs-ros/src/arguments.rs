@@ -331,7 +331,9 @@ fn file(path: &Path) -> Result<Vec<Assignment>> {
         "{name}: {length} bytes are no file of parameters"
     );
     let text = std::fs::read_to_string(path).with_context(|| format!("{name}: cannot be read"))?;
-    let nodes: BTreeMap<String, Yaml> = serde_saphyr::from_str(&text)
+    // Some editors put a byte-order mark in front.
+    let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
+    let nodes: BTreeMap<String, Yaml> = serde_saphyr::from_str(text)
         .map_err(|error| anyhow::anyhow!("{name}: not YAML of parameters: {error}"))?;
     let mut assignments = Vec::new();
     for (node, value) in nodes {
@@ -592,7 +594,9 @@ mod tests {
                     encode:\n  ros__parameters:\n    window_us: 4000\n    step_log2: -3\n    x: [one, two]\n\
                     left:\n  decode:\n    ros__parameters: {max_error: 0.5, keep_order: true}\n\
                     /*/log:\n  ros__parameters: {m: 1}\n";
-        std::fs::write(&path, yaml).unwrap();
+        // As editors of Windows save it.
+        let yaml = yaml.replace('\n', "\r\n");
+        std::fs::write(&path, format!("\u{feff}{yaml}")).unwrap();
         let line = format!("--ros-args --params-file {} -p coder:=fast", path.display());
         let (ros, _) = split(&line).unwrap();
         assert_eq!(

@@ -45,6 +45,8 @@ pub enum Why {
     NotRead(String),
     /// This many files with this extension were found in a folder, but folders are not searched for that extension.
     PassedBy(u64),
+    /// This many files with this extension were found in a folder below those that are searched.
+    TooDeep(u64),
 }
 
 /// A file, or a pattern of files, that is left out.
@@ -123,9 +125,9 @@ pub fn read<T>(
         let file = files.get(place)?.path.display().to_string();
         Some(LeftOut { file, why })
     });
-    let left_out = left_out.chain(passed_by.into_iter().map(|(pattern, files)| LeftOut {
+    let left_out = left_out.chain(passed_by.into_iter().map(|(pattern, why)| LeftOut {
         file: pattern.display().to_string(),
-        why: Why::PassedBy(files),
+        why,
     }));
     Ok(Recordings {
         taken: recordings
@@ -155,19 +157,32 @@ pub fn notice(left_out: &[LeftOut]) -> Option<String> {
         Why::SameEventsAs(taken) => format!("\n  {file}: the same events as {taken}"),
         // The error message starts with the name of the file.
         Why::NotRead(error) => format!("\n  {error}"),
-        Why::PassedBy(1) => format!("\n  {file}: a file that counts where it is named"),
-        Why::PassedBy(files) => {
-            format!("\n  {file}: {files} files that count where they are named")
-        }
+        Why::PassedBy(files) => format!(
+            "\n  {file}: {}, and folders are not searched for this extension: name {them} to use {them}",
+            counted(*files),
+            them = them(*files)
+        ),
+        Why::TooDeep(files) => format!(
+            "\n  {file}: {}, and folders are searched two levels deep: name the folder to use {}",
+            counted(*files),
+            them(*files)
+        ),
     });
     let count = left_out.iter().map(|LeftOut { why, .. }| match why {
-        Why::PassedBy(files) => *files,
-        _ => 1,
+        Why::PassedBy(files) | Why::TooDeep(files) => *files,
+        Why::SameEventsAs(_) | Why::NotRead(_) => 1,
     });
     let count: u64 = count.sum();
-    let files = if count == 1 { "file" } else { "files" };
     let lines: String = lines.collect();
-    (count > 0).then(|| format!("{count} {files} left out:{lines}"))
+    (count > 0).then(|| format!("{} left out:{lines}", counted(count)))
+}
+
+fn counted(files: u64) -> String {
+    format!("{files} {}", if files == 1 { "file" } else { "files" })
+}
+
+const fn them(files: u64) -> &'static str {
+    if files == 1 { "it" } else { "them" }
 }
 
 /// Returns the SHA-256 of the events, with times counted from the first event; events of equal time are sorted.
@@ -198,15 +213,16 @@ fn fingerprint(source: &Source) -> [u8; 32] {
 struct Found {
     /// Every file that may be a recording, once.
     files: Vec<File>,
-    /// Number of files in folders, per pattern `FOLDER/*.ENDING`, whose extension belongs to a format that folders
-    /// are not searched for.
-    passed_by: BTreeMap<PathBuf, u64>,
+    /// Number of files that are passed by, and why, per pattern `FOLDER/*.ENDING`; their extension is that of a known
+    /// format.
+    passed_by: BTreeMap<PathBuf, Why>,
 }
 
 /// Returns every file in `paths`, once.
 fn files(paths: &[PathBuf]) -> Result<Found> {
     let mut found: Vec<File> = Vec::new();
     let mut passed_by = Vec::new();
+    let mut too_deep = Vec::new();
     let mut in_folder = |path: PathBuf, is_below: bool| {
         let file = File::in_folder(&path, is_below);
         if file.is_none() {
@@ -225,8 +241,13 @@ fn files(paths: &[PathBuf]) -> Result<Found> {
         }
         for entry in entries(path)? {
             if entry.is_dir() {
-                let inside = entries(&entry)?;
-                found.extend(inside.into_iter().filter_map(|path| in_folder(path, true)));
+                for path in entries(&entry)? {
+                    if path.is_dir() {
+                        deeper(&path, DEPTH_MAX, &mut too_deep);
+                    } else {
+                        found.extend(in_folder(path, true));
+                    }
+                }
             } else {
                 found.extend(in_folder(entry, false));
             }
@@ -246,18 +267,42 @@ fn files(paths: &[PathBuf]) -> Result<Found> {
         }
     }
     let mut patterns = BTreeMap::new();
-    for path in passed_by {
+    let passed_by = passed_by.into_iter().map(|path| (path, false));
+    for (path, is_deep) in passed_by.chain(too_deep.into_iter().map(|path| (path, true))) {
         let is_named = path
             .canonicalize()
             .is_ok_and(|path| known.contains_key(&path));
         if let (false, Some(pattern)) = (is_named, passed_by_pattern(&path)) {
-            *patterns.entry(pattern).or_default() += 1;
+            let none = if is_deep {
+                Why::TooDeep(0)
+            } else {
+                Why::PassedBy(0)
+            };
+            if let Why::TooDeep(files) | Why::PassedBy(files) =
+                patterns.entry(pattern).or_insert(none)
+            {
+                *files += 1;
+            }
         }
     }
     Ok(Found {
         files: once,
         passed_by: patterns,
     })
+}
+
+/// Levels of folders that are looked at for files to tell of, below those that are searched.
+const DEPTH_MAX: usize = 8;
+
+/// Adds the files in a folder and below; what cannot be listed is left out, since none of it would be used.
+fn deeper(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) {
+    for path in entries(folder).unwrap_or_default() {
+        if !path.is_dir() {
+            files.push(path);
+        } else if depth > 0 && !path.is_symlink() {
+            deeper(&path, depth - 1, files);
+        }
+    }
 }
 
 /// Returns `FOLDER/*.ENDING` for a file whose extension belongs to a known format.
@@ -408,7 +453,18 @@ mod tests {
             .map(|left_out| left_out.file.as_str())
             .collect();
         let pattern = |name: &str| folder.at(name).display().to_string();
-        assert_eq!(patterns, [pattern("*.npz"), pattern("two/*.txt")]);
+        assert_eq!(
+            patterns,
+            [
+                pattern("*.npz"),
+                pattern("one/deeper/*.raw"),
+                pattern("two/*.txt")
+            ]
+        );
+        assert_eq!(left_out[1].why, Why::TooDeep(1));
+        let text = notice(&left_out).unwrap();
+        assert!(text.starts_with("3 files left out:"), "{text}");
+        assert!(text.contains("deeper/*.raw: 1 file, and folders are searched two levels"));
         // Named files count whatever their extension; nothing is read twice.
         let (taken, left_out) = folder
             .read(&["two", "two/q.evt2.raw", "two/notes.txt"])
@@ -502,7 +558,8 @@ mod tests {
         );
         let text = notice(&left_out).unwrap();
         assert!(text.starts_with("3 files left out:"), "{text}");
-        assert!(text.contains("*.dat: 2 files that count where they are named"));
+        let why = "*.dat: 2 files, and folders are not searched for this extension: name them";
+        assert!(text.contains(why), "{text}");
     }
 
     #[test]
@@ -537,7 +594,7 @@ mod tests {
                 taken.ends_with("davis346_building_dense/davis.aedat4")
                     && left_out.file.contains("derived_layouts")
             }
-            Why::NotRead(_) | Why::PassedBy(_) => false,
+            Why::NotRead(_) | Why::PassedBy(_) | Why::TooDeep(_) => false,
         };
         let passed_by = |left_out: &LeftOut| matches!(left_out.why, Why::PassedBy(_));
         let mut left_out = found.left_out;

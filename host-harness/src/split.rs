@@ -35,6 +35,18 @@ pub struct Part {
     pub first_number: u32,
 }
 
+/// Returns whether a file has the name of a part.
+#[must_use]
+pub fn is_part(name: &str) -> bool {
+    let is_number = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
+    let parts = || {
+        let (number, size) = name.strip_suffix(".eecvs")?.split_once('-')?;
+        let (width, height) = size.split_once('x')?;
+        Some([number, width, height])
+    };
+    parts().is_some_and(|parts| parts.into_iter().all(is_number))
+}
+
 /// Writes the frames of `reader` unchanged to files in `folder`, named by part number and sensor size.
 ///
 /// The files get their names only after the last frame has been written, so that a failure leaves none of them.
@@ -93,4 +105,24 @@ pub fn split(
         Ok(part)
     });
     kept.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_are_known_by_their_names() {
+        for (name, is) in [
+            ("1-346x260.eecvs", true),
+            ("12-1x1.eecvs", true),
+            ("1-346x260.raw", false),
+            ("one-346x260.eecvs", false),
+            ("1-346x.eecvs", false),
+            ("-1x1.eecvs", false),
+            ("scene.eecvs", false),
+        ] {
+            assert_eq!(is_part(name), is, "{name}");
+        }
+    }
 }

@@ -99,7 +99,14 @@ fn measure(part: Part) -> Result<()> {
             tree::run(script.args(["--record", &file("hub-load")]))?;
             sections()
         }
-        Part::Report => eecvs(&["report", "-o", RECORD, "--save", "docs/paper.md"]),
+        Part::Report => eecvs(&[
+            "report",
+            "--overwrite",
+            "-o",
+            RECORD,
+            "--save",
+            "docs/paper.md",
+        ]),
         Part::Instructions => instructions::run(save).map(drop),
         Part::McuKernels => kernels::run(save).map(drop),
     }

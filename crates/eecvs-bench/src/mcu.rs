@@ -83,6 +83,8 @@ impl Count {
 /// # Errors
 /// Fails at a line that is not a count; the message names its number.
 pub fn parse(text: &str) -> Result<Vec<Count>> {
+    // Some editors put a byte-order mark in front.
+    let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     text.lines()
         .enumerate()
         .map(|(i, line)| {

@@ -63,7 +63,9 @@ pub fn read<R: DeserializeOwned>(folder: &Path, name: &str) -> Result<RecordFile
     let path = path(folder, name);
     let text =
         fs::read_to_string(&path).with_context(|| format!("{}: cannot be read", path.display()))?;
-    serde_json::from_str(&text)
+    // Some editors put a byte-order mark in front.
+    let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
+    serde_json::from_str(text)
         .with_context(|| format!("{}: is no record of these rows", path.display()))
 }
 
@@ -127,6 +129,11 @@ mod tests {
             let record: RecordFile<Row> = read(&folder, "some").unwrap();
             assert_eq!(record.rows, rows);
             assert_eq!(record.version, env!("CARGO_PKG_VERSION"));
+            let path = path(&folder, "some");
+            let marked = format!("\u{feff}{}", fs::read_to_string(&path).unwrap());
+            fs::write(&path, marked).unwrap();
+            let record: RecordFile<Row> = read(&folder, "some").unwrap();
+            assert_eq!(record.rows, rows);
         }
         let said = |name| format!("{:#}", read::<Row>(&folder, name).unwrap_err());
         assert!(said("none").contains("none.json: cannot be read"));

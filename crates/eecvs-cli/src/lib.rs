@@ -4,6 +4,7 @@
 //! here because the libraries know nothing of a command line.
 
 pub mod codec;
+pub mod folder;
 pub mod job;
 pub mod options;
 pub mod order;

@@ -78,6 +78,11 @@ impl<R: Read> WindowReader<R> {
         self.frames.report()
     }
 
+    /// Returns the sensor's size, which the first frame states; `None` before it.
+    pub const fn sensor(&self) -> Option<Sensor> {
+        self.frames.sensor()
+    }
+
     /// Returns the event counts from the frame headers so far.
     pub const fn counts(&self) -> FrameCounts {
         self.windows.counts()
@@ -303,7 +308,7 @@ pub struct DecodeSummary {
 
 /// Decodes all windows to events and writes them.
 ///
-/// `create` opens the output once the sensor is known; if it returns `None`, no events are recovered or written.
+/// `create` opens the output once the sensor is known, even if no frame has events; if it returns `None`, no events are recovered or written.
 /// `each` is called with the index and the decoded content of every window, before event times are solved for.
 /// `progress` is called with the number of events so far. `finder` applies to windows of coefficients.
 ///
@@ -336,6 +341,10 @@ pub fn decode<R: Read, E: From<Error>>(
         }
         progress(summary.events);
         windows.reuse(window);
+    }
+    // Frames without events are those of a recording without events.
+    if let (None, Some(sensor)) = (&writer, windows.sensor()) {
+        writer = Some(create(sensor)?);
     }
     if let Some(output) = writer.flatten() {
         output.finish()?;

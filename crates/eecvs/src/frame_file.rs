@@ -269,6 +269,12 @@ impl<R: Read> FrameReader<R> {
         &self.report
     }
 
+    /// Returns the sensor's size, which the first frame states; `None` before it.
+    #[must_use]
+    pub const fn sensor(&self) -> Option<Sensor> {
+        self.sensor
+    }
+
     /// Returns the number of bytes consumed so far.
     #[must_use]
     pub const fn offset(&self) -> u64 {

@@ -148,6 +148,8 @@ tau_high = {}
     /// finite number in 0..=18446744; or if `tau_low` is above `tau_high`. The message names file, line and key,
     /// and says what to write instead.
     pub fn parse(text: &str, name: &str) -> Result<Self> {
+        // Some editors put a byte-order mark in front.
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let table = DeTable::parse(text).map_err(|error| {
             let line = error.span().map_or(1, |span| line_at(text, span.start));
             let message = error.message().replace('\n', ", ");
@@ -287,6 +289,12 @@ mod tests {
             text.contains("\ntau_high = 18446744.073709551615\n"),
             "{text}"
         );
+        // With the mark that some editors put in front; an error's line is that of the file.
+        std::fs::write(&path, format!("\u{feff}{text}")).unwrap();
+        assert_eq!(ThresholdsFile::read(&path).unwrap(), example());
+        std::fs::write(&path, "\u{feff}tau_low = 1\ntau_high = x\n").unwrap();
+        let error = ThresholdsFile::read(&path).unwrap_err().to_string();
+        assert!(error.contains("line 2"), "{error}");
         // Other TOML parsers read it too.
         let value: toml::Value = toml::from_str(&text).unwrap();
         assert_eq!(value["tau_low"].as_float(), Some(0.371));

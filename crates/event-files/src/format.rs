@@ -19,6 +19,7 @@ use crate::evt::{evt2, evt3, evt4, evt21};
 use crate::frames;
 #[cfg(feature = "hdf5")]
 use crate::hdf5;
+use crate::input::marked::{MARK, Marked};
 use crate::input::piped::{Piped, is_stream, name_of, whole};
 use crate::input::{Input, ReadSeek, adjusted};
 #[cfg(feature = "mat")]
@@ -67,6 +68,9 @@ const LEFT_OUT: &[(&str, &str)] = &[
 
 /// Number of leading bytes that detection looks at.
 const START_BYTES: usize = 4096;
+
+/// Number of bytes in which a header of text is looked for: more than any header may have.
+const HEADER_BYTES: usize = 1 << 17;
 
 /// All formats, in the order in which they are tried; text comes last, since nearly any file may be text.
 pub const FORMATS: &[Format] = &[
@@ -376,7 +380,17 @@ pub(super) fn has_size(
 fn open_place(opening: Opening) -> Result<Box<dyn EventReader>> {
     let Opening { name, place, .. } = opening;
     let mut input = Input::new(opening.source, name)?;
-    let format = tell(&mut input)?;
+    let mut format = tell(&mut input)?;
+    if format.name == text::FORMAT.name
+        && let Some(marked) = tell_marked(&mut input)?
+    {
+        format = marked;
+        let source = Marked::new(input.into_source());
+        input = Input::new(
+            Box::new(source.with_context(|| format!("{name}: cannot be read"))?),
+            name,
+        )?;
+    }
     ensure!(
         place.is_none() || format.has_places,
         Refused,
@@ -417,6 +431,22 @@ fn tell(input: &mut Input) -> Result<&'static Format> {
     };
     let format = FORMATS.iter().find(|format| (format.detect)(&start));
     format.ok_or_else(|| unknown(&start))
+}
+
+/// Recognises the format of a recording with a header of text behind a byte-order mark; `None` for any other, and for
+/// text, whose reader skips the mark itself.
+fn tell_marked(input: &mut Input) -> Result<Option<&'static Format>> {
+    let mut bytes = vec![0; MARK.len() + HEADER_BYTES];
+    let filled = input.fill_at(0, &mut bytes)?;
+    let rest = bytes.get(..filled).unwrap_or_default().strip_prefix(MARK);
+    let Some(rest) = rest.filter(|rest| rest.starts_with(b"%") || rest.starts_with(b"#!AER"))
+    else {
+        return Ok(None);
+    };
+    let name = input.name().to_owned();
+    let mut hidden = Input::new(Box::new(Cursor::new(rest.to_vec())), &name)?;
+    let format = tell(&mut hidden)?;
+    Ok(Some(format).filter(|format| format.name != text::FORMAT.name))
 }
 
 /// Lists the formats that this build leaves out, as the end of a message; empty if it has them all.

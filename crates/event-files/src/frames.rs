@@ -52,34 +52,33 @@ pub struct FrameEvents<R> {
 }
 
 impl<R: Read> FrameEvents<R> {
-    /// Reads up to the first window with events.
+    /// Reads up to the first window with events, or to the end if there is none.
     ///
     /// # Errors
-    /// I/O; there is no frame, or no window with events.
+    /// I/O; there is no frame.
     pub fn new(source: R, name: &str) -> Result<Self> {
         let mut windows = WindowReader::new(FrameReader::new(source));
         let mut events = WindowEvents::new(Finder::default());
         let mut first = windows.next_window().with_context(|| name.to_owned())?;
-        let Some(window) = &mut first else {
-            if windows.report().frames == 0 {
-                bail!(
-                    Damaged,
-                    "{name}: byte 0: no frame found; is it a file that `eecvs encode` wrote?"
-                );
-            }
-            bail!(Damaged, "{name}: byte 0: no window with events");
+        if let Some(window) = &mut first {
+            events.fill(window);
+        }
+        let Some(sensor) = windows.sensor() else {
+            bail!(
+                Damaged,
+                "{name}: byte 0: no frame found; is it a file that `eecvs encode` wrote?"
+            );
         };
-        events.fill(window);
         Ok(Self {
             name: name.to_owned(),
-            sensor: window.header.sensor,
+            sensor,
             windows,
             events,
             ahead: first,
         })
     }
 
-    /// Returns the sensor's size, which is that of the first window.
+    /// Returns the sensor's size, which is that of the first frame.
     #[must_use]
     pub const fn sensor(&self) -> Sensor {
         self.sensor

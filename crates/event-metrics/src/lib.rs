@@ -8,6 +8,8 @@
 //! | `events_a`, `events_b` | events read, including late events |
 //! | `exact_fraction` | events of A found in B with the same t, x, y, p (multiset) / events of A |
 //! | `exact_fraction_b` | the same count / events of B: lowered by events that only B has |
+//! | `missing_events` | events of A that B does not have |
+//! | `surplus_events`, `surplus_fraction` | events of B that A does not have; the same / events of B |
 //! | `mse` | mean of (a - b)^2 over pixels and windows |
 //! | `ssim` | mean structural similarity over windows |
 //! | `emd_time_ms` | mean W1 distance of the event times, over the windows that hold events |
@@ -59,6 +61,15 @@ pub struct Comparison {
     /// Share of B's events that A holds, 0 to 1; 1 if B is empty.
     #[serde(default)]
     pub exact_fraction_b: f64,
+    /// Number of A's events that B does not hold.
+    #[serde(default)]
+    pub missing_events: u64,
+    /// Number of B's events that A does not hold, repeated ones included.
+    #[serde(default)]
+    pub surplus_events: u64,
+    /// Share of B's events that A does not hold, 0 to 1; 0 if B is empty.
+    #[serde(default)]
+    pub surplus_fraction: f64,
     /// Mean squared error of the frames, 0 to 4.
     pub mse: f64,
     /// Structural similarity of the frames, -1 to 1.
@@ -234,12 +245,17 @@ impl Sums {
             0 => 1.0,
             events => self.matched as f64 / events as f64,
         };
+        let events_b = b.events_read();
+        let surplus = events_b - self.matched;
         let scale = frames.peak.max(1.0).powi(2) * frames.pixels * frames.windows.max(1.0);
         Comparison {
             events_a,
-            events_b: b.events_read(),
+            events_b,
             exact_fraction: share(events_a),
-            exact_fraction_b: share(b.events_read()),
+            exact_fraction_b: share(events_b),
+            missing_events: events_a - self.matched,
+            surplus_events: surplus,
+            surplus_fraction: surplus as f64 / events_b.max(1) as f64,
             mse: self.squared_error as f64 / scale,
             ssim: 1.0 - self.dissimilarity / frames.windows.max(1.0),
             emd_time_ms: self.emd_time_us / self.windows_with_events.max(1) as f64 / 1000.0,

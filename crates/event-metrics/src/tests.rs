@@ -292,9 +292,18 @@ fn what_b_has_too_much_lowers_its_share() {
     let mut twice = [a.clone(), a.clone()].concat();
     twice.sort_by_key(|event| event.t_us);
     let c = compare_events(&a, &twice);
+    let count = a.len() as u64;
     assert_eq!((c.exact_fraction, c.exact_fraction_b), (1.0, 0.5));
-    assert_eq!(compare_events(&a, &a).exact_fraction_b, 1.0);
-    assert_eq!(compare_events(&a, EMPTY).exact_fraction_b, 1.0);
+    assert_eq!((c.missing_events, c.surplus_events), (0, count));
+    assert_eq!(c.surplus_fraction, 0.5);
+    let same = compare_events(&a, &a);
+    assert_eq!((same.exact_fraction_b, same.surplus_fraction), (1.0, 0.0));
+    assert_eq!((same.missing_events, same.surplus_events), (0, 0));
+    let none = compare_events(&a, EMPTY);
+    assert_eq!((none.exact_fraction_b, none.surplus_fraction), (1.0, 0.0));
+    assert_eq!((none.missing_events, none.surplus_events), (count, 0));
+    let half = compare_events(&twice, &a);
+    assert_eq!((half.missing_events, half.surplus_events), (count, 0));
 }
 
 #[test]

@@ -141,7 +141,9 @@ impl Metadata {
         ensure!(length <= BYTES_MAX, "{name}: longer than metadata are");
         let text = std::fs::read_to_string(&path);
         let text = text.with_context(|| format!("{name}: cannot be read as text"))?;
-        let document: Document = serde_saphyr::from_str(&text)
+        // Some editors put a byte-order mark in front.
+        let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
+        let document: Document = serde_saphyr::from_str(text)
             .map_err(|error| anyhow::anyhow!("{name}: no metadata of a bag: {error}"))?;
         Ok(document.rosbag2_bagfile_information)
     }

@@ -1,7 +1,6 @@
 //! `eecvs bench`: measures run time and error of every kernel, how encoding scales, what skipping saves, rate
 //! against distortion, and how fast recordings are read.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
@@ -14,17 +13,39 @@ use eecvs_bench::window::Windows;
 use eecvs_bench::{
     Effort, Origin, Row, errors, measure, over_windows, record_file, scaling, skips, steps, windows,
 };
+use eecvs_cli::folder::RunFolder;
 use eecvs_cli::output::{print, print_json};
 use eecvs_cli::progress::Progress;
 use event_files::output;
 use serde::Serialize;
 
-use super::bench_rate::Rate;
+use super::bench_rate::{self, Rate};
 use super::bench_read;
 use crate::report::{error_chart, kernel_chart, kernel_table, rate_table, skip_table};
 
 /// Folder searched for recordings when none is given.
 const RECORDINGS: &str = "../shared/data";
+
+/// Folder of the charts when none is given.
+const CHARTS: &str = "target/bench";
+
+/// Files of the chart of kernels.
+const KERNELS: [&str; 2] = ["kernels.svg", "kernels.png"];
+
+/// Files of the curves of errors.
+const ERRORS: [&str; 2] = ["errors.svg", "errors.png"];
+
+fn is_kernels(name: &str) -> bool {
+    KERNELS.contains(&name)
+}
+
+fn is_errors(name: &str) -> bool {
+    ERRORS.contains(&name)
+}
+
+fn is_rate(name: &str) -> bool {
+    bench_rate::CHART.contains(&name)
+}
 
 /// Source of the instruction counts on microcontrollers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -44,9 +65,13 @@ enum Mcu {
 /// project, and says so. Writes a chart to DIR.
 #[derive(Debug, Args)]
 pub struct Bench {
-    /// Folder to write the chart to
-    #[arg(short, long, value_name = "DIR", default_value = "target/bench")]
-    output: PathBuf,
+    /// Folder to write the chart to, which must be empty [default: target/bench, whose charts are replaced]
+    #[arg(short, long, value_name = "DIR")]
+    output: Option<PathBuf>,
+
+    /// Remove the chart of an earlier run from the folder; other files stay
+    #[arg(long)]
+    overwrite: bool,
 
     /// Folder of recordings to cut windows from; fails if one is missing, or with --skips if all are [default:
     /// ../shared/data if it is complete, else emulated scenes]
@@ -126,13 +151,12 @@ impl Bench {
             return self.skip();
         }
         if self.rate {
-            return self.rate().run();
+            return self.rate()?.run();
         }
-        fs::create_dir_all(&self.output)
-            .with_context(|| format!("{}: cannot create the folder", self.output.display()))?;
         if self.errors {
             return self.errors();
         }
+        let folder = self.folder(is_kernels)?;
         let (cuts, origin) = self.cuts()?;
         self.can_save(origin == Origin::Recordings)?;
         let effort = if self.quick {
@@ -147,6 +171,7 @@ impl Bench {
         drop(progress);
         let rows = rows?;
         let merged = over_windows(&rows);
+        folder.begin()?;
         let files = self.chart(&merged, &cuts)?;
         self.save(kernel_table::document(&merged))?;
         self.record("kernels", &merged)?;
@@ -163,16 +188,27 @@ impl Bench {
         ))
     }
 
-    fn rate(&self) -> Rate<'_> {
-        Rate {
+    fn rate(&self) -> Result<Rate<'_>> {
+        Ok(Rate {
             data: &self.data,
             default_folder: Path::new(RECORDINGS),
-            output: &self.output,
+            output: self.output(),
+            folder: self.folder(is_rate)?,
             quick: self.quick,
             json: self.json,
             save: &self.save,
             record: self.record.as_deref(),
-        }
+        })
+    }
+
+    fn output(&self) -> &Path {
+        self.output.as_deref().unwrap_or(Path::new(CHARTS))
+    }
+
+    /// Checks the folder of the charts; what the default one has is of builds of the project.
+    fn folder(&self, is_own: fn(&str) -> bool) -> Result<RunFolder> {
+        let overwrite = self.overwrite || self.output.is_none();
+        RunFolder::check(self.output(), overwrite, is_own)
     }
 
     fn skip(&self) -> Result<()> {
@@ -309,7 +345,7 @@ impl Bench {
             "Accumulate stage: run time against error at M = 8, 16, 24, 64; windows {}",
             names(cuts)
         );
-        let files = ["kernels.svg", "kernels.png"].map(|file| self.output.join(file));
+        let files = KERNELS.map(|file| self.output().join(file));
         let [svg, png] = &files;
         write(svg, &kernel_chart::svg(&title, &rows)?)?;
         kernel_chart::picture(&title, &rows)?.save(png)?;
@@ -318,6 +354,7 @@ impl Bench {
 
     /// Draws and prints the curves first, then fails if any is beyond its bound.
     fn errors(&self) -> Result<()> {
+        let folder = self.folder(is_errors)?;
         let effort = if self.quick {
             errors::Effort::QUICK
         } else {
@@ -326,7 +363,8 @@ impl Bench {
         let progress = Progress::new(&format!("of {} steps", errors::steps()));
         let rows = errors::measure(effort, &mut || progress.advance(1));
         drop(progress);
-        let files = ["errors.svg", "errors.png"].map(|file| self.output.join(file));
+        folder.begin()?;
+        let files = ERRORS.map(|file| self.output().join(file));
         let [svg, png] = &files;
         write(svg, &error_chart::svg(&rows)?)?;
         error_chart::picture(&rows)?.save(png)?;

@@ -1,17 +1,20 @@
 //! `eecvs bench --rate`: rate against distortion of the codec and its peers.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use eecvs_bench::record_file;
 use eecvs_bench::source::{self, Source};
+use eecvs_cli::folder::RunFolder;
 use eecvs_cli::output::{print, print_json};
 use eecvs_cli::progress::Progress;
 
 use crate::rate::{Effort, Row, lossless, measure};
 use crate::recordings;
 use crate::report::{rate_chart, rate_table};
+
+/// Files of the chart.
+pub const CHART: [&str; 2] = ["rate.svg", "rate.png"];
 
 /// Arguments of `eecvs bench --rate`.
 pub struct Rate<'o> {
@@ -21,6 +24,8 @@ pub struct Rate<'o> {
     pub default_folder: &'o Path,
     /// Folder to write the chart to.
     pub output: &'o Path,
+    /// The same folder, which was checked.
+    pub folder: RunFolder,
     /// Whether to measure less of everything.
     pub quick: bool,
     /// Whether to print the rows as JSON instead of the table.
@@ -48,8 +53,7 @@ impl Rate<'_> {
             Effort::FULL
         };
         let rows = self.rows(effort)?;
-        fs::create_dir_all(self.output)
-            .with_context(|| format!("{}: cannot create the folder", self.output.display()))?;
+        self.folder.begin()?;
         let files = self.chart(&rows)?;
         for document in self.save {
             let (marks, table) = rate_table::of(document);
@@ -118,7 +122,7 @@ impl Rate<'_> {
 
     fn chart(&self, rows: &[Row]) -> Result<[PathBuf; 2]> {
         let title = "Rate against distortion, windows of 32,768 us: events, coefficients, peers";
-        let files = ["rate.svg", "rate.png"].map(|file| self.output.join(file));
+        let files = CHART.map(|file| self.output.join(file));
         let [svg, png] = &files;
         super::bench::write(svg, &rate_chart::svg(title, rows)?)?;
         rate_chart::picture(title, rows)?.save(png)?;

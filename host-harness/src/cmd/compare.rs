@@ -14,7 +14,8 @@ use serde::Serialize;
 
 /// Compare recording B with recording A: frames, event times and events
 ///
-/// The windows are cut from recording A: half-open, consecutive, aligned to its first event.
+/// The windows are cut from recording A: half-open, consecutive, aligned to its first event. The exit status is 0
+/// however much the recordings differ: events that B lacks (missing) or has too much (surplus) are counted.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Compare {
     /// The original recording
@@ -112,11 +113,16 @@ struct Report {
 pub fn table(c: &Comparison) -> String {
     // Rounded down, so that 1.000000 means exactly 1.
     let floor = |share: f64| format!("{:.6}", (share * 1e6).floor() / 1e6);
+    // Rounded up, so that 0.000000 means exactly 0.
+    let ceiling = |share: f64| format!("{:.6}", (share * 1e6).ceil() / 1e6);
     let rows = [
         ("events_a", c.events_a.to_string(), ""),
         ("events_b", c.events_b.to_string(), ""),
         ("exact_fraction", floor(c.exact_fraction), ""),
         ("exact_fraction_b", floor(c.exact_fraction_b), ""),
+        ("missing_events", c.missing_events.to_string(), ""),
+        ("surplus_events", c.surplus_events.to_string(), ""),
+        ("surplus_fraction", ceiling(c.surplus_fraction), ""),
         ("mse", format!("{:.3e}", c.mse), ""),
         ("ssim", floor(c.ssim), ""),
         ("emd_time_ms", format!("{:.6}", c.emd_time_ms), "ms"),
@@ -140,6 +146,9 @@ mod tests {
         events_b: 7,
         exact_fraction: 1.0,
         exact_fraction_b: 1.0,
+        missing_events: 0,
+        surplus_events: 0,
+        surplus_fraction: 0.0,
         mse: 0.0,
         ssim: 1.0,
         emd_time_ms: 0.0,
@@ -151,7 +160,7 @@ mod tests {
         let json = serde_json::to_string(&PERFECT).unwrap();
         assert_eq!(
             json,
-            r#"{"events_a":1000,"events_b":7,"exact_fraction":1.0,"exact_fraction_b":1.0,"mse":0.0,"ssim":1.0,"emd_time_ms":0.0,"emd_pixel_us":12.5}"#
+            r#"{"events_a":1000,"events_b":7,"exact_fraction":1.0,"exact_fraction_b":1.0,"missing_events":0,"surplus_events":0,"surplus_fraction":0.0,"mse":0.0,"ssim":1.0,"emd_time_ms":0.0,"emd_pixel_us":12.5}"#
         );
     }
 
@@ -161,7 +170,15 @@ mod tests {
         let lines: Vec<_> = table.lines().collect();
         assert_eq!(lines[0], "events_a              1000");
         assert_eq!(lines[2], "exact_fraction    1.000000");
-        assert_eq!(lines[7], "emd_pixel_us        12.500 us");
+        assert_eq!(lines[6], "surplus_fraction  0.000000");
+        assert_eq!(lines[10], "emd_pixel_us        12.500 us");
+        // A share that is not 0 is not shown as 0.
+        let surplus = Comparison {
+            surplus_events: 1,
+            surplus_fraction: 1e-9,
+            ..PERFECT
+        };
+        assert!(super::table(&surplus).contains("surplus_fraction  0.000001"));
     }
 
     #[test]

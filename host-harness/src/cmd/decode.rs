@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use anyhow::{Result, bail, ensure};
+use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use eecvs::decode::{DecodeSummary, WindowReader, decode};
 use eecvs::frame_file::FrameReader;
@@ -70,7 +70,9 @@ impl Decode {
     pub fn run(self) -> Result<()> {
         let name = name_of(&self.input);
         let volume = self.volume.as_deref();
-        let times = volume.and_then(|volume| times_of(volume, self.all_windows));
+        // Times that an earlier run left beside an array are not of this one's only window.
+        let times = volume.and_then(|volume| times_of(volume, true));
+        let times = times.filter(|times| self.all_windows || times.exists());
         for volume in [volume, times.as_deref()].into_iter().flatten() {
             let output = self.output.as_deref();
             ensure!(
@@ -134,6 +136,10 @@ impl Decode {
                 summary.windows
             );
             volumes.finish()?;
+            if let Some(times) = times.filter(|_| !self.all_windows) {
+                std::fs::remove_file(&times)
+                    .with_context(|| format!("{}: cannot be removed", times.display()))?;
+            }
         }
         let outputs = [&self.output, &self.volume].into_iter().flatten();
         let place = Place::beside(outputs.map(PathBuf::as_path));

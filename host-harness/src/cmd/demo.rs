@@ -1,6 +1,5 @@
 //! `eecvs demo`: runs the whole codec on an emulated scene and writes a page with pictures.
 
-use std::fs;
 use std::num::{NonZeroU32, NonZeroUsize};
 use std::path::{Path, PathBuf};
 
@@ -14,6 +13,7 @@ use eecvs::frame_file::FrameReader;
 use eecvs::reconstruct::events::Finder;
 use eecvs::thresholds_file::ThresholdsFile;
 use eecvs_bench::record_file;
+use eecvs_cli::folder::RunFolder;
 use eecvs_cli::output::print;
 use eecvs_cli::progress::Progress;
 use eecvs_cli::values::preset;
@@ -34,13 +34,48 @@ use crate::report::demo::{MARKS, Page, Row, document, table};
 const WINDOW_US: NonZeroU32 = NonZeroU32::new(32_768).unwrap();
 const M: u8 = 16;
 
+/// File name of the recording.
+const SCENE: &str = "scene.raw";
+
+/// File name of the thresholds.
+const THRESHOLDS: &str = "thresholds.toml";
+
+/// Names of the ways to encode, each with a file of frames and a decoded recording.
+const WAYS: [&str; 7] = ["fast", "dense", "dense50us", "auto", "dct", "dtft", "dwt"];
+
+/// File names of the charts.
+const CHARTS: [&str; 2] = ["density.svg", "histogram.svg"];
+
 /// File name of the page, which is written last.
 const REPORT: &str = "report.html";
+
+/// Returns whether a demo writes files of this name.
+fn is_own(name: &str) -> bool {
+    let mut of_ways = WAYS
+        .iter()
+        .flat_map(|way| [frames_name(way), decoded_name(way)]);
+    [SCENE, THRESHOLDS, REPORT].contains(&name)
+        || CHARTS.contains(&name)
+        || of_ways.any(|own| own == name)
+        || Regime::ALL.iter().any(|regime| name == strip_name(*regime))
+}
+
+fn frames_name(way: &str) -> String {
+    format!("{way}.eecvs")
+}
+
+fn decoded_name(way: &str) -> String {
+    format!("decoded-{way}.raw")
+}
+
+fn strip_name(regime: Regime) -> String {
+    format!("{}.png", regime.name())
+}
 
 /// Emulate a scene, calibrate, encode, decode, compare, and write a page with pictures
 #[derive(Debug, Args)]
 pub struct Demo {
-    /// Folder to write the results to
+    /// Folder to write the results to, which must be empty
     #[arg(short, long, value_name = "DIR", default_value = "eecvs-demo")]
     output: PathBuf,
 
@@ -52,7 +87,7 @@ pub struct Demo {
     #[arg(long, default_value_t = 1)]
     seed: u64,
 
-    /// Replace the results of an earlier run in the folder
+    /// Remove the results of an earlier run from the folder; other files stay
     #[arg(long)]
     overwrite: bool,
 
@@ -83,17 +118,9 @@ impl Demo {
         if let Some(document) = &self.save {
             MARKS.check(document)?;
         }
-        // Files that an interrupted run left also count as results.
-        let is_used = fs::read_dir(&self.output).is_ok_and(|mut entries| entries.next().is_some());
-        ensure!(
-            self.overwrite || !is_used,
-            "{}: has files already: choose another folder or --overwrite",
-            self.output.display()
-        );
-        fs::create_dir_all(&self.output)
-            .with_context(|| format!("{}: cannot create the folder", self.output.display()))?;
+        RunFolder::check(&self.output, self.overwrite, is_own)?.begin()?;
         let config = SceneConfig::new(self.scene, self.seed);
-        let scene = self.output.join("scene.raw");
+        let scene = self.output.join(SCENE);
         say(&format!(
             "emulate    {}, seed {}",
             self.scene.name(),
@@ -105,7 +132,7 @@ impl Demo {
             scene.display()
         ))?;
 
-        let thresholds = calibrate(&scene, &self.output.join("thresholds.toml"))?;
+        let thresholds = calibrate(&scene, &self.output.join(THRESHOLDS))?;
         let run = Run {
             folder: self.output.clone(),
             scene,
@@ -121,19 +148,16 @@ impl Demo {
         let mut rows = Vec::new();
         let hybrid = |coder, fidelity| Mode::Hybrid(Hybrid { coder, fidelity });
         let transform = Mode::Transform;
-        for (name, mode, transform) in [
-            ("fast", hybrid(Coder::Fast, Fidelity::Lossless), None),
-            ("dense", hybrid(Coder::Dense, Fidelity::Lossless), None),
-            (
-                "dense50us",
-                hybrid(Coder::Dense, Fidelity::ToleranceUs(50)),
-                None,
-            ),
-            ("auto", transform, None),
-            ("dct", transform, Some(Transform::Dct)),
-            ("dtft", transform, Some(Transform::Dtft)),
-            ("dwt", transform, Some(Transform::Dwt)),
-        ] {
+        let ways = [
+            (hybrid(Coder::Fast, Fidelity::Lossless), None),
+            (hybrid(Coder::Dense, Fidelity::Lossless), None),
+            (hybrid(Coder::Dense, Fidelity::ToleranceUs(50)), None),
+            (transform, None),
+            (transform, Some(Transform::Dct)),
+            (transform, Some(Transform::Dtft)),
+            (transform, Some(Transform::Dwt)),
+        ];
+        for (name, (mode, transform)) in WAYS.into_iter().zip(ways) {
             say(&format!("{name:<10} encode, decode, compare"))?;
             rows.push(run.row(name, mode, transform)?);
         }
@@ -208,12 +232,12 @@ fn calibrate(scene: &Path, path: &Path) -> Result<ThresholdsFile> {
 
 impl Run {
     fn decoded(&self, name: &str) -> PathBuf {
-        self.folder.join(format!("decoded-{name}.raw"))
+        self.folder.join(decoded_name(name))
     }
 
     /// Encodes the scene to a file, decodes that to another file and compares the result with the scene.
     fn row(&self, name: &'static str, mode: Mode, transform: Option<Transform>) -> Result<Row> {
-        let frames = self.folder.join(format!("{name}.eecvs"));
+        let frames = self.folder.join(frames_name(name));
         let mut out = OutputFile::create(&frames)?;
         let config = Config {
             transform,
@@ -278,7 +302,7 @@ impl Run {
             let Some(window) = of_regime.get(of_regime.len() / 2) else {
                 continue;
             };
-            let file = format!("{}.png", regime.name());
+            let file = strip_name(regime);
             let caption = format!(
                 "{} window at {:.3} s, {} events, {}: first 4 ms, original and decoded",
                 regime.name(),
@@ -291,14 +315,15 @@ impl Run {
         }
         let marks = chart_thresholds(self.thresholds);
         let densities: Vec<f64> = windows.iter().map(|w| w.density_per_px_s).collect();
+        let [over_time, histogram] = CHARTS;
         for (file, caption, svg) in [
             (
-                "density.svg",
+                over_time,
                 "density and regime of every window",
                 chart::density_over_time("Event density", &points(&windows), marks)?.svg,
             ),
             (
-                "histogram.svg",
+                histogram,
                 "densities with the two thresholds",
                 chart::density_histogram("Event density", &densities, marks)?.svg,
             ),

@@ -5,12 +5,13 @@ use std::time::Instant;
 
 use anyhow::Context;
 use eecvs_cli::options::{FormatOptions, OutputOptions};
-use eecvs_cli::output::{Place, print};
+use eecvs_cli::output::{Place, print, print_json};
 use eecvs_cli::progress::Progress;
 use eecvs_cli::values::preset;
 use eecvs_nostd::{Event, Polarity, Sensor};
 use event_emulator::{Emulator, PRESETS, Preset, SceneConfig};
 use event_files::{EventReader, EventWriter};
+use serde::Serialize;
 
 /// Emulate a seeded scene and write its events to a recording
 #[derive(Debug, Clone, clap::Args)]
@@ -19,7 +20,7 @@ pub struct Emulate {
     #[arg(value_parser = preset(), value_name = "SCENE", required_unless_present = "list")]
     scene: Option<Preset>,
 
-    /// List the scenes, one per line with a description, and exit
+    /// List the scenes, one per line with a description, and exit; with --json, as an array of objects
     #[arg(long, conflicts_with_all = ["scene", "output"])]
     list: bool,
 
@@ -53,9 +54,23 @@ pub struct Emulate {
     #[command(flatten)]
     overwrite: OutputOptions,
 
-    /// Print one JSON object instead of the table
+    /// Print JSON instead of the table or the list
     #[arg(long)]
     json: bool,
+}
+
+/// A scene of the list; the fields are JSON keys.
+#[derive(Debug, Serialize)]
+struct Listed {
+    /// Name of the scene.
+    scene: &'static str,
+    /// Its description.
+    about: &'static str,
+    /// Columns and rows of the sensor, unless others are given.
+    width: u16,
+    height: u16,
+    /// Duration in microseconds, unless another is given.
+    duration_us: u64,
 }
 
 /// Counts of the events written.
@@ -73,7 +88,10 @@ impl Emulate {
     /// written, or the format cannot hold an event.
     pub fn run(self) -> anyhow::Result<()> {
         if self.list {
-            return print(&scenes());
+            return match self.json {
+                true => print_json(&listed()),
+                false => print(&scenes()),
+            };
         }
         let (preset, output) = self.scene.zip(self.output.as_ref()).with_context(|| {
             format!(
@@ -142,6 +160,21 @@ impl Emulate {
             written.events - written.on,
         )
     }
+}
+
+/// Lists the scenes with what they have by default.
+fn listed() -> Vec<Listed> {
+    let listed = |preset: &Preset| {
+        let config = SceneConfig::new(*preset, 1);
+        Listed {
+            scene: preset.name(),
+            about: preset.about(),
+            width: config.sensor.width,
+            height: config.sensor.height,
+            duration_us: config.duration_us,
+        }
+    };
+    PRESETS.iter().map(listed).collect()
 }
 
 /// Lists the scenes, one line each: name and description.
@@ -236,6 +269,19 @@ mod tests {
         for (line, preset) in list.lines().zip(PRESETS) {
             let about = line.strip_prefix(preset.name()).unwrap();
             assert!(about.trim().len() > 10, "{line}");
+        }
+        let json = serde_json::to_value(listed()).unwrap();
+        let scenes = json.as_array().unwrap();
+        assert_eq!(scenes.len(), PRESETS.len());
+        for (scene, preset) in scenes.iter().zip(PRESETS) {
+            let expected = serde_json::json!({
+                "scene": preset.name(),
+                "about": preset.about(),
+                "width": 346,
+                "height": 260,
+                "duration_us": 1_000_000,
+            });
+            assert_eq!(*scene, expected);
         }
     }
 

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use clap::Args;
-use eecvs::encode::{Codec, EncodeSummary, all_cores, encode};
+use eecvs::encode::{Codec, EncodeSummary, all_cores, encode, encode_nothing};
 use eecvs_cli::codec::{CodecOptions, KernelName, LimitOptions};
 use eecvs_cli::options::{FollowOptions, OutputOptions, ReadingOptions, tell_damage};
 use eecvs_cli::order::{SortOptions, tell_disorder};
@@ -92,10 +92,11 @@ impl Encode {
         };
         let mut out = OutputFile::create(&self.output)?;
         let progress = Progress::new("events");
-        let summary = encode(
+        let limits = self.limits.limits();
+        let mut summary = encode(
             &mut reader,
             codec,
-            self.limits.limits(),
+            limits,
             self.threads(),
             &mut out,
             &mut |events| {
@@ -105,6 +106,9 @@ impl Encode {
         drop(progress);
         let findings = Findings::of(&reader);
         let damage = reader.damage().map(|error| format!("{error:#}"));
+        if summary.frames == 0 && damage.is_none() {
+            encode_nothing(codec, limits, &mut out, &mut summary)?;
+        }
         let output = match damage {
             Some(_) if summary.events_in == 0 => {
                 return tell_damage(damage.as_deref(), None, &self.output, false);
@@ -112,13 +116,6 @@ impl Encode {
             Some(_) if follow.is_none() => out.finish_incomplete()?,
             _ => out.finish().map(|()| self.output.clone())?,
         };
-        if summary.events_in == 0 {
-            eprintln!(
-                "eecvs: {}: holds no events: {} has no frame and cannot be decoded",
-                self.input.display(),
-                self.output.display()
-            );
-        }
         let report = Report::new(&self.input, &output, &summary, findings);
         let place = Place::beside([self.output.as_path()]);
         place.tell(self.json, &report, || report.table())?;

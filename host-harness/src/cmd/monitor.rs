@@ -13,7 +13,7 @@ use eecvs_cli::output::{Place, print};
 use eecvs_nostd::{Density, Regime, Thresholds};
 use event_files::content::Content;
 use event_files::input::piped::{is_stream, name_of};
-use event_files::output::{self, Kind};
+use event_files::output::{self, Kind, is_same};
 use serde_json::json;
 
 use crate::report::chart;
@@ -66,6 +66,13 @@ impl Monitor {
         for chart in self.chart.iter().chain(&self.histogram) {
             let inputs = iter::once(self.input.as_path()).chain(self.thresholds.files());
             self.overwrite.check(chart, Kind::Chart, inputs)?;
+        }
+        if let (Some(chart), Some(histogram)) = (&self.chart, &self.histogram) {
+            ensure!(
+                chart != histogram && !is_same(chart, histogram),
+                "{}: --chart and --histogram write the same file: give one of them another name",
+                chart.display()
+            );
         }
         let thresholds = self.thresholds.load()?;
         let name = name_of(&self.input);

@@ -5,13 +5,14 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use eecvs::frame_file::{FrameReader, LinkReport};
+use eecvs_cli::folder::RunFolder;
 use eecvs_cli::options::{OutputOptions, tell_link};
 use eecvs_cli::output::{print, print_json};
 use event_files::input::piped::{name_of, open_bytes};
 use event_files::output::is_dash;
 use serde::Serialize;
 
-use crate::split::{Part, split};
+use crate::split::{Part, is_part, split};
 
 /// Separate the frames of several sensors, or of concatenated recordings
 ///
@@ -23,7 +24,8 @@ pub struct Split {
     #[arg(value_name = "IN.eecvs")]
     input: PathBuf,
 
-    /// Folder to write the parts to, named 1-346x260.eecvs and so on
+    /// Folder to write the parts to, named 1-346x260.eecvs and so on. It must be empty; --overwrite removes the parts
+    /// of an earlier run
     #[arg(short, long, value_name = "FOLDER")]
     output: PathBuf,
 
@@ -51,10 +53,9 @@ impl Split {
     /// writing all the others.
     pub fn run(self) -> Result<()> {
         let name = name_of(&self.input);
-        self.check()?;
+        let folder = self.check()?;
         let mut reader = FrameReader::new(open_bytes(&self.input)?).of_all_sensors();
-        std::fs::create_dir_all(&self.output)
-            .with_context(|| format!("{}: cannot be created", self.output.display()))?;
+        folder.make()?;
         let parts = split(&mut reader, &self.output, self.overwrite.overwrite)
             .with_context(|| name.clone())?;
         if parts.is_empty() {
@@ -65,7 +66,11 @@ impl Split {
             restarts: 0,
             ..reader.report().clone()
         };
-        tell_others(&self.output, &parts)?;
+        let names = parts.iter().filter_map(|part| part.file.file_name());
+        let names: Vec<String> = names
+            .map(|name| name.to_string_lossy().into_owned())
+            .collect();
+        folder.keep(&names)?;
         let report = Report { parts, link: &link };
         if self.json {
             print_json(&report)?;
@@ -75,10 +80,10 @@ impl Split {
         tell_link(&name, &link)
     }
 
-    fn check(&self) -> Result<()> {
+    fn check(&self) -> Result<RunFolder> {
         let name = self.output.display();
         ensure!(
-            !is_dash(&self.output) && (!self.output.exists() || self.output.is_dir()),
+            !is_dash(&self.output),
             "{name}: parts are files of a folder: name one"
         );
         // Replacing the input by one of its own parts would destroy it.
@@ -89,30 +94,8 @@ impl Split {
             "{name}: {} lies there: choose another folder",
             self.input.display()
         );
-        Ok(())
+        RunFolder::check(&self.output, self.overwrite.overwrite, is_part)
     }
-}
-
-/// Warns on stderr about frame files in the folder that are not parts of this input: an earlier input may have had
-/// more parts.
-fn tell_others(folder: &Path, parts: &[Part]) -> Result<()> {
-    let listed = std::fs::read_dir(folder)
-        .with_context(|| format!("{}: cannot be listed", folder.display()))?;
-    let paths = listed.filter_map(|entry| entry.ok().map(|entry| entry.path()));
-    let mut others: Vec<String> = paths
-        .filter(|path| path.extension().is_some_and(|ending| ending == "eecvs"))
-        .filter(|path| parts.iter().all(|part| part.file != *path))
-        .filter_map(|path| Some(path.file_name()?.to_string_lossy().into_owned()))
-        .collect();
-    others.sort_unstable();
-    if !others.is_empty() {
-        eprintln!(
-            "eecvs: {}: was there before and is not of this input: {}",
-            folder.display(),
-            others.join(", ")
-        );
-    }
-    Ok(())
 }
 
 fn table(parts: &[Part]) -> String {

@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::Args;
 use clap::error::ErrorKind;
+use eecvs_cli::folder::RunFolder;
 use eecvs_cli::options::{OutputOptions, ReadingOptions, tell_link};
 use eecvs_cli::output::{Place, rows};
 use eecvs_cli::progress::Progress;
@@ -22,9 +23,9 @@ use serde::Serialize;
 use crate::view::frames::Frames;
 use crate::view::gif::{self, Gif};
 use crate::view::input::Input;
-use crate::view::palette::Palette;
+use crate::view::palette::{Palette, is_dumb};
 use crate::view::picture::{Look, default_upscale};
-use crate::view::png::{Pngs, numbered};
+use crate::view::png::{Pngs, is_numbered};
 use crate::view::slices::{Grid, Slices};
 use crate::view::terminal::{self, Room, Terminal, Text};
 use crate::view::{Played, Screen, play};
@@ -45,7 +46,8 @@ pub struct View {
     decoded: Option<PathBuf>,
 
     /// Write an animated GIF (OUT.gif), the first frame (OUT.png), or every frame as a PNG in a folder
-    /// (OUT/) instead of playing in the terminal
+    /// (OUT/) instead of playing in the terminal. The folder must be empty; --overwrite removes the frames of an
+    /// earlier run
     #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
 
@@ -239,11 +241,11 @@ impl View {
                 input.display()
             );
         }
-        ensure!(
-            self.overwrite.overwrite || numbered(output).next().is_none(),
-            "{name}: has pictures already: choose another folder or --overwrite"
-        );
-        Ok(())
+        self.pngs(output).map(drop)
+    }
+
+    fn pngs(&self, folder: &Path) -> Result<RunFolder> {
+        RunFolder::check(folder, self.overwrite.overwrite, is_numbered)
     }
 
     fn slice_us(&self) -> u64 {
@@ -288,7 +290,9 @@ impl View {
                     .unwrap_or_else(|| Palette::of_terminal(|name| std::env::var(name).ok())),
             };
             let columns = self.terminal_columns.map(usize::from);
-            if let Some(columns) = columns.filter(|_| !stdout().is_terminal()) {
+            // The cursor of a dumb terminal cannot be moved.
+            if !stdout().is_terminal() || is_dumb(|name| std::env::var(name).ok()) {
+                let columns = columns.unwrap_or(room(None).columns);
                 return Ok(Box::new(Text::new(stdout(), look, columns)));
             }
             let room = Box::new(move || room(columns));
@@ -313,7 +317,7 @@ impl View {
             origin_us,
         };
         if self.is_folder() {
-            return Ok(Box::new(Pngs::folder(output, look)?));
+            return Ok(Box::new(Pngs::folder(output, self.pngs(output)?, look)?));
         }
         match self.ending().as_str() {
             "gif" => {

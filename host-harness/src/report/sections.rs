@@ -52,7 +52,9 @@ pub fn of_records(folder: &Path) -> Result<Vec<Section>> {
     let results = folder.join("results.json");
     let results = std::fs::read_to_string(&results)
         .with_context(|| format!("{}: cannot be read", results.display()))?;
-    let results: Results = serde_json::from_str(&results).context("results.json")?;
+    // Some editors put a byte-order mark in front.
+    let results = results.strip_prefix('\u{feff}').unwrap_or(&results);
+    let results: Results = serde_json::from_str(results).context("results.json")?;
     let RecordFile { rows: rates, .. } = read(folder, "rates")?;
     let RecordFile { rows: kernels, .. } = read(folder, "kernels")?;
     let RecordFile { rows: skips, .. } = read(folder, "skips")?;

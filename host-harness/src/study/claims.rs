@@ -324,22 +324,10 @@ impl Results {
         for set in self.sets() {
             let mean = |method: &str, slices: bool| {
                 let rows = self.perception.iter();
-                let rows = rows.filter(|row| {
-                    row.set == set
-                        && row.method == method
-                        && row.m == 24
-                        && if slices {
-                            row.slice_frames > 0
-                        } else {
-                            row.window_frames > 0
-                        }
-                });
-                let iou = rows.map(|row| {
-                    if slices {
-                        row.slice_mean_iou
-                    } else {
-                        row.window_mean_iou
-                    }
+                let rows = rows.filter(|row| row.set == set && row.method == method && row.m == 24);
+                let iou = rows.filter_map(|row| {
+                    let [window, slice] = row.mean_iou();
+                    if slices { slice } else { window }
                 });
                 mean(iou.collect())
             };

@@ -67,9 +67,6 @@ pub struct Results {
     pub kernels: Vec<KernelRow>,
 }
 
-/// Makes a segmenter, one per thread.
-pub type NewSegmenter<'f> = &'f (dyn Fn() -> Result<Box<dyn Segmenter>> + Sync);
-
 /// One method on one source, which is decoded once for all measurements.
 struct Task<'s> {
     set: &'s Set,
@@ -89,7 +86,7 @@ struct Task<'s> {
 pub fn run(
     sets: &[Set],
     effort: &Effort,
-    segmenter: NewSegmenter<'_>,
+    segmenter: &dyn Segmenter,
     store: &Store,
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<()> {
@@ -148,7 +145,7 @@ impl Task<'_> {
         self.source.events.len() as u64 * self.method.cost()
     }
 
-    fn measure(&self, segmenter: NewSegmenter<'_>) -> Result<Vec<Row>> {
+    fn measure(&self, segmenter: &dyn Segmenter) -> Result<Vec<Row>> {
         let Self {
             set,
             source,
@@ -161,9 +158,7 @@ impl Task<'_> {
             rows.push(Row::Times(times::measure(set, source, method, &trip)));
         }
         if method.has_perception() {
-            let mut segmenter = segmenter()?;
-            let of =
-                perception::measure(set, source, method, &trip, segmenter.as_mut(), reference)?;
+            let of = perception::measure(set, source, method, &trip, segmenter, reference)?;
             rows.push(Row::Perception(of));
         }
         Ok(rows)

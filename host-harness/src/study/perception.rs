@@ -30,18 +30,19 @@ pub struct Perception {
     pub setting: String,
     /// Name of the segmenter.
     pub segmenter: String,
-    /// Number of frames of whole windows with a segment on either side.
+    /// Number of frames of whole windows whose segments can be compared: masks that are all empty, all full or all
+    /// the same say nothing.
     pub window_frames: u64,
-    /// Mean IoU of foreground against background, over whole windows.
-    pub window_foreground_iou: f64,
-    /// Mean IoU of matched segments, over whole windows.
-    pub window_mean_iou: f64,
-    /// Number of frames of [`SLICE_US`] with a segment on either side.
+    /// Mean IoU of foreground against background, over whole windows; `None` if no frame has one.
+    pub window_foreground_iou: Option<f64>,
+    /// Mean IoU of matched segments, over whole windows; `None` if no frame has one.
+    pub window_mean_iou: Option<f64>,
+    /// Number of frames of [`SLICE_US`] whose segments can be compared.
     pub slice_frames: u64,
-    /// Mean IoU of foreground against background, over slices.
-    pub slice_foreground_iou: f64,
-    /// Mean IoU of matched segments, over slices.
-    pub slice_mean_iou: f64,
+    /// Mean IoU of foreground against background, over slices; `None` if no frame has one.
+    pub slice_foreground_iou: Option<f64>,
+    /// Mean IoU of matched segments, over slices; `None` if no frame has one.
+    pub slice_mean_iou: Option<f64>,
     /// Number of tiles with reliable flow in the original.
     pub flow_tiles: u64,
     /// Number of these without reliable flow in the decoded events.
@@ -50,6 +51,28 @@ pub struct Perception {
     pub flow_mean_px: Option<f64>,
     /// Median end-point difference of the others, in pixels per window.
     pub flow_median_px: Option<f64>,
+}
+
+impl Perception {
+    /// Returns the mean IoU of matched segments, over whole windows and over slices.
+    #[must_use]
+    pub fn mean_iou(&self) -> [Option<f64>; 2] {
+        self.compared([self.window_mean_iou, self.slice_mean_iou])
+    }
+
+    /// Returns the mean IoU of foreground against background, over whole windows and over slices.
+    #[must_use]
+    pub fn foreground_iou(&self) -> [Option<f64>; 2] {
+        self.compared([self.window_foreground_iou, self.slice_foreground_iou])
+    }
+
+    /// Leaves out the 1 that rows of earlier versions have in place of `None`.
+    fn compared(&self, [window, slice]: [Option<f64>; 2]) -> [Option<f64>; 2] {
+        [
+            window.filter(|_| self.window_frames > 0),
+            slice.filter(|_| self.slice_frames > 0),
+        ]
+    }
 }
 
 /// Results on the original, shared by all methods.
@@ -61,7 +84,7 @@ pub struct Reference {
 }
 
 impl Reference {
-    fn new(source: &Source, segmenter: &mut dyn Segmenter) -> Result<Self> {
+    fn new(source: &Source, segmenter: &dyn Segmenter) -> Result<Self> {
         Ok(Self {
             windows: SegmentationReference::new(source, WINDOW_US, segmenter)?,
             slices: SegmentationReference::new(source, SLICE_US, segmenter)?,
@@ -80,7 +103,7 @@ pub fn measure(
     source: &Source,
     method: Method,
     trip: &Trip,
-    segmenter: &mut dyn Segmenter,
+    segmenter: &dyn Segmenter,
     reference: &OnceLock<Reference>,
 ) -> Result<Perception> {
     let reference = match reference.get() {

@@ -84,6 +84,55 @@ impl Inside {
     }
 }
 
+/// What a store of an earlier run holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Earlier {
+    /// No store, or an empty one.
+    Nothing,
+    /// Rows of the same study.
+    Same,
+    /// Rows of the same study, which another build of the program started.
+    OtherBuild,
+    /// Rows of another study, or something else.
+    Other,
+}
+
+/// Returns what the store at `path` holds for the study of `record`.
+///
+/// # Errors
+/// Fails if the file cannot be read; the message names it.
+pub fn earlier(path: &Path, record: &Record) -> Result<Earlier> {
+    let text = text(path)?;
+    if text.is_empty() {
+        return Ok(Earlier::Nothing);
+    }
+    Ok(match first(&text) {
+        Some(known) if known.is_same_study(record, true) => Earlier::Same,
+        Some(known) if known.is_same_study(record, false) => Earlier::OtherBuild,
+        _ => Earlier::Other,
+    })
+}
+
+/// Reads a store; one that does not exist is empty.
+fn text(path: &Path) -> Result<String> {
+    match std::fs::read(path) {
+        Ok(bytes) => {
+            let text = String::from_utf8_lossy(&bytes);
+            // Some editors put a byte-order mark in front.
+            Ok(text.strip_prefix('\u{feff}').unwrap_or(&text).to_owned())
+        }
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(String::new()),
+        Err(error) => Err(error).with_context(|| format!("{}: cannot be opened", path.display())),
+    }
+}
+
+/// Returns the record in the first line of a store.
+fn first(text: &str) -> Option<Record> {
+    let first = text.split_inclusive('\n').next()?;
+    let whole = first.strip_suffix('\n')?;
+    serde_json::from_str(whole).ok()
+}
+
 impl Store {
     /// Opens the store of a study; returns it with the number of tasks finished.
     ///
@@ -94,17 +143,9 @@ impl Store {
     /// Fails if the file cannot be read or written; the message names it.
     pub fn open(path: &Path, record: Record, same_program: bool) -> Result<(Self, usize)> {
         let name = || format!("{}: cannot be opened", path.display());
-        let text = match std::fs::read(path) {
-            Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => String::new(),
-            Err(error) => return Err(error).with_context(name),
-        };
-        let mut lines = text.split_inclusive('\n');
-        let first: Option<Record> = lines
-            .next()
-            .filter(|line| line.ends_with('\n'))
-            .and_then(|line| serde_json::from_str(line).ok());
-        let known = first.filter(|known| known.is_same_study(&record, same_program));
+        let text = text(path)?;
+        let known = first(&text).filter(|known| known.is_same_study(&record, same_program));
+        let lines = text.split_inclusive('\n').skip(1);
         let mut whole = String::new();
         let mut finished: Vec<Finished> = Vec::new();
         let mut tasks = BTreeSet::new();
@@ -294,6 +335,11 @@ mod tests {
             seed: 7,
             ..record.clone()
         };
+        assert_eq!(earlier(&path, &record).unwrap(), Earlier::Same);
+        assert_eq!(earlier(&path, &rebuilt).unwrap(), Earlier::OtherBuild);
+        assert_eq!(earlier(&path, &other).unwrap(), Earlier::Other);
+        let absent = folder.path().join("none.jsonl");
+        assert_eq!(earlier(&absent, &record).unwrap(), Earlier::Nothing);
         assert_eq!(Store::open(&path, rebuilt, true).unwrap().1, 0);
         assert_eq!(Store::open(&path, other, false).unwrap().1, 0);
     }
@@ -305,6 +351,7 @@ mod tests {
         for bytes in [&b"\xff\xfe\n{}"[..], b"{}\n{}\n", b"\n\n"] {
             std::fs::write(&path, bytes).unwrap();
             let record = Record::new(&[], &[], &Effort::QUICK, "built-in");
+            assert_eq!(earlier(&path, &record).unwrap(), Earlier::Other);
             let (store, count) = Store::open(&path, record, true).unwrap();
             assert_eq!(count, 0);
             store.add("one", [row()]).unwrap();

@@ -33,10 +33,6 @@ fn set() -> Set {
     }
 }
 
-fn segmenter() -> Result<Box<dyn Segmenter>> {
-    Ok(Box::new(Classical))
-}
-
 #[test]
 fn a_study_has_every_row_and_goes_on_where_it_was_ended() {
     let folder = tempfile::tempdir().unwrap();
@@ -44,7 +40,7 @@ fn a_study_has_every_row_and_goes_on_where_it_was_ended() {
     let sets = [set()];
     let record = Record::new(&sets, &[], &EFFORT, "built-in");
     let (store, _) = Store::open(&path, record.clone(), true).unwrap();
-    run(&sets, &EFFORT, &segmenter, &store, &|_, _| ()).unwrap();
+    run(&sets, &EFFORT, &Classical, &store, &|_, _| ()).unwrap();
     let results = store.results();
     let methods = EFFORT.methods();
     assert_eq!(results.quality.len(), 2 * methods.len());
@@ -96,7 +92,7 @@ fn a_study_has_every_row_and_goes_on_where_it_was_ended() {
     // The first line is the record.
     assert_eq!(count, kept - 1);
     let first = AtomicUsize::new(usize::MAX);
-    run(&sets, &EFFORT, &segmenter, &store, &|done, total| {
+    run(&sets, &EFFORT, &Classical, &store, &|done, total| {
         assert_eq!(total, 2 * methods.len());
         first.fetch_min(done, Ordering::Relaxed);
     })

@@ -19,13 +19,14 @@ pub enum Palette {
 }
 
 impl Palette {
-    /// Chooses by the variables of a terminal: no colours for `NO_COLOR` or a `TERM` that is `dumb` or missing, 24
-    /// bits for a `COLORTERM` or a `TERM` that names them, else 256 colours.
+    /// Chooses by the variables of a terminal: no colours for `NO_COLOR` or a `TERM` that has none (see
+    /// [`is_dumb`]; `vt100` and the like), 24 bits for a `COLORTERM` or a `TERM` that names them, else 256 colours.
     #[must_use]
     pub fn of_terminal(variable: impl Fn(&str) -> Option<String>) -> Self {
         let is_set = |name| variable(name).is_some_and(|value| !value.is_empty());
         let term = variable("TERM").unwrap_or_default();
-        if is_set("NO_COLOR") || term.is_empty() || term == "dumb" {
+        let has_none = ["vt1", "vt2", "vt5"].iter().any(|vt| term.starts_with(vt));
+        if is_set("NO_COLOR") || is_dumb(&variable) || has_none {
             return Self::Characters;
         }
         let colours = variable("COLORTERM").unwrap_or_default();
@@ -47,6 +48,13 @@ impl Palette {
             Self::Characters => Ok(()),
         };
     }
+}
+
+/// Returns whether a terminal only prints lines, one below the other: its `TERM` is `dumb` or missing.
+#[must_use]
+pub fn is_dumb(variable: impl Fn(&str) -> Option<String>) -> bool {
+    let term = variable("TERM").unwrap_or_default();
+    ["", "dumb", "unknown"].contains(&term.as_str())
 }
 
 /// Levels per channel of the 6 x 6 x 6 colour cube that begins at index 16.
@@ -95,6 +103,11 @@ mod tests {
                 &[("TERM", "dumb"), ("COLORTERM", "truecolor")],
                 Palette::Characters,
             ),
+            (
+                &[("TERM", "vt100"), ("COLORTERM", "truecolor")],
+                Palette::Characters,
+            ),
+            (&[("TERM", "screen-256color")], Palette::Xterm256),
             (&[], Palette::Characters),
         ] {
             let value = |name: &str| {
@@ -102,6 +115,9 @@ mod tests {
                 found.next().map(|(_, value)| (*value).to_owned())
             };
             assert_eq!(Palette::of_terminal(value), palette, "{variables:?}");
+            let term = variables.iter().find(|(name, _)| *name == "TERM");
+            let dumb = term.is_none_or(|(_, term)| *term == "dumb");
+            assert_eq!(is_dumb(value), dumb, "{variables:?}");
         }
     }
 

@@ -3,22 +3,21 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::Result;
+use eecvs_cli::folder::RunFolder;
 use event_files::output::OutputFile;
 
 use super::Screen;
 use super::frames::Frame;
 use super::picture::{Look, picture};
 
-/// Lists the numbered pictures in a folder, in any order.
-pub fn numbered(folder: &Path) -> impl Iterator<Item = (u64, PathBuf)> {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-    entries.filter_map(|entry| {
-        let name = entry.file_name();
-        let name = name.to_str()?;
-        let number = name.strip_prefix("frame_")?.strip_suffix(".png")?;
-        Some((number.parse().ok()?, entry.path()))
-    })
+/// Returns whether a picture in a folder has a name that [`Pngs::folder`] gives.
+#[must_use]
+pub fn is_numbered(name: &str) -> bool {
+    let number = name
+        .strip_prefix("frame_")
+        .and_then(|name| name.strip_suffix(".png"));
+    number.is_some_and(|number| number.len() >= 6 && number.bytes().all(|b| b.is_ascii_digit()))
 }
 
 /// Writer of PNG files.
@@ -32,7 +31,7 @@ pub struct Pngs {
 #[derive(Debug)]
 enum Place {
     File(PathBuf),
-    Folder(PathBuf),
+    Folder(PathBuf, RunFolder),
 }
 
 impl Pngs {
@@ -46,15 +45,15 @@ impl Pngs {
         }
     }
 
-    /// Writes pictures named `frame_000000.png` and so on; creates the folder if it does not exist.
+    /// Writes pictures named `frame_000000.png` and so on to a folder that was checked, and makes it if it does not
+    /// exist; pictures of an earlier run are removed before the first is written.
     ///
     /// # Errors
-    /// Fails if the folder cannot be created; the message names it.
-    pub fn folder(path: &Path, look: Look) -> Result<Self> {
-        std::fs::create_dir_all(path)
-            .with_context(|| format!("{}: cannot make the folder", path.display()))?;
+    /// Fails if the folder cannot be made; the message names it.
+    pub fn folder(path: &Path, folder: RunFolder, look: Look) -> Result<Self> {
+        folder.make()?;
         Ok(Self {
-            place: Place::Folder(path.to_owned()),
+            place: Place::Folder(path.to_owned(), folder),
             look,
             frames: 0,
         })
@@ -65,7 +64,12 @@ impl Screen for Pngs {
     fn show(&mut self, frame: &Frame) -> Result<()> {
         let path = match &self.place {
             Place::File(path) => path.clone(),
-            Place::Folder(path) => path.join(format!("frame_{:06}.png", self.frames)),
+            Place::Folder(path, folder) => {
+                if self.frames == 0 {
+                    folder.begin()?;
+                }
+                path.join(format!("frame_{:06}.png", self.frames))
+            }
         };
         let png = picture(frame, self.look).png()?;
         let mut file = OutputFile::create(&path)?;
@@ -75,15 +79,7 @@ impl Screen for Pngs {
         Ok(())
     }
 
-    /// Removes pictures of an earlier run with numbers beyond this run's last.
     fn finish(self: Box<Self>) -> Result<()> {
-        let Place::Folder(folder) = &self.place else {
-            return Ok(());
-        };
-        for (_, stale) in numbered(folder).filter(|(number, _)| *number >= self.frames) {
-            std::fs::remove_file(&stale)
-                .with_context(|| format!("{}: cannot be removed", stale.display()))?;
-        }
         Ok(())
     }
 }
@@ -97,7 +93,11 @@ mod tests {
     fn a_folder_gets_numbered_pictures() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("new/frames");
-        let mut screen = Box::new(Pngs::folder(&path, LOOK).unwrap());
+        let pngs = || {
+            let folder = RunFolder::check(&path, true, is_numbered).unwrap();
+            Box::new(Pngs::folder(&path, folder, LOOK).unwrap())
+        };
+        let mut screen = pngs();
         let frames = [frame((3, 2), Some((1, 1))), frame((4, 4), None)];
         for frame in &frames {
             screen.show(frame).unwrap();
@@ -107,14 +107,28 @@ mod tests {
             let bytes = std::fs::read(path.join(format!("frame_00000{i}.png"))).unwrap();
             assert!(bytes == picture(frame, LOOK).png().unwrap());
         }
-        let mut screen = Box::new(Pngs::folder(&path, LOOK).unwrap());
+        // What another program has numbered stays.
+        for name in ["frame_7.png", "frame_+00001.png"] {
+            std::fs::write(path.join(name), "").unwrap();
+        }
+        // A run that ends early leaves no picture of the one before.
+        let mut screen = pngs();
         screen.show(&frames[1]).unwrap();
-        screen.finish().unwrap();
-        let left: Vec<_> = numbered(&path).map(|(number, _)| number).collect();
-        assert_eq!(left, [0]);
+        drop(screen);
+        let mut left: Vec<_> = std::fs::read_dir(&path)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+            .collect();
+        left.sort();
+        assert_eq!(
+            left,
+            ["frame_+00001.png", "frame_000000.png", "frame_7.png"]
+        );
         let file = folder.path().join("file");
         std::fs::write(&file, "").unwrap();
-        let error = Pngs::folder(&file.join("x"), LOOK).unwrap_err();
+        let path = file.join("x");
+        let folder = RunFolder::check(&path, true, is_numbered).unwrap();
+        let error = Pngs::folder(&path, folder, LOOK).unwrap_err();
         assert!(format!("{error:#}").contains("file"), "{error:#}");
     }
 }

@@ -1,7 +1,7 @@
 //! Decoding from the command line: every format, files of many frames, damaged files, odd
 //! settings, and the demo.
 
-use crate::support::{Folder, count};
+use crate::support::{Folder, count, number, total};
 use serde_json::Value;
 
 /// What `inspect` says of every frame.
@@ -323,16 +323,92 @@ fn odd_sizes_and_settings_keep_every_event() {
         .ok();
     folder.eecvs("decode a.eecvs --volume v.npy").ok();
     assert_eq!(folder.npy("v.npy").0[1..], [10, 20]);
-    // No event at all.
+}
+
+#[test]
+fn a_recording_without_events_is_one_all_the_way() {
+    let folder = Folder::new();
+    let is_empty = |file: &str| {
+        let info = folder.eecvs(&format!("info {file} --json")).ok().object();
+        assert_eq!(count(&info, "events"), 0, "{file}");
+        let size = (count(&info, "width"), count(&info, "height"));
+        assert_eq!(size, (40, 30), "{file}");
+    };
     folder
-        .eecvs("emulate motorcycle -o none.raw --width 4 --height 4 --duration-us 0")
+        .eecvs("emulate motorcycle -o none.raw --width 40 --height 30 --duration-us 0")
         .ok();
+    for flags in [
+        "",
+        "--coder dense --threads 2",
+        "--coder dense --keep-order",
+        "--bytes-per-second 100000",
+        "--every-window --origin-us 7",
+        "--mode transform",
+        "--mode transform --coder dense",
+        "--window-us 1",
+        "--region 1,1,2,2",
+    ] {
+        let line = format!("encode none.raw -o none.eecvs {flags} --json");
+        let summary = folder.eecvs(&line).ok().object();
+        assert_eq!(count(&summary, "frames"), 1, "{flags}");
+        assert_eq!(
+            count(&summary, "bytes_out"),
+            folder.bytes("none.eecvs").len() as u64
+        );
+        let rows = folder.eecvs("inspect none.eecvs --json").ok().array();
+        assert_eq!(total(&rows, "events"), 0);
+        is_empty("none.eecvs");
+        let decoded = folder.eecvs("decode none.eecvs -o decoded.raw --json").ok();
+        assert_eq!(count(&decoded.object(), "events"), 0, "{flags}");
+        is_empty("decoded.raw");
+        let same = folder
+            .eecvs("compare none.raw decoded.raw --json")
+            .ok()
+            .object();
+        assert_eq!(number(&same, "exact_fraction"), 1.0, "{flags}");
+        folder.eecvs("compare none.eecvs none.raw").ok();
+        folder.eecvs("convert none.eecvs converted.raw").ok();
+        is_empty("converted.raw");
+        // Frames are taken wherever a recording is.
+        folder.eecvs("encode none.eecvs -o again.eecvs").ok();
+        is_empty("again.eecvs");
+    }
+    // In every format that is written, of a sensor that each of them knows.
     folder
-        .eecvs("encode none.raw -o none.eecvs")
-        .warns(&["none.raw", "no events"]);
+        .eecvs("emulate motorcycle -o none.raw --width 128 --height 128 --duration-us 0")
+        .ok();
+    for format in event_files::FORMATS
+        .iter()
+        .filter(|format| format.create.is_some())
+    {
+        let [name, copy] = ["none", "copy"].map(|stem| format!("{stem}{}", format.endings[0]));
+        if name != "none.raw" {
+            folder.eecvs(&format!("convert none.raw {name}")).ok();
+        }
+        // Arrays of .npy have no size, and N-MNIST is of one sensor alone.
+        let (flags, side) = match format.name {
+            "npy" => ("--width 128 --height 128", 128),
+            "nmnist" => ("", 34),
+            _ => ("", 128),
+        };
+        let is_empty = |file: &str| {
+            let info = folder.eecvs(&format!("info {file} {flags} --json"));
+            let info = info.ok().object();
+            let found = ["events", "width", "height"].map(|key| count(&info, key));
+            assert_eq!(found, [0, side, side], "{file}");
+        };
+        is_empty(&name);
+        folder
+            .eecvs(&format!("encode {name} -o made.eecvs {flags}"))
+            .ok();
+        folder.eecvs(&format!("decode made.eecvs -o {copy}")).ok();
+        is_empty(&copy);
+        folder.eecvs(&format!("compare {name} {copy} {flags}")).ok();
+    }
+    // A window of no file is none.
     folder
-        .eecvs("decode none.eecvs -o x.csv")
-        .fails(&["none.eecvs"]);
+        .eecvs("decode none.eecvs --volume v.npy")
+        .fails(&["none.eecvs", "no window 0"]);
 }
 
 #[test]

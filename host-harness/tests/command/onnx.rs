@@ -2,8 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
+use eecvs_bench::source::Source;
 use eecvs_nostd::{Event, Polarity, Sensor};
+use event_emulator::Preset;
 use host_harness::downstream::segment::{Frame, Segmenter, open_model};
+use host_harness::downstream::segmentation;
 
 /// What ONNX files are made of.
 mod protobuf {
@@ -37,6 +40,7 @@ mod protobuf {
 use protobuf::{bytes, number, text};
 
 const FLOAT: u64 = 1;
+const INT32: u64 = 6;
 const INT64: u64 = 7;
 
 /// A dimension: fixed, or of a name.
@@ -71,7 +75,7 @@ fn tensor(name: &str, dims: &[u64], values: &[f32]) -> Vec<u8> {
     [dims, number(2, FLOAT), text(8, name), bytes(9, &raw)].concat()
 }
 
-/// A `NodeProto` with attributes of integers.
+/// A `NodeProto` with attributes of lists of integers.
 fn node(kind: &str, inputs: &[&str], output: &str, attributes: &[(&str, &[u64])]) -> Vec<u8> {
     let inputs: Vec<u8> = inputs.iter().flat_map(|name| text(1, name)).collect();
     let attributes: Vec<u8> = attributes
@@ -83,6 +87,13 @@ fn node(kind: &str, inputs: &[&str], output: &str, attributes: &[(&str, &[u64])]
         })
         .collect();
     [inputs, text(2, output), text(4, kind), attributes].concat()
+}
+
+/// A `NodeProto` with an attribute of one integer.
+fn node_of(kind: &str, input: &str, output: &str, (name, value): (&str, u64)) -> Vec<u8> {
+    // 2 is the type of integers.
+    let attribute = [text(1, name), number(3, value), number(20, 2)].concat();
+    [node(kind, &[input], output, &[]), bytes(5, &attribute)].concat()
 }
 
 /// A `ModelProto` of opset 12.
@@ -125,26 +136,43 @@ fn convolution(
     weights: &[f32],
     biases: &[f32],
 ) -> Vec<u8> {
+    convolution_and(channels, size, side, weights, biases, &[], "logits", FLOAT)
+}
+
+/// One convolution to `logits`, and nodes after it that make the output `last`.
+#[allow(clippy::too_many_arguments)]
+fn convolution_and(
+    channels: u64,
+    size: [Dim; 2],
+    side: u64,
+    weights: &[f32],
+    biases: &[f32],
+    after: &[Vec<u8>],
+    last: &str,
+    kind: u64,
+) -> Vec<u8> {
     let classes = biases.len() as u64;
     let pad = side / 2;
+    let conv = node(
+        "Conv",
+        &["image", "weights", "biases"],
+        "logits",
+        &[("kernel_shape", &[side, side]), ("pads", &[pad; 4])],
+    );
     model(
-        &[node(
-            "Conv",
-            &["image", "weights", "biases"],
-            "logits",
-            &[("kernel_shape", &[side, side]), ("pads", &[pad; 4])],
-        )],
+        &[&[conv], after].concat(),
         &[
             tensor("weights", &[classes, channels, side, side], weights),
             tensor("biases", &[classes], biases),
         ],
         &[image(channels, size)],
-        &[value(
-            "logits",
-            FLOAT,
-            &[Fixed(1), Fixed(classes), Named("h"), Named("w")],
-        )],
+        &[value(last, kind, &[])],
     )
+}
+
+/// One convolution of 1 x 1 pixels of a frame's two channels, and nodes after it that make the output `last`.
+fn weighted(weights: &[f32], biases: &[f32], after: &[Vec<u8>], last: &str, kind: u64) -> Vec<u8> {
+    convolution_and(2, ANY, 1, weights, biases, after, last, kind)
 }
 
 const SENSOR: Sensor = Sensor {
@@ -332,6 +360,160 @@ fn comparisons_are_masks() {
 }
 
 #[test]
+fn probabilities_are_cut_at_a_half() {
+    let frame = frame();
+    let folder = Folder::new();
+    let (weights, biases) = ([1.0, -1.0], [-0.75]);
+    let logits = weighted(&weights, &biases, &[], "logits", FLOAT);
+    let sigmoid = node("Sigmoid", &["logits"], "shares", &[]);
+    let shares = weighted(&weights, &biases, &[sigmoid], "shares", FLOAT);
+    let expected = expected(|x, y| {
+        let (on, off) = counts(&frame, x, y);
+        u32::from(on - off > 0)
+    });
+    assert!(expected.contains(&0) && expected.contains(&1));
+    for (bytes, name) in [
+        (logits, "logits above 0"),
+        (shares, "probabilities above 0.5"),
+    ] {
+        let model = folder.model(&bytes);
+        assert!(model.name().contains(name), "{}", model.name());
+        assert_eq!(model.segment(&frame).unwrap().labels(), expected, "{name}");
+    }
+    // Shares of classes are compared with each other, as their logits are.
+    let (weights, biases) = ([0.0, 0.0, 1.0, 0.0, 0.0, 1.0], [1.5, 0.0, 0.0]);
+    let softmax = node_of("Softmax", "logits", "shares", ("axis", 1));
+    let classes = labels(&weighted(&weights, &biases, &[], "logits", FLOAT), &frame);
+    let shares = weighted(&weights, &biases, &[softmax], "shares", FLOAT);
+    assert_eq!(labels(&shares, &frame), classes);
+    assert!(folder.model(&shares).name().contains("3 classes"));
+}
+
+#[test]
+fn values_that_were_probabilities_and_are_not_are_refused() {
+    // Up to 0.2 in the frames of the trial.
+    let model = Folder::new().model(&weighted(&[0.05; 2], &[0.0], &[], "logits", FLOAT));
+    assert!(model.name().contains("probabilities"), "{}", model.name());
+    let some = Frame::new(SENSOR, &[event(3, 2, true); 15]);
+    assert_eq!(model.segment(&some).unwrap().areas(), [1]);
+    let many = Frame::new(SENSOR, &[event(3, 2, true); 50]);
+    let error = format!("{:#}", model.segment(&many).unwrap_err());
+    for part in ["model.onnx", "`logits`", "export logits"] {
+        assert!(error.contains(part), "{error}");
+    }
+}
+
+#[test]
+fn integers_are_labels() {
+    let frame = frame();
+    // Without ties, which the runtime decides otherwise.
+    let (weights, biases) = ([0.0, 0.0, 1.0, 0.0, 0.0, 1.0], [1.5, 0.0, 0.25]);
+    let classes = labels(&weighted(&weights, &biases, &[], "logits", FLOAT), &frame);
+    assert!((0..3).all(|label| classes.contains(&label)));
+    let greatest = node_of("ArgMax", "logits", "labels", ("axis", 1));
+    let model = weighted(&weights, &biases, &[greatest], "labels", INT64);
+    assert_eq!(labels(&model, &frame), classes);
+    assert!(Folder::new().model(&model).name().contains("(labels"));
+    // What is below 0 is background, and there may be gaps: ON - OFF, twice.
+    let cast = node_of("Cast", "logits", "labels", ("to", INT32));
+    let model = weighted(&[2.0, -2.0], &[0.0], &[cast], "labels", INT32);
+    let found = Folder::new().model(&model);
+    let sums = |x, y| {
+        let (on, off) = counts(&frame, x, y);
+        (on - off).max(0) as u32
+    };
+    let expected = expected(sums);
+    assert!(expected.contains(&3));
+    // Labels are numbered anew.
+    let mut known = expected.clone();
+    known.sort_unstable();
+    known.dedup();
+    let place = |label: &u32| known.iter().position(|other| other == label).unwrap() as u32;
+    let expected: Vec<u32> = expected.iter().map(place).collect();
+    assert_eq!(found.segment(&frame).unwrap().labels(), expected);
+    // More labels than segments can be meant.
+    let sensor = Sensor::new(30, 10).unwrap();
+    let mut events = Vec::new();
+    for pixel in 0..300 {
+        let at = event(pixel % 30, pixel / 30, true);
+        events.extend(std::iter::repeat_n(at, usize::from(pixel)));
+    }
+    let error = found.segment(&Frame::new(sensor, &events)).unwrap_err();
+    assert!(format!("{error:#}").contains("299 labels"), "{error:#}");
+}
+
+#[test]
+fn an_output_of_another_size_is_resized() {
+    let is_inside = |x: i64, y: i64| (2..8).contains(&x) && (4..8).contains(&y);
+    let inside = expected(|x, y| u32::from(is_inside(x, y)));
+    let events: Vec<Event> = (0..PIXELS)
+        .filter(|pixel| inside[*pixel] == 1)
+        .map(|pixel| event((pixel % 12) as u16, (pixel / 12) as u16, true))
+        .collect();
+    let conv = node(
+        "Conv",
+        &["image", "weights", "biases"],
+        "logits",
+        &[("kernel_shape", &[2, 2]), ("strides", &[2, 2])],
+    );
+    let half = model(
+        &[conv],
+        &[
+            tensor("weights", &[1, 1, 2, 2], &[0.25; 4]),
+            tensor("biases", &[1], &[-0.5]),
+        ],
+        &[image(1, ANY)],
+        &[value("logits", FLOAT, &[])],
+    );
+    assert_eq!(labels(&half, &Frame::new(SENSOR, &events)), inside);
+}
+
+#[test]
+fn a_model_that_says_nothing_scores_nothing() {
+    let source = Source::scene(Preset::Motorcycle, 1, 100_000).unwrap();
+    let folder = Folder::new();
+    let softmax = || node_of("Softmax", "logits", "shares", ("axis", 1));
+    let constant = |bias| weighted(&[0.0; 2], &[bias], &[], "logits", FLOAT);
+    let silent = [
+        constant(-1.0),
+        constant(1.0),
+        // Of one class, the share is 1 everywhere.
+        weighted(&[1.0; 2], &[0.0], &[softmax()], "shares", FLOAT),
+        // Classes that are alike everywhere.
+        weighted(&[1.0; 4], &[0.0; 2], &[], "logits", FLOAT),
+    ];
+    for bytes in silent {
+        let found = segmentation(&source, &source.events, 10_000, &*folder.model(&bytes)).unwrap();
+        assert_eq!((found.mean_iou, found.foreground_iou), (None, None));
+    }
+    let tells = folder.model(&weighted(&[1.0; 2], &[-0.5], &[], "logits", FLOAT));
+    let found = segmentation(&source, &source.events, 10_000, &*tells).unwrap();
+    assert_eq!(found.mean_iou, Some(1.0));
+    assert!(found.frames > 5, "{found:?}");
+}
+
+#[test]
+fn names_tell_models_and_outputs_apart() {
+    let folder = Folder::new();
+    let name = |bytes: &[u8]| folder.model(bytes).name().to_owned();
+    let [one, other] =
+        [0.0, 0.5].map(|bias| weighted(&[1.0; 2], &[bias - 1.0], &[], "logits", FLOAT));
+    assert_eq!(name(&one), name(&one));
+    assert_ne!(name(&one), name(&other));
+    assert!(!name(&one).contains("output"));
+    let two = model(
+        &[
+            node("Neg", &["image"], "first", &[]),
+            node("Identity", &["image"], "second", &[]),
+        ],
+        &[],
+        &[image(1, ANY)],
+        &["first", "second"].map(|name| value(name, FLOAT, &[])),
+    );
+    assert!(name(&two).contains("of output `first`"), "{}", name(&two));
+}
+
+#[test]
 fn models_that_do_not_fit_are_told_from_those_that_do() {
     let folder = Folder::new();
     let identity = |input: Vec<u8>| {
@@ -424,21 +606,48 @@ fn models_that_cannot_be_run_are_errors() {
         &[image(1, ANY)],
         &[value("logits", FLOAT, &[])],
     );
-    let says_nothing = model(
+    // NaN on every frame, and infinite where there are events.
+    let says_nothing = weighted(&[f32::NAN, 0.0], &[0.0], &[], "logits", FLOAT);
+    let overflows = weighted(
+        &[1e38, 0.0],
+        &[0.0],
+        &[node("Mul", &["logits", "logits"], "squares", &[])],
+        "squares",
+        FLOAT,
+    );
+    // Rows, columns and classes in other orders.
+    let turned = |perm: [u64; 4]| {
+        let turn = node("Transpose", &["logits"], "turned", &[("perm", &perm)]);
+        weighted(&[1.0, 0.0, 0.0, 1.0], &[0.0; 2], &[turn], "turned", FLOAT)
+    };
+    // A convolution whose size is that of its weights only.
+    let unsized_weights = model(
         &[node(
             "Conv",
             &["image", "weights"],
             "logits",
-            &[("kernel_shape", &[1, 1]), ("strides", &[1, 1])],
+            &[("pads", &[1; 4])],
         )],
-        &[tensor("weights", &[1, 1, 1, 1], &[f32::NAN])],
+        &[tensor("weights", &[1, 1, 3, 3], &[1.0; 9])],
         &[image(1, ANY)],
         &[value("logits", FLOAT, &[])],
     );
+    let classes_of_integers = weighted(
+        &[1.0, 0.0, 0.0, 1.0],
+        &[0.0; 2],
+        &[node_of("Cast", "logits", "whole", ("to", 6))],
+        "whole",
+        INT32,
+    );
     for (bytes, part) in [
         (contradicting, "runtime fails"),
-        (flat, "[48, 64]"),
-        (says_nothing, "not finite"),
+        (flat, "[260, 346]"),
+        (says_nothing, "`logits` has values that are not finite"),
+        (overflows, "`squares` has values that are not finite"),
+        (turned([0, 2, 3, 1]), "channels before rows and columns"),
+        (turned([0, 1, 3, 2]), "rows before columns"),
+        (unsized_weights, "on a frame of 346 x 260 pixels"),
+        (classes_of_integers, "2 classes of integers"),
     ] {
         // A frame without events shows it when the model is opened.
         let error = error(&folder.file("model.onnx", &bytes));
@@ -464,8 +673,8 @@ fn damaged_models_never_panic() {
         }));
     let (mut run, mut refused) = (0, 0);
     for bytes in damaged {
-        let found = open_model(&folder.file("model.onnx", &bytes))
-            .and_then(|mut model| model.segment(&frame));
+        let found =
+            open_model(&folder.file("model.onnx", &bytes)).and_then(|model| model.segment(&frame));
         match found {
             Ok(masks) => {
                 assert_eq!(masks.labels().len(), PIXELS);

@@ -24,6 +24,8 @@ fn outputs_are_refused_before_anything_is_done() {
     std::fs::hard_link(folder.path("hot.txt"), folder.path("hot.eecvs")).unwrap();
     std::fs::create_dir(folder.path("frames")).unwrap();
     folder.write("frames/frame_000007.png", "stale");
+    std::fs::create_dir(folder.path("used")).unwrap();
+    folder.write("used/notes.txt", "kept");
     for name in [
         "keep.svg",
         "keep.toml",
@@ -85,6 +87,25 @@ fn outputs_are_refused_before_anything_is_done() {
         ("monitor scene.raw --histogram out.eecvs", "another kind"),
         ("view scene.raw -o keep.gif", "--overwrite"),
         ("view scene.raw -o frames/", "--overwrite"),
+        // A folder of other files is not one for a run's.
+        ("view scene.raw -o used/", "--overwrite"),
+        ("view scene.raw -o used", "--overwrite"),
+        ("demo -o used", "--overwrite"),
+        ("split good.eecvs -o used", "--overwrite"),
+        ("report --quick -o used", "--overwrite"),
+        ("report --quick -o keep.svg", "is not a folder"),
+        ("bench --quick -o used", "--overwrite"),
+        ("bench --errors --quick -o used", "--overwrite"),
+        ("bench --rate --quick -o used", "--overwrite"),
+        // Of all windows of another file.
+        (
+            "decode good.eecvs --volume v.npy",
+            "v.times.npy|--overwrite",
+        ),
+        (
+            "monitor scene.raw --chart a.svg --histogram a.svg",
+            "same file",
+        ),
     ] {
         let outcome = folder.as_is(line);
         assert_eq!(outcome.status, Some(1), "{outcome}");
@@ -107,11 +128,21 @@ fn outputs_are_refused_before_anything_is_done() {
         "calibrate scene.raw -o keep.toml --overwrite",
         "view scene.raw -o keep.gif --frames 2 --overwrite",
         "view scene.raw -o frames/ --frames 2 --overwrite",
+        "view scene.raw -o used --frames 2 --overwrite",
+        "split good.eecvs -o used --overwrite",
         "encode scene.raw -o /dev/null",
     ] {
         folder.as_is(line).ok();
     }
     assert_eq!(names(&folder), before);
+    assert_eq!(folder.bytes("used/notes.txt"), b"kept");
+    assert!(folder.path("used/1-40x30.eecvs").exists());
+    assert!(folder.path("used/frame_000001.png").exists());
+    // The times are of this array now, or gone.
+    folder
+        .as_is("decode good.eecvs --volume v.npy --overwrite")
+        .ok();
+    assert!(!folder.path("v.times.npy").exists());
     assert!(!folder.path("frames/frame_000007.png").exists());
     assert!(folder.path("frames/frame_000001.png").exists());
     for name in ["keep.svg", "keep.toml", "keep.gif", "keep.npy"] {

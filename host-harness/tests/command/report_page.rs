@@ -4,7 +4,6 @@
 
 use eecvs_bench::source::Source;
 use eecvs_nostd::{Event, Sensor};
-use host_harness::downstream::segment::Segmenter;
 use host_harness::downstream::segment::classical::Classical;
 use host_harness::report::strips::LETTER;
 use host_harness::report::study::figures::{self, Figure};
@@ -63,8 +62,7 @@ fn study() -> (Results, Vec<Figure>) {
     let record = Record::new(&sets, &[], &EFFORT, "built-in");
     let (store, _) = Store::open(&folder.path().join("rows.jsonl"), record, true).unwrap();
     kernels::add_to(&store, eecvs_bench::Effort::QUICK).unwrap();
-    let segmenter = || Ok(Box::new(Classical) as Box<dyn Segmenter>);
-    study::run(&sets, &EFFORT, &segmenter, &store, &|_, _| ()).unwrap();
+    study::run(&sets, &EFFORT, &Classical, &store, &|_, _| ()).unwrap();
     let results = store.results();
     let figures = figures::all(&sets, &results).unwrap();
     (results, figures)

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use event_files::FORMATS;
 use serde_json::Value;
 
-use crate::support::{Folder, Outcome, count};
+use crate::support::{Folder, Outcome, count, exists};
 
 /// Runs `eecvs` with `input` on stdin; also its stdout as it is.
 fn piped(folder: &Folder, line: &str, input: &[u8]) -> (Outcome, Vec<u8>) {
@@ -449,7 +449,7 @@ fn frames_of_two_sensors_are_never_mixed_and_can_be_taken_apart() {
         assert!(folder.bytes(&format!("{name}/2-{two}.eecvs")) == of(two));
         folder
             .as_is(&format!("split {file} -o {name}"))
-            .fails(&["is there already"]);
+            .fails(&["has files already", "--overwrite"]);
     }
     // Two recordings of one sensor, one behind the other.
     folder
@@ -460,10 +460,12 @@ fn frames_of_two_sensors_are_never_mixed_and_can_be_taken_apart() {
     folder.eecvs("split ab.eecvs -o ab").ok();
     assert!(folder.bytes("ab/1-40x30.eecvs") == a.concat());
     assert!(folder.bytes("ab/2-40x30.eecvs") == b);
-    // Parts of an earlier input are not taken for this one's.
-    folder
-        .eecvs("split a.eecvs -o ab")
-        .warns(&["not of this input: 2-40x30.eecvs"]);
+    // Parts of an earlier input are not taken for this one's, and what is no part stays.
+    folder.write("ab/notes.eecvs", "");
+    folder.eecvs("split a.eecvs -o ab --overwrite").ok();
+    assert!(folder.bytes("ab/1-40x30.eecvs") == a.concat());
+    assert!(!exists(&folder.path("ab/2-40x30.eecvs")));
+    assert!(exists(&folder.path("ab/notes.eecvs")));
     // Through a pipe; nothing of what is damaged.
     let mut damaged = [a.concat(), c.concat()].concat();
     damaged[a[0].len() + 50] ^= 1;

@@ -74,6 +74,42 @@ fn pictures_and_text() {
 }
 
 #[test]
+fn colours_are_those_that_the_terminal_has() {
+    let folder = Folder::new();
+    folder.write("a.csv", "t,x,y,p\n1000,0,0,1\n1001,1,1,0\n");
+    let shown = |variables: &[(&str, &str)]| {
+        let line = ["view", "a.csv", "--terminal-columns", "40", "--frames", "1"];
+        let mut command = folder.command(&line);
+        for name in ["NO_COLOR", "COLORTERM", "TERM"] {
+            command.env_remove(name);
+        }
+        let output = command.envs(variables.iter().copied()).output().unwrap();
+        assert!(output.status.success());
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let bits = shown(&[("TERM", "xterm-256color"), ("COLORTERM", "truecolor")]);
+    assert!(bits.contains("\x1b[38;2;86;160;224m"), "{bits}");
+    let few = shown(&[("TERM", "xterm-256color")]);
+    assert!(
+        few.contains("\x1b[38;5;74m") && !few.contains(";2;"),
+        "{few}"
+    );
+    for variables in [
+        &[
+            ("TERM", "xterm-256color"),
+            ("COLORTERM", "truecolor"),
+            ("NO_COLOR", "1"),
+        ][..],
+        &[("TERM", "dumb"), ("COLORTERM", "truecolor")],
+        &[],
+    ] {
+        let plain = shown(variables);
+        assert!(!plain.contains('\x1b'), "{plain}");
+        assert!(plain.starts_with("+-\n"), "{plain}");
+    }
+}
+
+#[test]
 fn a_jump_of_hours_makes_no_endless_file() {
     let folder = Folder::new();
     folder.write("a.csv", "t,x,y,p\n0,0,0,1\n36000000000,1,1,0\n");

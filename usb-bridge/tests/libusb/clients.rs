@@ -37,5 +37,8 @@ fn drivers_of_others_open_every_camera() {
         return;
     }
     assert!(run.status.success(), "{}", run.status);
-    assert!(out.lines().any(|line| line.starts_with("ok ")), "nothing was compared");
+    assert!(
+        out.lines().any(|line| line.starts_with("ok ")),
+        "nothing was compared"
+    );
 }

@@ -50,7 +50,8 @@ impl Counts {
     pub fn read(path: &Path) -> anyhow::Result<Self> {
         let name = path.display();
         let text = fs::read_to_string(path).with_context(|| format!("{name}: cannot be read"))?;
-        serde_json::from_str(&text).with_context(|| format!("{name}: no counts: save them anew"))
+        let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
+        serde_json::from_str(text).with_context(|| format!("{name}: no counts: save them anew"))
     }
 
     /// JSON.

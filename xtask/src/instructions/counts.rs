@@ -76,6 +76,7 @@ impl Counts {
     pub fn read(path: &Path) -> anyhow::Result<Self> {
         let name = path.display();
         let text = fs::read_to_string(path).with_context(|| format!("{name}: cannot be read"))?;
+        let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
         let mut runs = Vec::new();
         for (i, line) in text.lines().enumerate() {
             runs.push(

@@ -217,6 +217,44 @@ pub fn encode<'h>(
     Ok(summary)
 }
 
+/// Writes the frame of a window without events that begins at 0 us, and adds it to `summary`.
+///
+/// A recording without events has no other frame: this one states its sensor's size, so that it is decoded to a
+/// recording without events.
+///
+/// # Errors
+/// Fails if writing fails, or as [`encode`] does for an invalid configuration.
+pub fn encode_nothing<'h>(
+    codec: impl Into<Codec<'h>>,
+    limits: Limits,
+    out: &mut dyn Write,
+    summary: &mut EncodeSummary,
+) -> Result<()> {
+    let mut codec = codec.into();
+    codec.config.window.every_window = true;
+    let limits = Limits {
+        window_events: 1,
+        ..limits
+    };
+    let mut storage = HostStorage::with_windows(1, codec.config.window.sensor, limits);
+    let (mut windows, mut encoder) = storage.parts(codec.config, codec.hot)?;
+    let window = windows.first_mut().context("the memory has no window")?;
+    // The first call opens the window, the second closes it.
+    window.pass(0);
+    window.pass(window.duration_us().into());
+    let mut frame = vec![0; limits.frame_bytes];
+    loop {
+        match codec.next_frame(&mut encoder, window, &mut frame) {
+            Ok(Some(encoded)) => {
+                summary.add(&encoded.header, encoded.range.len());
+                write_frame(out, &frame[encoded.range])?;
+            }
+            Ok(None) => return Ok(()),
+            Err(_) => bail!(Refused, "{}", NO_ROOM),
+        }
+    }
+}
+
 /// Encodes on the calling thread.
 fn encode_here(
     reader: &mut dyn EventReader,

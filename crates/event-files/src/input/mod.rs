@@ -4,6 +4,7 @@ pub(crate) mod adjusted;
 pub(crate) mod buffer;
 pub(crate) mod following;
 pub mod growing;
+pub(crate) mod marked;
 pub mod piped;
 pub(crate) mod section;
 

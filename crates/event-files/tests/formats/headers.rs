@@ -364,6 +364,36 @@ fn text() {
     }
 }
 
+#[test]
+fn a_byte_order_mark_before_a_header_is_skipped() {
+    let folder = tempfile::tempdir().unwrap();
+    let want = events(COUNTS[1]);
+    // Of a camera that every format knows, and larger than the events need.
+    let sensor = Sensor::new(128, 128).unwrap();
+    let mut seen = Vec::new();
+    for format in event_files::FORMATS {
+        let Some(create) = format.create else {
+            continue;
+        };
+        let name = format!("a{}", format.endings[0]);
+        let path = folder.path().join(&name);
+        let mut writer = create(&path, sensor).unwrap();
+        writer.write(&want).unwrap();
+        writer.finish().unwrap();
+        let bytes = fs::read(&path).unwrap();
+        if bytes.starts_with(b"% ") || bytes.starts_with(b"#!AER") {
+            let marked = [b"\xef\xbb\xbf".as_slice(), &bytes].concat();
+            wants(folder.path(), &name, &marked, false, &want, format.name);
+            let reader = event_files::open(&path, None).unwrap();
+            assert_eq!((reader.format(), reader.sensor()), (format.name, sensor));
+            seen.push(format.name);
+        }
+    }
+    for name in ["evt2", "evt21", "evt3", "evt4", "dat", "aedat2", "aedat4"] {
+        assert!(seen.contains(&name), "{name}: {seen:?}");
+    }
+}
+
 /// Returns an array file of this version whose dictionary has `keys`, followed by `padding` spaces.
 fn npy(version: u8, keys: &[String], padding: usize, end: &str, data: &[u8]) -> Vec<u8> {
     let dictionary = format!("{{{}{end}}}{}\n", keys.join(", "), " ".repeat(padding));

@@ -41,11 +41,11 @@ impl Segmenter for Classical {
         "classical"
     }
 
-    fn segment(&mut self, frame: &Frame) -> Result<Masks> {
+    fn segment(&self, frame: &Frame) -> Result<Masks> {
         segment(frame)
     }
 
-    fn segment_all(&mut self, frames: &[Frame]) -> Result<Vec<Masks>> {
+    fn segment_all(&self, frames: &[Frame]) -> Result<Vec<Masks>> {
         frames.par_iter().map(segment).collect()
     }
 }

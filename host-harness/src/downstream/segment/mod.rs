@@ -20,21 +20,21 @@ pub use frame::Frame;
 pub use masks::Masks;
 
 /// Finds segments in event frames.
-pub trait Segmenter {
-    /// Returns the name of the segmenter, for tables.
+pub trait Segmenter: Send + Sync {
+    /// Returns the name of the segmenter, for tables; two that give other segments have other names.
     fn name(&self) -> &str;
 
     /// Returns the segments of a frame, in its size; equal frames give equal segments.
     ///
     /// # Errors
     /// Fails if the frame cannot be segmented.
-    fn segment(&mut self, frame: &Frame) -> Result<Masks>;
+    fn segment(&self, frame: &Frame) -> Result<Masks>;
 
     /// Segments each of `frames`, in order.
     ///
     /// # Errors
     /// Fails as [`Segmenter::segment`] does.
-    fn segment_all(&mut self, frames: &[Frame]) -> Result<Vec<Masks>> {
+    fn segment_all(&self, frames: &[Frame]) -> Result<Vec<Masks>> {
         frames.iter().map(|frame| self.segment(frame)).collect()
     }
 }

@@ -21,7 +21,7 @@ use crate::study::effort::M;
 use crate::study::kernels::KernelRow;
 use crate::study::method::Method;
 use crate::study::perception::SLICE_US;
-use crate::study::set::Set;
+use crate::study::set::{RECORDINGS, SCENES, Set};
 use crate::study::{Results, quality};
 
 /// A picture on the page, which is also saved beside it.
@@ -49,6 +49,29 @@ impl Figure {
             png: sheet.png,
         }
     }
+}
+
+/// Beginnings of the figures' names, after which the set may follow.
+const NAMES: [&str; 6] = [
+    "rate-distortion",
+    "rate-times",
+    "density-histogram",
+    "density-over-time",
+    "table-one-strips",
+    "table-three-kernels",
+];
+
+/// Returns whether a file is named like one of a figure.
+#[must_use]
+pub fn is_file(name: &str) -> bool {
+    let stem = name.strip_suffix(".svg").or(name.strip_suffix(".png"));
+    let is_of = |stem: &str, name: &str| {
+        stem.strip_prefix(name).is_some_and(|set| {
+            let set = set.strip_prefix('-').unwrap_or(set);
+            ["", SCENES, RECORDINGS].contains(&set)
+        })
+    };
+    stem.is_some_and(|stem| NAMES.iter().any(|name| is_of(stem, name)))
 }
 
 /// Makes all pictures of the page.

@@ -2,6 +2,9 @@
 
 use std::fmt::Write as _;
 
+/// Cell of a value that was measured and does not exist.
+pub const NONE: &str = "-";
+
 /// A table with a row of headings. The first column holds names, the others names or numbers.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Table {
@@ -29,7 +32,9 @@ impl Table {
 
     /// Returns whether a column holds names, which are aligned to the left.
     fn is_text(&self, column: usize) -> bool {
-        let is_number = |cell: &str| cell == "n/a" || cell.trim_matches('*').parse::<f64>().is_ok();
+        let is_number = |cell: &str| {
+            ["n/a", NONE].contains(&cell) || cell.trim_matches('*').parse::<f64>().is_ok()
+        };
         let mut cells = self.rows.iter().filter_map(|row| row.get(column));
         column == 0 || cells.any(|cell| !is_number(cell))
     }

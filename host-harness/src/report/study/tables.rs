@@ -3,7 +3,7 @@
 use eecvs_nostd::Transform;
 
 use super::colours::{REPRESENTATIONS, label};
-use super::table::Table;
+use super::table::{NONE, Table};
 use crate::recordings;
 use crate::study::claims::{family, figure, median};
 use crate::study::effort::M;
@@ -304,7 +304,9 @@ pub fn tables_four_and_five(results: &Results) -> Vec<Table> {
             &format!(
                 "Means over each set's sources: IoU of the segments of original and decoded events (mean \
                  IoU of matched segments, and of the foreground) on frames of whole windows and of a \
-                 tenth of a window, whose contents depend on times; and difference of optical flow. {}",
+                 tenth of a window, whose contents depend on times; and difference of optical flow. \
+                 Segmenter: {}. A dash: its masks are all empty, all full or all the same. {}",
+                results.record.segmenter,
                 if m == 24 {
                     "The paper: mean IoU 0.87 by its codec and 0.44 by voxel grids, on MVSEC with EventSAM."
                 } else {
@@ -350,22 +352,12 @@ pub fn tables_four_and_five(results: &Results) -> Vec<Table> {
                     } else {
                         label(method).to_owned()
                     },
-                    share(rows().filter(|row| row.window_frames > 0), |row| {
-                        row.window_mean_iou
-                    }),
-                    share(rows().filter(|row| row.window_frames > 0), |row| {
-                        row.window_foreground_iou
-                    }),
-                    share(rows().filter(|row| row.slice_frames > 0), |row| {
-                        row.slice_mean_iou
-                    }),
-                    share(rows().filter(|row| row.slice_frames > 0), |row| {
-                        row.slice_foreground_iou
-                    }),
-                    mean(rows().filter(|row| row.flow_mean_px.is_some()), |row| {
-                        row.flow_mean_px.unwrap_or(0.0)
-                    })
-                    .map_or("n/a".to_owned(), figure),
+                    iou(rows().map(|row| row.mean_iou()[0])),
+                    iou(rows().map(|row| row.foreground_iou()[0])),
+                    iou(rows().map(|row| row.mean_iou()[1])),
+                    iou(rows().map(|row| row.foreground_iou()[1])),
+                    mean(rows().filter_map(|row| row.flow_mean_px))
+                        .map_or("n/a".to_owned(), figure),
                     lost(rows()),
                 ]);
             }
@@ -389,15 +381,21 @@ fn order(method: &str, setting: &str) -> (usize, bool, u32) {
     )
 }
 
-fn share<'r>(rows: impl Iterator<Item = &'r Perception>, metric: fn(&Perception) -> f64) -> String {
-    mean(rows, metric).map_or("n/a".to_owned(), |mean| format!("{mean:.3}"))
+/// Formats the mean over the sources that have an IoU, with their number if it is not that of all; a dash if no source
+/// has one.
+fn iou(sources: impl Iterator<Item = Option<f64>>) -> String {
+    let all: Vec<Option<f64>> = sources.collect();
+    let known: Vec<f64> = all.iter().copied().flatten().collect();
+    let (count, of) = (known.len(), all.len());
+    match mean(known.into_iter()) {
+        None => NONE.to_owned(),
+        Some(mean) if count == of => format!("{mean:.3}"),
+        Some(mean) => format!("{mean:.3} ({count} of {of})"),
+    }
 }
 
-fn mean<'r>(
-    rows: impl Iterator<Item = &'r Perception>,
-    metric: fn(&Perception) -> f64,
-) -> Option<f64> {
-    let values: Vec<f64> = rows.map(metric).collect();
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let values: Vec<f64> = values.collect();
     let count = values.len() as f64;
     (!values.is_empty()).then(|| values.into_iter().sum::<f64>() / count)
 }
@@ -543,6 +541,7 @@ mod tests {
 
     use super::*;
     use crate::cmd::report::MARKS;
+    use crate::study::claims::Claim;
 
     #[test]
     fn settings_stand_in_the_order_of_their_numbers() {
@@ -563,6 +562,46 @@ mod tests {
                 "lossless", "200 us", "1000 us", "8 bins", "16 bins", "exact", "f32"
             ]
         );
+    }
+
+    #[test]
+    fn sources_without_an_iou_are_not_counted_as_agreement() {
+        for (sources, cell) in [
+            (&[Some(1.0), Some(0.5)][..], "0.750"),
+            (&[Some(0.5), None, None], "0.500 (1 of 3)"),
+            (&[None, None], "-"),
+        ] {
+            assert_eq!(iou(sources.iter().copied()), cell);
+        }
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("record/results.json");
+        let text = std::fs::read_to_string(path).unwrap();
+        let mut results: Results = serde_json::from_str(&text).unwrap();
+        // In the record, every IoU is one of frames that can be compared.
+        let has_both = |row: &Perception| !row.mean_iou().contains(&None);
+        assert!(results.perception.iter().all(has_both));
+        for row in &mut results.perception {
+            (
+                row.window_frames,
+                row.window_mean_iou,
+                row.window_foreground_iou,
+            ) = (0, None, None);
+            // As earlier versions stored it.
+            (
+                row.slice_frames,
+                row.slice_mean_iou,
+                row.slice_foreground_iou,
+            ) = (0, Some(1.0), Some(1.0));
+        }
+        for table in tables_four_and_five(&results) {
+            for row in &table.rows {
+                assert_eq!(row[2..6], ["-"; 4], "{row:?}");
+            }
+        }
+        let json = serde_json::to_value(&results.perception[0]).unwrap();
+        assert!(json["window_mean_iou"].is_null());
+        let claims = results.claims();
+        let unknown = |claim: &Claim| claim.here.contains("not measured at 24 channels");
+        assert_eq!(claims.iter().filter(|claim| unknown(claim)).count(), 1);
     }
 
     #[test]

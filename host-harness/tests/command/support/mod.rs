@@ -7,7 +7,8 @@ use eecvs_nostd::{Event, Polarity, Sensor};
 use serde_json::Value;
 
 /// Commands that write files.
-const WRITING: [&str; 10] = [
+const WRITING: [&str; 11] = [
+    "bench",
     "calibrate",
     "convert",
     "decode",
