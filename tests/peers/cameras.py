@@ -1,4 +1,4 @@
-"""Simulated cameras against the drivers of others: dv-processing, neuromorphic-drivers.
+"""Simulated cameras against the drivers of others: dv-processing, neuromorphic-drivers, libcaer.
 
     python tests/peers/cameras.py EECVS-USB
 
@@ -8,12 +8,15 @@
 
 which opens it by the driver, unmodified, and prints what came as one line of JSON. Checked are each event by its time
 since the first one, its pixel and its polarity; that time goes on while no event comes; and that a setting which was
-written is read back. comparison.py says what is printed.
+written is read back. libcaer, which no
+registry has, is used where pkg-config finds it, by libcaer_client.c. comparison.py says what is printed.
 """
 
 import json
+import pathlib
 import subprocess
 import sys
+import tempfile
 import time
 
 import comparison
@@ -32,6 +35,7 @@ DV = {
     "dvxplorer-mipi": (640, 480),
     "dvs128": (128, 128),
 }
+LC = DV
 ND = {
     "davis346": (346, 260),
     "dvxplorer": (640, 480),
@@ -129,7 +133,22 @@ def client(driver, model, seconds, out):
     print(json.dumps(result))
 
 
-def camera(folder, driver, model, size):
+def libcaer_program(folder):
+    """libcaer_client.c, compiled; `None` where there is no libcaer."""
+    try:
+        flags = subprocess.run(["pkg-config", "--cflags", "--libs", "libcaer"], capture_output=True, text=True)
+    except OSError:
+        return None
+    if flags.returncode != 0:
+        print("absent: libcaer")
+        return None
+    out = folder / "libcaer_client"
+    source = pathlib.Path(__file__).with_name("libcaer_client.c")
+    subprocess.run(["cc", "-O1", "-o", out, source, *flags.stdout.split()], check=True)
+    return out
+
+
+def camera(folder, driver, model, size, program=None):
     wanted = scene(size)
     source = folder / f"{model}.npz"
     p = wanted["p"].astype(np.uint8)
@@ -137,7 +156,8 @@ def camera(folder, driver, model, size):
     out = folder / f"{driver}-{model}.npy"
     seconds = DELAY_MS / 1000 + (2 * BUSY_US + 2 * QUIET_US) / 1e6 + 1.0
     command = [comparison.eecvs, "simulate", model, source, "--width", size[0], "--height", size[1]]
-    command += ["--delay-ms", DELAY_MS, "--run", sys.executable, __file__, "--client", driver, model, seconds, out]
+    client = [program, model] if program else [sys.executable, __file__, "--client", driver, model]
+    command += ["--delay-ms", DELAY_MS, "--run", *client, seconds, out]
     try:
         run = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=60)
     except subprocess.TimeoutExpired as late:
@@ -148,20 +168,30 @@ def camera(folder, driver, model, size):
         print(f"differs  {name}: exit status {run.returncode}\n{run.stdout}\n{run.stderr}")
         return
     result = json.loads(run.stdout.splitlines()[-1])
-    array, wanted = relative(np.load(out)), relative(wanted)
-    if (driver, model) == ("dv", "dvxplorer-mipi"):
-        # It hands over its last 10 ms with the next frame, and silence has references of time, but no frame.
+    if program:
+        raw = np.fromfile(out, [("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "<u2"), ("zero", "<u2")])
+        array = events(raw["t"], raw["x"], raw["y"], raw["p"])
+    else:
+        array = np.load(out)
+    array, wanted = relative(array), relative(wanted)
+    if model == "dvxplorer-mipi":
+        # Drivers hand over the last 10 ms with the next frame, and a silence has references of time, but no frame.
         end = int(wanted["t"][-1]) - 10_000
         array, wanted = (part[part["t"] < end] for part in (array, wanted))
     check(f"{name} ({result['name']})", array, wanted)
     if "setting" in result:
         written, read = result["setting"]
         comparison.verdict(f"{name}: a setting read back as {read}", written == read)
+    if "resets" in result and model in ("davis346", "davis240", "dvs128"):
+        comparison.verdict(f"{name}: {result['resets']} reset reported", result["resets"] == 1)
     if driver == "dv":
         comparison.verdict(f"{name}: runs to the end", result["running"])
 
 
 def made(folder):
+    program = libcaer_program(folder)
+    for model, size in LC.items() if program else ():
+        camera(folder, "libcaer", model, size, program)
     for package_name, driver, models in (("dv_processing", "dv", DV), ("neuromorphic_drivers", "nd", ND)):
         if package(package_name) is None:
             continue
@@ -173,6 +203,8 @@ if __name__ == "__main__":
     if sys.argv[1:2] == ["--client"]:
         client(*sys.argv[2:])
     else:
-        if package("dv_processing") is None and package("neuromorphic_drivers") is None:
-            sys.exit(77)
+        with tempfile.TemporaryDirectory() as name:
+            packages = [package("dv_processing"), package("neuromorphic_drivers")]
+            if packages == [None, None] and libcaer_program(pathlib.Path(name)) is None:
+                sys.exit(77)
         comparison.run(__doc__, None, made)

@@ -5,7 +5,7 @@
 #
 # -s SOCKET   a usbredir device that waits at this Unix socket, on an xHCI bus: the first at port 1, up
 #             to 15 are possible
-# -f FILE     a file or a program for the guest's root, under its own name; several are possible
+# -f FILE     a file, a program or a folder for the guest's root, under its own name; several are possible
 # -i          with the kernel's USB/IP host (vhci-hcd)
 #
 # The guest has a kernel of Debian with its modules of USB, busybox, PROGRAM with its libraries, and
@@ -84,13 +84,26 @@ mkdir -p "$root"/{bin,dev,proc,sys,tmp,modules}
 cp "$(command -v busybox)" "$root/bin/busybox"
 # Without what debuggers read, which is most of it and takes the guest long to unpack.
 bare() {
+    if [ -d "$1" ]; then
+        cp -r "$1" "$2"
+        return
+    fi
     cp "$1" "$2"
     ! command -v strip >/dev/null 2>&1 || strip "$2/$(basename "$1")" 2>/dev/null || true
 }
 bare "$1" "$root/bin"
 for file in "${files[@]}"; do bare "$file" "$root"; done
-for file in "$1" "${files[@]}"; do
-    # What is no program has no libraries.
+# Programs, and what programs load, with the libraries that they need.
+loaded=("$1")
+for file in "${files[@]}"; do
+    if [ -d "$file" ]; then
+        mapfile -t -O "${#loaded[@]}" loaded < <(find "$file" -type f \( -perm -u+x -o -name '*.so*' \))
+    else
+        loaded+=("$file")
+    fi
+done
+for file in "${loaded[@]}"; do
+    # What is not a program has no libraries.
     for library in $({ ldd "$file" 2>/dev/null || true; } | grep -o '/[^ )]*'); do
         mkdir -p "$root$(dirname "$library")"
         cp "$library" "$root$library"
