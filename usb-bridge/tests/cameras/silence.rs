@@ -61,7 +61,7 @@ fn events(steps: &[(u64, u64)]) -> Vec<Event> {
             t_us,
             x: number % 128,
             y: number / 128 % 128,
-            polarity: Polarity::from_bool(number % 3 == 0),
+            polarity: Polarity::from_bool(number.is_multiple_of(3)),
         }
     };
     steps.iter().map(&mut event).collect()

@@ -191,7 +191,7 @@ impl OnnxModel {
         if self.outputs > 1 {
             meaning += &format!(" of output `{}`", self.output_name);
         }
-        let digest = std::fs::read(&self.path).map(|bytes| Sha256::digest(bytes));
+        let digest = std::fs::read(&self.path).map(Sha256::digest);
         if let Ok([first, second, third, fourth, ..]) = digest.as_deref() {
             meaning += &format!(", sha256 {first:02x}{second:02x}{third:02x}{fourth:02x}");
         }
