@@ -299,9 +299,16 @@ fn a_recording_is_like_itself() {
         assert_eq!(number(&same, key), value, "{key}");
     }
     assert_eq!((count(&same, "events_a"), count(&same, "events_b")), (n, n));
-    assert_eq!(same.as_object().unwrap().len(), 10, "{same}");
+    assert_eq!(
+        (
+            count(&same, "missing_events"),
+            count(&same, "surplus_events")
+        ),
+        (0, 0)
+    );
+    assert_eq!(same.as_object().unwrap().len(), 13, "{same}");
     let table = folder.eecvs("compare scene.raw scene.raw").ok().stdout;
-    assert_eq!(table.lines().count(), 8, "{table}");
+    assert_eq!(table.lines().count(), 11, "{table}");
 }
 
 #[test]
