@@ -50,8 +50,8 @@ def scene(size):
     half = EVENTS // 2
     t = np.sort(random.integers(0, BUSY_US, EVENTS))
     t[half:] += BUSY_US + QUIET_US - t[half]
-    # The first event 1 ms after the clock's start: frames of the MIPI variant count milliseconds from 1.
-    t += 1000 - t[0]
+    # The MIPI variant's references of time count milliseconds from 1, and a frame is later than the first of them.
+    t += 2500 - t[0]
     for period in (1 << 14, 1 << 15):
         near = np.abs(t % period) < 20
         t[near] -= t[near] % period
