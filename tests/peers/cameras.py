@@ -4,12 +4,13 @@
 
 `eecvs-usb simulate MODEL RECORDING --run` serves each camera to this script, run again as
 
-    python tests/peers/cameras.py --client DRIVER MODEL SECONDS EVENTS
+    python tests/peers/cameras.py --client DRIVER MODEL SECONDS FILE COUNT
 
-which opens it by the driver, unmodified, and prints what came as one line of JSON. Checked are each event by its time
-since the first one, its pixel and its polarity; that time goes on while no event comes; and that a setting which was
-written is read back. libcaer, which no
-registry has, is used where pkg-config finds it, by libcaer_client.c. comparison.py says what is printed.
+which opens it by the driver, unmodified, writes the events to FILE, and prints what came as one line of JSON. Checked are
+each event by its time since the first one, its pixel and its polarity; that the events before a silence, COUNT of them,
+come in that silence, which they only do if the camera's time goes on; and that a setting which was written is read back.
+libcaer, which no registry has, is used where pkg-config finds it, by libcaer_client.c. comparison.py says what is
+printed.
 """
 
 import json
@@ -70,25 +71,36 @@ def relative(array):
     return array
 
 
-def client_dv(model, seconds, wanted):
+class Arrivals:
+    """How long no event comes after the first `count`: 0 if none comes between those and others."""
+
+    def __init__(self, count):
+        self.count, self.came, self.at, self.silence_s = count, 0, None, 0.0
+
+    def add(self, events):
+        before, self.came = self.came, self.came + events
+        if self.came == self.count:
+            self.at = time.monotonic()
+        elif before == self.count and self.at is not None:
+            self.silence_s = time.monotonic() - self.at
+
+
+def client_dv(model, seconds, count):
     import dv_processing as dv
 
     camera = dv.io.camera.open()
     result = {"name": camera.getCameraName(), "size": list(camera.getEventResolution())}
-    parts, seen = [], []
+    parts, arrivals = [], Arrivals(count)
     end = time.monotonic() + seconds
-    count = 0
     while time.monotonic() < end and camera.isRunning():
         batch = camera.getNextEventBatch()
         if batch is not None and len(batch) > 0:
             parts.append(batch.numpy())
-            count += len(batch)
+            arrivals.add(len(batch))
         else:
             time.sleep(0.002)
-            seen.append(camera.getEventSeekTime())
     result["running"] = camera.isRunning()
-    # Time goes on after the last event: the driver hands over no events then, but knows a later time.
-    result["times_in_silence"] = len({t for t in seen if t and t > 0})
+    result["silence_s"] = arrivals.silence_s
     if model.startswith("dvxplorer"):
         camera.setContrastThresholdOn(7)
         result["setting"] = [7, camera.getContrastThresholdOn()]
@@ -106,29 +118,29 @@ def client_dv(model, seconds, wanted):
     return result, array
 
 
-def client_nd(model, seconds, wanted):
+def client_nd(model, seconds, count):
     import neuromorphic_drivers as nd
 
-    parts = []
-    count = 0
+    parts, arrivals = [], Arrivals(count)
     result = {}
     with nd.open(iterator_timeout=0.1) as device:
-        result["name"] = type(device).__name__
+        result["name"] = device.properties().name if hasattr(device.properties(), "name") else model
         end = time.monotonic() + seconds
         for _, packet in device:
-            if packet is not None and packet.polarity_events is not None:
+            if packet is not None and packet.polarity_events is not None and len(packet.polarity_events) > 0:
                 parts.append(packet.polarity_events.copy())
-                count += len(packet.polarity_events)
+                arrivals.add(len(packet.polarity_events))
             if time.monotonic() >= end:
                 break
+    result["silence_s"] = arrivals.silence_s
     array = np.concatenate(parts) if parts else np.empty(0, comparison.DTYPE)
     if parts:
         array = events(array["t"], array["x"], array["y"], array["on"])
     return result, array
 
 
-def client(driver, model, seconds, out):
-    result, array = {"dv": client_dv, "nd": client_nd}[driver](model, float(seconds), EVENTS)
+def client(driver, model, seconds, out, count):
+    result, array = {"dv": client_dv, "nd": client_nd}[driver](model, float(seconds), int(count))
     np.save(out, array)
     print(json.dumps(result))
 
@@ -154,10 +166,11 @@ def camera(folder, driver, model, size, program=None):
     p = wanted["p"].astype(np.uint8)
     np.savez(source, x=wanted["x"], y=wanted["y"], t=wanted["t"].astype(np.int64), p=p)
     out = folder / f"{driver}-{model}.npy"
+    count = int(np.searchsorted(wanted["t"], wanted["t"][0] + BUSY_US + QUIET_US // 2))
     seconds = DELAY_MS / 1000 + (2 * BUSY_US + 2 * QUIET_US) / 1e6 + 1.0
     command = [comparison.eecvs, "simulate", model, source, "--width", size[0], "--height", size[1]]
     client = [program, model] if program else [sys.executable, __file__, "--client", driver, model]
-    command += ["--delay-ms", DELAY_MS, "--run", *client, seconds, out]
+    command += ["--delay-ms", DELAY_MS, "--run", *client, seconds, out, count]
     try:
         run = subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=60)
     except subprocess.TimeoutExpired as late:
@@ -178,6 +191,9 @@ def camera(folder, driver, model, size, program=None):
         # Drivers hand over the last 10 ms with the next frame, and a silence has references of time, but no frame.
         end = int(wanted["t"][-1]) - 10_000
         array, wanted = (part[part["t"] < end] for part in (array, wanted))
+    elif driver != "nd":
+        silence_s = result["silence_s"]
+        comparison.verdict(f"{name}: what was before the silence came in it, {silence_s:.1f} s before the rest", silence_s > 0.3)
     check(f"{name} ({result['name']})", array, wanted)
     if "setting" in result:
         written, read = result["setting"]

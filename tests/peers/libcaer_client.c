@@ -1,8 +1,8 @@
-/* A camera opened by libcaer: `libcaer_client MODEL SECONDS OUT`.
+/* A camera opened by libcaer: `libcaer_client MODEL SECONDS OUT COUNT`.
  *
  * Writes each event as 16 bytes to OUT: time in us (i64), x, y, polarity (u16 each), 2 bytes of 0. Prints one line of
- * JSON: the sensor's size, the number of timestamps that came after the last event, and a bias as it was set and as it
- * was read back. Special events with a timestamp reset begin the recording anew, as a program would do. */
+ * JSON: the sensor's size, how long no event came after the first COUNT (0 if others came with them), the number of
+ * resets of the clock that were reported, and a setting as it was written and as it was read back. */
 
 #include <stdint.h>
 #include <stdio.h>
@@ -24,7 +24,7 @@ static double now(void)
 
 int main(int argc, char **argv)
 {
-    if (argc != 4)
+    if (argc != 5)
         return 2;
     const char *model = argv[1];
     uint16_t type = strncmp(model, "davis", 5) == 0 ? CAER_DEVICE_DAVIS
@@ -49,22 +49,20 @@ int main(int argc, char **argv)
     caerDeviceSendDefaultConfig(device);
     caerDeviceConfigSet(device, CAER_HOST_CONFIG_DATAEXCHANGE, CAER_HOST_CONFIG_DATAEXCHANGE_BLOCKING, false);
 
-    /* A bias of the DAVIS and of the DVS128; a register of the DVXplorer's sensor. */
-    int8_t module = type == CAER_DEVICE_DVXPLORER ? DVX_DVS : 5;
-    uint8_t parameter = type == CAER_DEVICE_DVXPLORER ? DVX_DVS_RUN : 9;
-    uint32_t written = type == CAER_DEVICE_DVXPLORER ? 0 : 1234, read = 0;
-    if (type == CAER_DEVICE_DVS128)
-        module = DVS128_CONFIG_BIAS, parameter = DVS128_CONFIG_BIAS_DIFFON;
+    /* A bias; of the DVXplorer, whose firmware has those, the range of its accelerometer. */
+    int8_t module = DVX_IMU;
+    uint8_t parameter = DVX_IMU_ACCEL_RANGE;
+    uint32_t written = 3, read = 0;
     if (type == CAER_DEVICE_DAVIS)
-        module = DAVIS_CONFIG_BIAS;
+        module = DAVIS_CONFIG_BIAS, parameter = DAVIS346_CONFIG_BIAS_ONBN, written = 1234;
+    else if (type == CAER_DEVICE_DVS128)
+        module = DVS128_CONFIG_BIAS, parameter = DVS128_CONFIG_BIAS_DIFFON, written = 1234;
     if (!caerDeviceDataStart(device, NULL, NULL, NULL, NULL, NULL)) {
         fprintf(stderr, "not started\n");
         return 1;
     }
-    if (type != CAER_DEVICE_DVXPLORER) {
-        caerDeviceConfigSet(device, module, parameter, written);
-        caerDeviceConfigGet(device, module, parameter, &read);
-    }
+    caerDeviceConfigSet(device, module, parameter, written);
+    caerDeviceConfigGet(device, module, parameter, &read);
     /* As a viewer does when it connects; the MIPI variant has no such reset. */
     if (type == CAER_DEVICE_DAVIS)
         caerDeviceConfigSet(device, DAVIS_CONFIG_MUX, DAVIS_CONFIG_MUX_TIMESTAMP_RESET, 1);
@@ -74,7 +72,8 @@ int main(int argc, char **argv)
     FILE *out = fopen(argv[3], "wb");
     if (!out)
         return 1;
-    unsigned long events = 0, resets = 0, wraps = 0;
+    unsigned long events = 0, resets = 0, count = strtoul(argv[4], NULL, 10);
+    double complete = 0, silence = 0;
     double end = now() + atof(argv[2]);
     while (now() < end) {
         caerEventPacketContainer container = caerDeviceDataGet(device);
@@ -92,11 +91,12 @@ int main(int argc, char **argv)
                 for (int32_t j = 0; j < caerEventPacketHeaderGetEventNumber(packet); j++) {
                     uint8_t kind = caerSpecialEventGetType(caerSpecialEventPacketGetEvent(specials, j));
                     resets += kind == TIMESTAMP_RESET;
-                    wraps += kind == TIMESTAMP_WRAP;
                 }
             }
             if (caerEventPacketHeaderGetEventType(packet) != POLARITY_EVENT)
                 continue;
+            if (events == count && complete > 0 && silence == 0)
+                silence = now() - complete;
             caerPolarityEventPacket polarities = (caerPolarityEventPacket)packet;
             for (int32_t j = 0; j < caerEventPacketHeaderGetEventNumber(packet); j++) {
                 caerPolarityEvent event = caerPolarityEventPacketGetEvent(polarities, j);
@@ -109,13 +109,15 @@ int main(int argc, char **argv)
                 fwrite(rest, sizeof rest, 1, out);
                 events++;
             }
+            if (events == count && complete == 0)
+                complete = now();
         }
         caerEventPacketContainerFree(container);
     }
     fclose(out);
     caerDeviceDataStop(device);
     caerDeviceClose(&device);
-    printf("{\"name\": \"libcaer\", \"size\": [%d, %d], \"events\": %lu, \"resets\": %lu, \"setting\": [%u, %u]}\n", width,
-           height, events, resets, written, read);
+    printf("{\"name\": \"libcaer\", \"size\": [%d, %d], \"silence_s\": %f, \"resets\": %lu, \"setting\": [%u, %u]}\n",
+           width, height, silence, resets, written, read);
     return 0;
 }

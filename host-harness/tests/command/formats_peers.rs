@@ -1,15 +1,13 @@
 //! Formats against independent decoders, by the scripts in tests/peers: random events from each writer to each
-//! reader, and the shared recordings by both. A script says which of its packages are absent, and is skipped,
-//! with a notice, where all are; which Python is run says the variable `EECVS_PYTHON`, which then must have some.
+//! reader, and the shared recordings by both.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 
-const SCRIPTS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/peers");
+#[path = "../../../tests/peers/script.rs"]
+mod peers;
+
 const SHARED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared/data");
-
-/// What a script says where none of its packages is there.
-const SKIPPED: i32 = 77;
 
 /// Shared recordings that are there.
 fn recordings(names: &[&str]) -> Vec<PathBuf> {
@@ -23,32 +21,10 @@ fn recordings(names: &[&str]) -> Vec<PathBuf> {
 
 /// Runs a script of tests/peers on recordings beside the random events that it makes.
 fn compare(script: &str, names: &[&str]) {
-    let named = std::env::var_os("EECVS_PYTHON");
-    let python = named.clone().unwrap_or_else(|| "python3".into());
-    let run = Command::new(&python)
-        .arg(Path::new(SCRIPTS).join(script))
-        .arg(env!("CARGO_BIN_EXE_eecvs"))
-        .args(recordings(names))
-        .output();
-    let run = match run {
-        Err(error) if named.is_none() => {
-            eprintln!("skipped: {script}: {}: {error}", python.display());
-            return;
-        }
-        run => run.expect("the Python that EECVS_PYTHON names"),
-    };
-    let out = String::from_utf8_lossy(&run.stdout);
-    let err = String::from_utf8_lossy(&run.stderr);
-    print!("{script}:\n{out}{err}");
-    if run.status.code() == Some(SKIPPED) && named.is_none() {
-        eprintln!("skipped: {script}: this Python has none of its packages");
-        return;
-    }
-    assert!(run.status.success(), "{script}: {}", run.status);
-    assert!(
-        out.lines().any(|line| line.starts_with("ok ")),
-        "{script}: nothing was compared"
-    );
+    let command = env!("CARGO_BIN_EXE_eecvs").into();
+    let recordings = recordings(names).into_iter().map(PathBuf::into_os_string);
+    let arguments: Vec<OsString> = std::iter::once(command).chain(recordings).collect();
+    peers::compare(script, &arguments);
 }
 
 #[test]

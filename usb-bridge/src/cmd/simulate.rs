@@ -33,9 +33,8 @@ const GRACE: Duration = Duration::from_secs(2);
 /// Simulate a camera that sends a recording
 ///
 /// With --usbredir or --usbip, the camera is offered to a virtual machine or a kernel, until Ctrl-C; with --run, to one
-/// program on this machine. Each start of the
-/// camera plays the recording from its beginning; after its end the camera stays on and shows its time, as one that sees
-/// nothing. Without them, reports what the camera would send.
+/// program on this machine. Each start of the camera plays the recording from its beginning; after its end the camera
+/// stays on and shows its time, as one that sees nothing. Without them, reports what the camera would send.
 #[derive(Debug, Args)]
 pub struct Simulate {
     /// Model of the camera

@@ -247,16 +247,9 @@ impl Recording {
     fn fill(&mut self, elapsed: Duration, room: usize, bytes: &mut Vec<u8>) -> Result<Due> {
         let end = bytes.len().saturating_add(room);
         loop {
-            let waiting = &self.words[self.given..];
-            let length = waiting.len().min(end - bytes.len());
-            bytes.extend_from_slice(&waiting[..length]);
-            self.given += length;
-            self.sent.bytes.fetch_add(length as u64, Ordering::Relaxed);
-            if self.given < self.words.len() {
+            if !self.hand_over(end, bytes) {
                 return Ok(Due::More);
             }
-            self.words.clear();
-            self.given = 0;
             if self.due == Due::Ended || bytes.len() == end {
                 return Ok(self.due);
             }
@@ -273,6 +266,21 @@ impl Recording {
                 return Ok(Due::More);
             }
         }
+    }
+
+    /// Hands over the words that wait, until `bytes` ends at `end`; returns whether none are left.
+    fn hand_over(&mut self, end: usize, bytes: &mut Vec<u8>) -> bool {
+        let waiting = &self.words[self.given..];
+        let length = waiting.len().min(end - bytes.len());
+        bytes.extend_from_slice(&waiting[..length]);
+        self.given += length;
+        self.sent.bytes.fetch_add(length as u64, Ordering::Relaxed);
+        if self.given < self.words.len() {
+            return false;
+        }
+        self.words.clear();
+        self.given = 0;
+        true
     }
 
     /// Writes the next `count` events.
@@ -407,7 +415,11 @@ impl Stream for Recording {
         let elapsed = self.clock.get_or_insert_with(Instant::now).elapsed();
         match elapsed.checked_sub(self.delay) {
             Some(elapsed) => self.take_at(elapsed, room, bytes),
-            None => Ok(Due::More),
+            None => {
+                // A reset of the clock is reported at once: hosts wait for it.
+                self.hand_over(bytes.len().saturating_add(room), bytes);
+                Ok(Due::More)
+            }
         }
     }
 
@@ -608,6 +620,19 @@ mod tests {
         stream.reset_time();
         assert_eq!(words_at(&mut stream, 8_900), [RESET, 6_900]);
         assert_eq!(words_at(&mut stream, 9_400), [7_400]);
+    }
+
+    #[test]
+    fn a_reset_is_shown_during_the_delay() {
+        let hour = Duration::from_secs(3600);
+        let mut stream = recording(&[100], Pace::Max, None).delay(hour);
+        let mut bytes = Vec::new();
+        stream.take(1000, &mut bytes).expect("good");
+        assert_eq!(bytes.len(), 0);
+        stream.reset_time();
+        stream.take(3, &mut bytes).expect("good");
+        stream.take(1000, &mut bytes).expect("good");
+        assert_eq!(times(&bytes), [RESET]);
     }
 
     #[test]

@@ -13,6 +13,9 @@ use usb_bridge::link::loopback::pair;
 use usb_bridge::link::trace::{Place, Tracer};
 use usb_bridge::link::{Link, LinkError, Received};
 
+#[path = "../../../tests/peers/script.rs"]
+mod peers;
+
 const PLACE: Place = Place {
     bus: 3,
     address: 17,
@@ -204,33 +207,17 @@ fn check(text: &str) {
     assert_eq!(lines[16], "'S',0x03,0x02,3,17,3,-115");
 }
 
-/// Independent readers of pcapng; `./test.sh peers` installs them in the Python that `EECVS_PYTHON` names.
+/// Independent readers of pcapng; `./test.sh peers` installs them.
 mod formats_peers {
     use super::*;
-
-    /// What the script says if this Python has none of its packages.
-    const SKIPPED: i32 = 77;
 
     #[test]
     fn trace() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("trace.pcapng");
         write(&path);
-        let named = std::env::var_os("EECVS_PYTHON");
-        let python = named.clone().unwrap_or_else(|| "python3".into());
-        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/peers/trace.py");
-        let output = match Command::new(python).arg(script).arg(&path).output() {
-            Err(error) if named.is_none() => {
-                eprintln!("skipped: {error}");
-                return;
-            }
-            output => output.expect("the Python that EECVS_PYTHON names"),
-        };
-        if output.status.code() == Some(SKIPPED) && named.is_none() {
-            eprintln!("skipped: trace.py: this Python has none of its packages");
-            return;
+        if let Some(lines) = peers::run("trace.py", &[path.into_os_string()]) {
+            check(&lines);
         }
-        assert!(output.status.success(), "{output:?}");
-        check(&String::from_utf8(output.stdout).unwrap());
     }
 }

@@ -16,6 +16,5 @@ mod models;
 mod recordings;
 mod run;
 mod stream;
-#[path = "../umockdev/mod.rs"]
 mod umockdev;
 mod waiting;

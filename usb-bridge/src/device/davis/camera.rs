@@ -1,4 +1,7 @@
 //! A simulated DAVIS camera.
+//!
+//! It sends events alone: hosts that ask for frames and inertial samples find the registers that these need, and get
+//! none. The filters of the logic, which the larger camera has, can be set and change nothing.
 
 use eecvs_nostd::Sensor;
 
@@ -14,9 +17,6 @@ use crate::device::inivation::registers::{
 };
 use crate::peripheral::Speed;
 use crate::peripheral::descriptors::Endpoint;
-
-// It sends events alone: hosts that ask for frames and inertial samples find what those need, and get none. The filters
-// of the logic, which the larger camera has, can be set and change nothing.
 
 /// Returns a camera of this model with a sensor of this size, as just plugged in.
 pub(super) fn camera(davis: &Davis, sensor: Sensor, stream: Box<dyn Stream>) -> LogicCamera {

@@ -80,7 +80,10 @@ impl Reader for Rows {
             });
             return true;
         }
-        if bits >> 12 == ROW && data < self.rows && state.clock.is_known() {
+        if bits >> 12 == ROW
+            && data < self.rows
+            && (state.clock.is_known() || state.clock.infer_zero())
+        {
             self.row_place = data << (16 - self.column_shift);
             self.columns_known = self.columns;
             return state.count(Count::Rows);
@@ -99,11 +102,6 @@ impl Rows {
         let data = word.bits & 0xFFF;
         match word.bits >> 12 {
             1 if data >= self.rows => state.strange(Count::RowsOutside, word),
-            1 if state.clock.is_known_or_zero() => {
-                self.row_place = data << (16 - self.column_shift);
-                self.columns_known = self.columns;
-                state.count(Count::Rows)
-            }
             1 => state.count(Count::WithoutTime),
             2 | 3 if data >= self.columns => state.strange(Count::ColumnsOutside, word),
             2 | 3 if state.clock.is_known() => state.count(Count::WithoutPlace),

@@ -96,7 +96,7 @@ impl Reader for Columns {
                 let column = bits & 0x3FF;
                 if column >= self.columns {
                     state.strange(Count::ColumnsOutside, word)
-                } else if state.clock.is_known() || state.clock.is_known_or_zero() {
+                } else if state.clock.is_known() || state.clock.infer_zero() {
                     self.column = column;
                     state.count(Count::Columns)
                 } else {

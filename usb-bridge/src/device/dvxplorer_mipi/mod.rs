@@ -120,7 +120,7 @@ impl Model for DvxplorerMipi {
         if are_long(control.release()) {
             let flips = read(control, DVS_ORIENTATION)?;
             write_all(control, &READOUT)?;
-            let flips = [
+            let start = [
                 (
                     FLIP_COLUMNS,
                     u32::from(flips >> 8 & 0xFF == u32::from(b'X')),
@@ -129,7 +129,7 @@ impl Model for DvxplorerMipi {
                 (CROP_APPLY, 0),
                 (DVS_RUN, 1),
             ];
-            return write_all(control, &flips);
+            return write_all(control, &start);
         }
         let events = [
             (SENSOR_RESTART, 2),

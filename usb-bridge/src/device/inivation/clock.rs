@@ -106,13 +106,14 @@ impl Clock {
         self.floor != u64::MAX
     }
 
-    /// Returns whether the time of what follows is known, which it also is where a stream begins: at 0.
+    /// Takes 0 for the time of what follows if the stream has only begun. Returns whether it has.
     #[cold]
-    pub const fn is_known_or_zero(&mut self) -> bool {
-        if self.begins {
+    pub const fn infer_zero(&mut self) -> bool {
+        let begins = self.begins;
+        if begins {
             self.know(0);
         }
-        self.is_known()
+        begins
     }
 
     /// Returns whether a low part that [`Clock::take`] refused makes time run back.
