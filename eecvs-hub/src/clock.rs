@@ -6,7 +6,7 @@
 //! clocks show.
 
 use std::collections::VecDeque;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use serde::Serialize;
 
@@ -14,6 +14,13 @@ use crate::message::now_us;
 
 /// How far two steady clocks may drift apart: one part in this many, 100 ppm.
 pub const DRIFT: u64 = 10_000;
+
+/// Interval at which a clock is asked for, and for the first few times.
+const ASK: Duration = Duration::from_secs(10);
+const ASK_FIRST: Duration = Duration::from_secs(1);
+
+/// Number of answers after which the longer interval applies.
+const FEW: usize = 3;
 
 /// Number of round trips that are remembered.
 const TRIPS_MAX: usize = 16;
@@ -152,6 +159,16 @@ pub struct Ahead {
 }
 
 impl Ahead {
+    /// Returns how long after one question the clock is asked for again.
+    #[must_use]
+    pub fn ask_after(&self) -> Duration {
+        if self.trips.len() < FEW {
+            ASK_FIRST
+        } else {
+            ASK
+        }
+    }
+
     /// Adds a round trip; one whose answer came before its question is ignored.
     pub fn add(&mut self, trip: RoundTrip) {
         let RoundTrip {
@@ -229,7 +246,7 @@ mod tests {
         let shown_us = now_us();
         assert!(clock.origin_us() <= shown_us - 3_600_000_000);
         assert!(clock.origin_us() > shown_us - 3_700_000_000);
-        std::thread::sleep(std::time::Duration::from_millis(20));
+        std::thread::sleep(Duration::from_millis(20));
         let up_us = clock.up_us();
         assert!(up_us >= 20_000);
         assert!(clock.now_us() >= clock.origin_us() + up_us);

@@ -35,7 +35,7 @@ pub struct Options {
     pub access: Option<Access>,
 }
 
-/// Interval at which sensors are sent their budgets.
+/// Interval at which sensors are sent their budgets, and clocks that are due are asked for.
 const TELL: Duration = Duration::from_secs(1);
 
 /// A run that was heard within this time is live: a sensor sends its status twice a second.
@@ -292,7 +292,8 @@ impl Shared {
         self.board.status(name, status);
     }
 
-    /// Sends sensors their budgets and updates the board's counts of connections, at an interval of [`TELL`].
+    /// Sends sensors their budgets, asks for clocks, and updates the board's counts of connections, at an interval of
+    /// [`TELL`].
     fn allow(&self, router: &Router, stop: &Stop) {
         let mut told: Option<Instant> = None;
         while !stop.is_asked() {

@@ -84,8 +84,7 @@ impl Lives {
     /// Returns whether a run was heard within [`QUIET_US`] before `now_us`.
     #[must_use]
     pub fn is_heard(&self, run: u64, now_us: u64) -> bool {
-        let life = self.get(run);
-        life.is_some_and(|life| now_us.saturating_sub(life.heard_us) < QUIET_US)
+        self.get(run).is_some_and(|life| life.is_heard(now_us))
     }
 
     /// Returns whether two runs were up at once.
@@ -101,19 +100,21 @@ impl Lives {
     /// once are heard.
     #[must_use]
     pub fn at_once(&self, now_us: u64) -> usize {
-        let heard = |life: &&Life| now_us.saturating_sub(life.heard_us) < QUIET_US;
-        let latest = self.lives.iter().filter(heard);
-        let Some(latest) = latest.max_by_key(|life| life.heard_us) else {
+        let heard = self.lives.iter().filter(|life| life.is_heard(now_us));
+        let Some(latest) = heard.clone().max_by_key(|life| life.heard_us) else {
             return 0;
         };
-        let others = self.lives.iter().filter(heard);
-        1 + others
+        1 + heard
             .filter(|life| self.overlap(life.run, latest.run))
             .count()
     }
 }
 
 impl Life {
+    fn is_heard(&self, now_us: u64) -> bool {
+        now_us.saturating_sub(self.heard_us) < QUIET_US
+    }
+
     /// Returns whether this run began before another, and made a message after the other's start.
     fn outlives_start(&self, other: &Self) -> bool {
         let margin_us = MARGIN_US.saturating_add_unsigned(other.first_up_us / DRIFT);

@@ -163,7 +163,7 @@ impl RosArguments {
                 None if descriptor.is_optional => {
                     parameters.remove(parameter);
                 }
-                None => return Err(refused(format!("{parameter}: null is no value"))),
+                None => return Err(refused(format!("{parameter}: null is not a value"))),
             }
         }
         Ok(NodeArguments {
@@ -393,7 +393,7 @@ fn value_of(yaml: Yaml) -> Result<Option<Value>> {
         Yaml::Float(float) => Value::Double(float),
         Yaml::Text(text) => Value::Text(text),
         Yaml::List(values) => list_of(&values)?,
-        Yaml::Map(_) => bail!("a map is no value of a parameter"),
+        Yaml::Map(_) => bail!("a map is not a value of a parameter"),
     }))
 }
 
@@ -639,7 +639,7 @@ mod tests {
             let said = refused(&line);
             assert!(said.contains(why), "{yaml}: {said}");
         }
-        // Of a file for several programs, what is for others is passed over, with a word.
+        // A file may serve several programs: parameters of others cause a warning.
         std::fs::write(&path, "/**: {ros__parameters: {other: 1}}").unwrap();
         let (ros, _) = split(&line).unwrap();
         let (all, mut warned) = (declared(), Vec::new());

@@ -184,7 +184,7 @@ fn start(operators: &Arc<Operators>) -> Result<()> {
     line.command.run(context, operators)
 }
 
-/// Returns the parsed command line; an error of it ends the process.
+/// Returns the parsed command line; an error ends the process.
 fn parsed(matches: clap::error::Result<clap::ArgMatches>) -> Result<EecvsRos> {
     match matches.and_then(|matches| EecvsRos::from_arg_matches(&matches)) {
         Ok(line) => Ok(line),
@@ -256,7 +256,7 @@ fn named(ros: &RosArguments, commands: &[String]) -> Result<Vec<(NodeArguments, 
         .map(|(node, declared)| (node.name.clone(), declared.as_slice()))
         .collect();
     ros.check(&all, |node, name| {
-        eprintln!("eecvs-ros: --ros-args: {node}: {name} is no parameter of a node here");
+        eprintln!("eecvs-ros: --ros-args: {node}: no node here has the parameter {name}");
     })
     .map_err(Usage)?;
     Ok(nodes)
@@ -426,7 +426,7 @@ mod tests {
         assert_eq!(window_us(&["--window-us", "32768"]), "32768");
     }
 
-    /// Of every node: each parameter has a description, and one that can be set later is no switch, which a flag could
+    /// Each parameter of every node has a description; one that can be set later is not a switch, which a flag could
     /// not turn off again.
     #[test]
     fn parameters_are_described() {

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 
-use crate::transport::{Known, PublisherId, Subscription};
+use crate::transport::{Known, NAMED, PUBLISHERS_MAX, PublisherId, Subscription, UNNAMED};
 
 /// Silence after which a publisher that is gone gives way to another.
 const GONE: Duration = Duration::from_millis(200);
@@ -18,14 +18,8 @@ const GONE: Duration = Duration::from_millis(200);
 /// Silence after which a publisher gives way to another one of the same name.
 const SILENT: Duration = Duration::from_secs(2);
 
-/// Longest wait for the name of a publisher's node, which may become known after its first messages.
-const NAMED: Duration = Duration::from_secs(1);
-
 /// Interval at which it is looked up whether the kept publisher has gone.
 const LOOK: Duration = Duration::from_millis(50);
-
-/// Number of other publishers that are told apart; all further ones are taken as one.
-const OTHERS_MAX: usize = 64;
 
 /// Prints one line.
 pub type Say = Box<dyn Fn(&str) + Send>;
@@ -52,7 +46,7 @@ struct Sender {
 struct Other {
     since: Instant,
     node: Option<String>,
-    is_told: bool,
+    is_reported: bool,
 }
 
 /// A subscription to a topic that keeps to one of its publishers.
@@ -66,7 +60,7 @@ pub struct OnePublisher {
     looked: Instant,
     others: HashMap<PublisherId, Other>,
     left_out: u64,
-    /// When publishers that are not heard were last looked for; `None` once they have been told of.
+    /// When publishers that are not heard were last looked for; `None` once they have been named.
     looked_for_unheard: Option<Instant>,
 }
 
@@ -133,14 +127,14 @@ impl OnePublisher {
         }
         if !self.others.contains_key(&id) {
             let id = match self.others.len() {
-                OTHERS_MAX.. => PublisherId::default(),
+                PUBLISHERS_MAX.. => PublisherId::default(),
                 _ => id,
             };
             let node = self.node_of(id);
             self.others.entry(id).or_insert(Other {
                 since: now,
                 node,
-                is_told: false,
+                is_reported: false,
             });
         }
         let silence = now.saturating_duration_since(self.latest);
@@ -197,7 +191,7 @@ impl OnePublisher {
 
     /// Names the other publishers that have not been named.
     fn tell(&mut self, now: Instant) {
-        if self.others.values().all(|other| other.is_told) {
+        if self.others.values().all(|other| other.is_reported) {
             return;
         }
         let Some(Sender { id, node }) = self.kept.clone() else {
@@ -208,13 +202,13 @@ impl OnePublisher {
         let waiting: Vec<PublisherId> = self.others.keys().copied().collect();
         for id in waiting {
             let found = self.node_of(id);
-            let Some(other) = self.others.get_mut(&id).filter(|other| !other.is_told) else {
+            let Some(other) = self.others.get_mut(&id).filter(|other| !other.is_reported) else {
                 continue;
             };
             other.node = other.node.take().or(found);
             let is_late = now.saturating_duration_since(other.since) >= NAMED;
             if node.is_some() && other.node.is_some() || is_late {
-                other.is_told = true;
+                other.is_reported = true;
                 lines.push(format!(
                     "{} has two publishers: {} is kept to, and the messages of {} are left out; give one of them \
                      another topic, with -r {}:=OTHER",
@@ -253,7 +247,7 @@ impl From<Box<dyn Subscription>> for OnePublisher {
 }
 
 fn named(node: Option<&str>) -> &str {
-    node.unwrap_or("a publisher without a node")
+    node.unwrap_or(UNNAMED)
 }
 
 #[cfg(test)]
@@ -392,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn publishers_without_names_are_told_at_the_end_at_the_latest() {
+    fn publishers_without_names_are_reported_at_the_end_at_the_latest() {
         let (come, said, mut one) = subscribed();
         send(&come, &[(1, 10), (2, 20)]);
         assert_eq!(taken(&mut one), [(10, false)]);

@@ -267,31 +267,32 @@ fn files(paths: &[PathBuf]) -> Result<Found> {
         }
     }
     let mut patterns = BTreeMap::new();
-    let passed_by = passed_by.into_iter().map(|path| (path, false));
-    for (path, is_deep) in passed_by.chain(too_deep.into_iter().map(|path| (path, true))) {
-        let is_named = path
-            .canonicalize()
-            .is_ok_and(|path| known.contains_key(&path));
-        if let (false, Some(pattern)) = (is_named, passed_by_pattern(&path)) {
-            let none = if is_deep {
-                Why::TooDeep(0)
-            } else {
-                Why::PassedBy(0)
-            };
-            if let Why::TooDeep(files) | Why::PassedBy(files) =
-                patterns.entry(pattern).or_insert(none)
-            {
-                *files += 1;
+    // A folder that is searched from one path and too deep for another counts as searched.
+    let mut add = |paths: Vec<PathBuf>, why: fn(u64) -> Why| {
+        let mut counts: BTreeMap<PathBuf, u64> = BTreeMap::new();
+        for path in paths {
+            let is_named = path
+                .canonicalize()
+                .is_ok_and(|path| known.contains_key(&path));
+            if let (false, Some(pattern)) = (is_named, passed_by_pattern(&path)) {
+                *counts.entry(pattern).or_default() += 1;
             }
         }
-    }
+        patterns.extend(
+            counts
+                .into_iter()
+                .map(|(pattern, files)| (pattern, why(files))),
+        );
+    };
+    add(too_deep, Why::TooDeep);
+    add(passed_by, Why::PassedBy);
     Ok(Found {
         files: once,
         passed_by: patterns,
     })
 }
 
-/// Levels of folders that are looked at for files to tell of, below those that are searched.
+/// Levels of folders, below those that are searched, in which files are counted.
 const DEPTH_MAX: usize = 8;
 
 /// Adds the files in a folder and below; what cannot be listed is left out, since none of it would be used.

@@ -5,7 +5,7 @@
 The kinds are random events in every column and row; runs of neighbours in a row, which are vectors in some formats;
 gaps longer than the format's counter of time; times on both sides of every roll-over of that counter; and a recording
 without events. `KNOWN` has what packages get wrong by themselves, with what is still compared then. FILE.md gets the
-table of README.md. comparison.py says what is printed.
+table of crates/event-files/README.md. comparison.py says what is printed.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ import sys
 import warnings
 
 import comparison
-from comparison import DTYPE, events, np, package
+from comparison import DTYPE, events, np
 
 KINDS = ["random", "vectors", "gaps", "roll-overs", "empty"]
 
@@ -262,12 +262,6 @@ def by_csv(path, _):
     return events(*np.array(rows, np.int64).reshape(-1, 4).T)
 
 
-def by_faery_csv(path, size):
-    stream = comparison.faery.events_stream_from_file(path, dimensions_fallback=size)
-    array = stream.to_array()
-    return events(array["t"], array["x"], array["y"], array["on"])
-
-
 def quiet(name):
     """A package, which may print while it is imported, and not the script of the same name beside this one."""
     here = sys.path.pop(0)
@@ -325,7 +319,7 @@ def from_bits_dvs128(t, upper, lower, bit):
     return t, 127 - lower, upper, 1 - bit
 
 
-# Writer, module, its package, version's name, reader.
+# Writer, module, its package, reader.
 READERS = [
     ("EVT 2", faery, "faery", comparison.faerys),
     ("EVT 2", expelliarmus, "expelliarmus", by_expelliarmus("evt2")),
@@ -365,17 +359,13 @@ READERS = [
     ("MATLAB", scipy_io, "scipy", by_scipy),
     ("csv", pd, "pandas", of_columns(pd and pd.read_csv)),
     ("csv", pl, "polars", of_columns(pl and pl.read_csv)),
-    ("csv", faery, "faery", by_faery_csv),
+    ("csv", faery, "faery", comparison.faerys),
     ("csv", csv, "Python", by_csv),
     ("text", np, "numpy", by_numpy_text),
 ]
 
 
 # What packages get wrong by themselves: a word for the table, and what is compared all the same.
-
-
-def same(array):
-    return array
 
 
 def without(*names):
@@ -445,7 +435,7 @@ def compare(name, read, path, size, want, known):
         return "same"
     if known:
         word, lens = known
-        if lens is None or (got is not None and np.array_equal(lens(got), lens(want))):
+        if got is not None and np.array_equal(lens(got), lens(want)):
             print(f"known    {name}: {word}")
             return word
     if got is None:
@@ -498,7 +488,7 @@ def made(folder):
             last = counter.period_us - 10
             save(source, events([last, last + counter.gap_max_us + 2], [1, 1], [1, 1], [1, 1]), size)
             error = convert(source, folder / f"refused.{ending}", size)
-            comparison.check(f"{writer}: a longer silence is refused", np.array([bool(error)]), np.array([True]))
+            comparison.verdict(f"{writer}: a longer silence is refused", bool(error))
         rows += [[writer, f"{package} {version(package)}", *cells[package]] for package in cells if cells[package]]
     if out:
         out.write_text(table(rows))

@@ -35,6 +35,12 @@ impl RunFolder {
         })
     }
 
+    /// Returns the folder's path.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Makes the folder if it does not exist.
     ///
     /// # Errors

@@ -69,7 +69,8 @@ const LEFT_OUT: &[(&str, &str)] = &[
 /// Number of leading bytes that detection looks at.
 const START_BYTES: usize = 4096;
 
-/// Number of bytes in which a header of text is looked for: more than any header may have.
+/// Number of bytes in which a header of text is looked for: more than that of a RAW file may have. AEDAT files are known
+/// by their first line.
 const HEADER_BYTES: usize = 1 << 17;
 
 /// All formats, in the order in which they are tried; text comes last, since nearly any file may be text.

@@ -77,6 +77,11 @@ fn one(value: f64) -> Vec<(&'static str, f64)> {
     vec![("", value)]
 }
 
+/// Returns the value of a metric without kinds, if it is known.
+fn known(value: Option<f64>) -> Vec<(&'static str, f64)> {
+    value.into_iter().flat_map(one).collect()
+}
+
 const METRICS: &[Metric] = &[
     gauge(
         "sensor_connected",
@@ -132,23 +137,13 @@ const METRICS: &[Metric] = &[
         "clock_ahead_seconds",
         "How far the sensor's clock is ahead of this hub's",
         "",
-        |row| {
-            let clock = row.clock.into_iter();
-            clock
-                .flat_map(|clock| one(clock.ahead_us as f64 / 1e6))
-                .collect()
-        },
+        |row| known(row.clock.map(|clock| clock.ahead_us as f64 / 1e6)),
     ),
     gauge(
         "clock_error_seconds",
         "Bound of the error of that difference, and of latencies",
         "",
-        |row| {
-            let clock = row.clock.into_iter();
-            clock
-                .flat_map(|clock| one(clock.error_us as f64 / 1e6))
-                .collect()
-        },
+        |row| known(row.clock.map(|clock| clock.error_us as f64 / 1e6)),
     ),
     gauge(
         "sensors_at_once",

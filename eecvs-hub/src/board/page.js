@@ -5,7 +5,7 @@ const POLL_MS = 1000, SOON_MS = 300, GIVE_UP_MS = 4000, PICTURES_AT_ONCE = 4, OR
 const cards = new Map(), seen = new Set(), loading = new Set();
 const at = id => document.getElementById(id);
 const list = at("cards"), template = at("card");
-let latest = null, heardAt = 0, orderedAt = 0, drawnMs = [], timer = 0, hurried = 0, accent = "";
+let heardAt = 0, orderedAt = 0, drawnMs = [], timer = 0, hurried = 0, accent = "";
 
 // What has not changed is not written: the browser would lay it out again.
 const written = new WeakMap();
@@ -212,7 +212,6 @@ const arrange = () => {
 
 const update = board => {
   const started = performance.now();
-  latest = board;
   write(at("hub"), board.hub);
   const title = `EECVS hub ${board.hub}`;
   if (document.title !== title) document.title = title;

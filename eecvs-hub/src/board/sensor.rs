@@ -25,13 +25,6 @@ const BETWEEN: Duration = Duration::from_secs(1);
 /// If no token was ever seen, a sensor heard within this time counts as connected.
 const HEARD: Duration = Duration::from_secs(5);
 
-/// Interval at which a sensor is asked for its clock, and for the first few times.
-const CLOCK: Duration = Duration::from_secs(10);
-const CLOCK_FIRST: Duration = Duration::from_secs(1);
-
-/// Number of answers after which the longer interval applies.
-const CLOCK_FEW: usize = 3;
-
 /// Maximum number of runs whose clocks are known.
 const CLOCKS_MAX: usize = 4;
 
@@ -269,12 +262,9 @@ impl State {
             return false;
         }
         let ahead = self.clocks.iter().find(|(of, _)| *of == run);
-        let every = match ahead.map_or(0, |(_, ahead)| ahead.trips()) {
-            0..CLOCK_FEW => CLOCK_FIRST,
-            _ => CLOCK,
-        };
+        let every = ahead.map_or(Duration::ZERO, |(_, ahead)| ahead.ask_after());
         let since = self.clock_asked_at.map(|at| now.at.saturating_sub(at));
-        let is_due = ahead.is_none() || since.is_none_or(|since| since >= every);
+        let is_due = since.is_none_or(|since| since >= every);
         if is_due {
             self.clock_asked_at = Some(now.at);
         }

@@ -7,6 +7,7 @@ use std::io::{BufWriter, ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
+use eecvs_cli::output::io_causes;
 use serde::Serialize;
 
 use crate::key::Name;
@@ -182,8 +183,7 @@ fn append(path: &Path, is_new: bool) -> Result<File> {
 }
 
 fn is_there(error: &anyhow::Error) -> bool {
-    let mut causes = error.chain().filter_map(|cause| cause.downcast_ref());
-    causes.any(|io: &std::io::Error| io.kind() == ErrorKind::AlreadyExists)
+    io_causes(error).any(|io| io.kind() == ErrorKind::AlreadyExists)
 }
 
 #[cfg(test)]
@@ -280,7 +280,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_differ_only_by_case_are_told() {
+    fn names_that_differ_only_by_case_are_noticed() {
         let there = ["Door.eecvs", "gate.eecvs"].map(str::to_owned);
         for (name, want) in [
             ("gate.eecvs", None),

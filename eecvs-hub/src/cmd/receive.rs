@@ -117,8 +117,8 @@ impl Receive {
             thread::sleep(LOOK);
             let report = downlink.report()?;
             watched.tell(&report);
-            let now: u64 = report.sensors.iter().map(|sensor| sensor.frames).sum();
-            let missing: u64 = report.sensors.iter().map(|sensor| sensor.missing).sum();
+            let now = report.sum(|sensor| sensor.frames);
+            let missing = report.sum(|sensor| sensor.missing);
             if now != frames {
                 (frames, latest) = (now, Instant::now());
             }
@@ -195,8 +195,8 @@ impl Watched {
         if self.told.is_some_and(|told| told.elapsed() < TELL) {
             return;
         }
-        let lost = report.sensors.iter().map(|sensor| sensor.lost).sum();
-        let missing = report.sensors.iter().map(|sensor| sensor.missing).sum();
+        let lost = report.sum(|sensor| sensor.lost);
+        let missing = report.sum(|sensor| sensor.missing);
         if (lost, missing) != (self.lost, self.missing) {
             eprintln!("eecvs-hub: {missing} frames are missing and asked for, {lost} are lost");
             (self.lost, self.missing) = (lost, missing);
@@ -206,7 +206,12 @@ impl Watched {
 }
 
 impl Report {
-    /// Returns the sensors whose name is that of several.
+    /// Returns the sum of a figure over all sensors.
+    fn sum(&self, of: impl Fn(&SensorReport) -> u64) -> u64 {
+        self.sensors.iter().map(of).fold(0, u64::saturating_add)
+    }
+
+    /// Returns the sensors whose name several sensors have had at once.
     fn shared_names(&self) -> impl Iterator<Item = &SensorReport> {
         self.sensors.iter().filter(|sensor| sensor.at_once > 1)
     }
@@ -214,8 +219,7 @@ impl Report {
     /// Returns what went wrong, in words.
     fn wrong(&self) -> Vec<String> {
         let mut wrong = Vec::new();
-        let lost = self.sensors.iter().map(|sensor| sensor.lost);
-        let lost = lost.fold(0, u64::saturating_add);
+        let lost = self.sum(|sensor| sensor.lost);
         if lost > 0 {
             wrong.push(format!("{lost} frames are lost"));
         }

@@ -25,15 +25,8 @@ pub(super) const ANSWER: Duration = Duration::from_millis(500);
 
 pub(crate) const ANSWER_MAX: Duration = Duration::from_secs(2);
 
-/// Interval at which a sensor is asked for its clock, and for the first few times.
-const CLOCK: Duration = Duration::from_secs(10);
-const CLOCK_FIRST: Duration = Duration::from_secs(1);
-
 /// A new run is asked more often for this time.
 const CLOCK_NEW: Duration = Duration::from_secs(3);
-
-/// Number of answers after which the longer interval applies.
-const CLOCK_FEW: usize = 3;
 
 /// Longest time for which it may be open whether a run belongs to the sensor that was heard before.
 const OPEN: Duration = Duration::from_secs(5);
@@ -332,16 +325,11 @@ impl Sensor {
         let mut heard = self
             .runs
             .iter()
-            .filter(|run| self.lives.is_heard(run.id, now_us))
-            .peekable();
-        if heard.peek().is_none() {
+            .filter(|run| self.lives.is_heard(run.id, now_us));
+        let Some(every) = heard.clone().map(|run| run.ahead.ask_after()).min() else {
             return false;
-        }
-        let is_new = heard
-            .clone()
-            .any(|run| run.ahead.trips() == 0 && run.open.elapsed() < CLOCK_NEW);
-        let is_known = heard.all(|run| run.ahead.trips() >= CLOCK_FEW);
-        let every = if is_known { CLOCK } else { CLOCK_FIRST };
+        };
+        let is_new = heard.any(|run| run.ahead.trips() == 0 && run.open.elapsed() < CLOCK_NEW);
         let since = self.clock_asked.map(|asked| asked.elapsed());
         // A new run is asked soon.
         let is_due = since.is_none_or(|since| since >= every || (is_new && since >= WISH_AGAIN));

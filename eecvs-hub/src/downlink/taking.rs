@@ -199,14 +199,8 @@ impl Taking {
         let lane = oldest.lane.unwrap_or(0);
         let held = std::mem::take(&mut oldest.held);
         sensor.forget(at);
-        for (stamp, frame) in held.into_values() {
-            self.held_bytes -= frame.len();
-            (self.deliver)(Delivered {
-                name,
-                lane,
-                stamp,
-                frame: &frame,
-            })?;
+        for held in held.into_values() {
+            deliver(&mut self.deliver, &mut self.held_bytes, name, lane, held)?;
         }
         Ok(())
     }
@@ -298,14 +292,8 @@ impl Taking {
                 if *first.key() >= settled {
                     break;
                 }
-                let (stamp, frame) = first.remove();
-                self.held_bytes -= frame.len();
-                (self.deliver)(Delivered {
-                    name,
-                    lane,
-                    stamp,
-                    frame: &frame,
-                })?;
+                let held = first.remove();
+                deliver(&mut self.deliver, &mut self.held_bytes, name, lane, held)?;
             }
             if run.numbers.missing() > 0 {
                 held_up |= bit;
@@ -463,6 +451,23 @@ impl Taking {
         };
         *lock(&self.shared.report) = report;
     }
+}
+
+/// Delivers a frame that was held.
+fn deliver(
+    to: &mut Deliver,
+    held_bytes: &mut usize,
+    name: &Name,
+    lane: usize,
+    (stamp, frame): (Stamp, Vec<u8>),
+) -> Result<()> {
+    *held_bytes -= frame.len();
+    to(Delivered {
+        name,
+        lane,
+        stamp,
+        frame: &frame,
+    })
 }
 
 /// Returns the range of all numbers below one.

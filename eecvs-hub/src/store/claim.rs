@@ -9,7 +9,7 @@ use anyhow::{Context as _, Result, bail};
 use crate::key::Name;
 
 /// Name of the file that is locked while a sensor uses the folder; it has the sensor's name.
-pub const FILE: &str = "sensor";
+const FILE: &str = "sensor";
 
 /// A claim, which lasts until it is dropped.
 #[derive(Debug)]

@@ -202,20 +202,19 @@ impl Disk {
     pub fn held(&self, but: u64, most: usize) -> Vec<(u64, Range)> {
         let mut held: Vec<(u64, Range)> = Vec::new();
         for segment in self.segments.iter().filter(|segment| segment.run != but) {
-            for &(number, ..) in &segment.records {
-                match held.last_mut() {
-                    Some((run, range)) if *run == segment.run => {
-                        range.from = range.from.min(number);
-                        range.to = range.to.max(number + 1);
-                    }
-                    _ => held.push((
-                        segment.run,
-                        Range {
-                            from: number,
-                            to: number + 1,
-                        },
-                    )),
+            // Numbers ascend within a segment.
+            let (Some(&(from, ..)), Some(&(last, ..))) =
+                (segment.records.first(), segment.records.last())
+            else {
+                continue;
+            };
+            let to = last + 1;
+            match held.last_mut() {
+                Some((run, range)) if *run == segment.run => {
+                    range.from = range.from.min(from);
+                    range.to = range.to.max(to);
                 }
+                _ => held.push((segment.run, Range { from, to })),
             }
         }
         held.split_off(held.len().saturating_sub(most))

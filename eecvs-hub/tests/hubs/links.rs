@@ -574,7 +574,7 @@ fn only_a_sensor_that_is_heard_is_given_up() {
         say();
         figures() == (100, 0)
     });
-    // Of the silence, the first 3 s count.
+    // Of the silence, the first 2.5 s count.
     std::thread::sleep(Duration::from_secs(6));
     assert_eq!(figures(), (100, 0));
     until("it is given up", || {

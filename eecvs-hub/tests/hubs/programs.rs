@@ -409,7 +409,7 @@ fn arguments_may_be_of_any_bytes() {
         &["hub", "--no-page", "--keys"][..],
         &["hub", "--page"],
         &["hub", "--budget"],
-        &["hub", "--store"],
+        &["hub", "--name"],
         &["sensor", "a", "--recording"],
         &["sensor"],
         &["receive"],

@@ -8,13 +8,13 @@
 use anyhow::{Result, anyhow, ensure};
 use event_files::ros::fields::{Fields, Serialisation};
 
-use crate::message::{EventPacket, Header, Time};
+use crate::message::{DATA_BYTES, EventPacket, Header, Time};
 
 /// Bytes of an event in the encoding `mono`.
 const EVENT_BYTES: usize = 8;
 
 /// Longest packet, in bytes of events: larger messages are more likely to be lost.
-const PACKET_BYTES: usize = 98_000;
+const PACKET_BYTES: usize = DATA_BYTES as usize;
 
 /// The packets made from the messages of one topic.
 #[derive(Debug, Default)]
@@ -26,7 +26,7 @@ impl Packets {
     /// Turns a message into packets, at least one, with consecutive sequence numbers; `put` receives each.
     ///
     /// # Errors
-    /// The message is damaged, or has a row that the encoding cannot hold; the error tells the byte. Otherwise, the
+    /// The message is damaged, or has a row that the encoding cannot hold; the error names the byte. Otherwise, the
     /// error of `put`.
     pub fn convert(
         &mut self,
@@ -69,6 +69,12 @@ impl Packets {
             let data = u32::from(x) | u32::from(y) << 16 | u32::from(is_on) << 31;
             packet.events.extend_from_slice(&since_ns.to_le_bytes());
             packet.events.extend_from_slice(&data.to_le_bytes());
+        }
+        let behind = fields.left();
+        if count > 0 && behind > 3 {
+            // CDR pads a message to 4 bytes.
+            let what = format!("{behind} bytes are left behind the events: another layout");
+            return Err(damaged(fields.cursor.at, what));
         }
         put(packet)?;
         packet.seq += 1;
@@ -184,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn damage_is_told() {
+    fn damage_is_an_error() {
         let cdr = array(&[Single {
             x: 1,
             y: 40_000,

@@ -34,17 +34,22 @@ pub struct McapWriter {
     channels: Vec<u16>,
 }
 
+/// Returns the options of all MCAP files that are written.
+pub(crate) fn write_options() -> WriteOptions {
+    WriteOptions::new()
+        .library(concat!("eecvs ", env!("CARGO_PKG_VERSION")))
+        .compression(Some(Compression::Lz4))
+        .chunk_size(Some(CHUNK_BYTES))
+}
+
 impl McapWriter {
     /// Creates the file with one channel per topic.
     pub fn create(path: &Path, topics: &[(Topic, Type)]) -> Result<Self> {
         let name = path.display().to_string();
         let file = File::create(path).with_context(|| format!("{name}: cannot be created"))?;
         let begin = || {
-            let mut writer = WriteOptions::new()
+            let mut writer = write_options()
                 .profile("ros2")
-                .library(concat!("eecvs ", env!("CARGO_PKG_VERSION")))
-                .compression(Some(Compression::Lz4))
-                .chunk_size(Some(CHUNK_BYTES))
                 .create(BufWriter::new(file))?;
             let mut channels = Vec::new();
             for (topic, kind) in topics {
@@ -198,7 +203,7 @@ impl McapReader {
         let unread = || format!("{name}: cannot be read");
         let mut file = File::open(path).with_context(unread)?;
         let mut channels = Channels::default();
-        // Without a summary, the file has no end or was not meant to have one: which of both, its end will tell.
+        // Without a summary, the file is cut off or was written without one: the end of the file shows which.
         let summary = summary(&mut file).ok().filter(has_index);
         let way = match summary {
             None => {

@@ -17,7 +17,8 @@ use clap::ValueEnum;
 use event_files::ros::decoder::unpack;
 use event_files::ros::folder::{TempPath, unpacked};
 
-use crate::message::{TYPES, Type};
+pub(crate) use self::mcap::write_options;
+use crate::message::Type;
 use mcap::{McapReader, McapWriter};
 use metadata::{Counts, METADATA, Metadata};
 use sqlite::{SqliteReader, SqliteWriter};
@@ -60,14 +61,6 @@ pub struct Topic {
     pub encoding: String,
     /// Hash of the type as the bag has it; empty if it has none. A writer does not use it.
     pub hash: String,
-}
-
-impl Topic {
-    /// Returns the message type if it is one of [`TYPES`].
-    #[must_use]
-    pub fn known(&self) -> Option<Type> {
-        TYPES.into_iter().find(|kind| kind.name == self.kind)
-    }
 }
 
 /// Serialisation of messages in ROS 2.
@@ -273,9 +266,6 @@ struct Opened {
     _unpacked: Option<TempPath>,
 }
 
-/// First bytes of a bag of ROS 1.
-const ROS1: &[u8] = b"#ROSBAG";
-
 /// Opens a message file, whose format is found by its first bytes.
 fn open_file(path: &Path, from_ns: u64) -> Result<Opened> {
     let name = path.display().to_string();
@@ -289,7 +279,7 @@ fn open_file(path: &Path, from_ns: u64) -> Result<Opened> {
         Box::new(McapReader::open(content, &name, from_ns)?)
     } else if start.starts_with(event_files::ros::db3::MAGIC) {
         Box::new(SqliteReader::open(content, &name, from_ns)?)
-    } else if start.starts_with(ROS1) {
+    } else if start.starts_with(event_files::ros::bag::MAGIC) {
         bail!(
             "{name}: a bag of ROS 1: `eecvs convert {name} NAME.mcap` makes one of ROS 2 of its events; `eecvs-ros \
              emulate --recording {name}` publishes them"

@@ -89,6 +89,17 @@ pub const TYPES: [Type; 6] = [
     DiagnosticArray::TYPE,
 ];
 
+impl Type {
+    /// Returns the type of this name if it is one of [`TYPES`].
+    #[must_use]
+    pub fn of(name: &str) -> Option<Self> {
+        TYPES.into_iter().find(|known| known.name == name)
+    }
+}
+
+/// Default limit of a message's data in bytes: larger messages are more likely to be lost.
+pub const DATA_BYTES: u32 = 98_000;
+
 /// Returns the sequence number that the publisher gave a serialised message, or `None` if the type has none or the
 /// message is too short.
 #[must_use]

@@ -15,7 +15,7 @@ use eecvs_nostd::{Event, Polarity};
 use super::emulate::PacketOptions;
 use super::frame_reader::{Account, FrameReader};
 use super::{Context, LossOptions, QosOptions, Sender, refuse_losses};
-use crate::message::{EventPacket, Header, Image, Time, Volume};
+use crate::message::{DATA_BYTES, EventPacket, Header, Image, Time, Volume};
 use crate::operator::{Decoded, Operators};
 
 /// Topics that the node publishes.
@@ -36,7 +36,7 @@ pub struct Decode {
     form: VolumeOptions,
 
     /// Maximum bytes of values per message: larger volumes are split into several; 0: never split
-    #[arg(long, value_name = "BYTES", default_value_t = 98_000)]
+    #[arg(long, value_name = "BYTES", default_value_t = DATA_BYTES)]
     volume_bytes: u32,
 
     /// Pixel format of the pictures

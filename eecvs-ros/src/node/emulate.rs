@@ -13,7 +13,7 @@ use event_files::{EventReader, Pause};
 use usb_bridge::peripheral::stream::Pace;
 
 use super::{Context, QosOptions, Sender};
-use crate::message::EventPacket;
+use crate::message::{DATA_BYTES, EventPacket};
 use crate::packing::{Encoding, Packer, PacketLimits};
 
 /// Topics that the node publishes.
@@ -76,7 +76,7 @@ pub struct PacketOptions {
     packet_us: u32,
 
     /// Maximum bytes of events per message: larger messages are more likely to be lost
-    #[arg(long, value_name = "BYTES", default_value_t = 98_000,
+    #[arg(long, value_name = "BYTES", default_value_t = DATA_BYTES,
           value_parser = clap::value_parser!(u32).range(64..=100_000_000))]
     packet_bytes: u32,
 

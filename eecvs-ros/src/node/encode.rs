@@ -11,7 +11,7 @@ use eecvs_nostd::OUTPUT_BYTES_MIN;
 
 use super::frames::FrameSender;
 use super::{Context, Now, QosOptions, refuse_losses};
-use crate::message::EventPacket;
+use crate::message::{DATA_BYTES, EventPacket};
 use crate::operator::{Encoded, Job, Operators, Span};
 use crate::packet_reader::{PacketReader, Received, look};
 
@@ -27,7 +27,7 @@ pub struct Encode {
 
     /// Maximum bytes of a frame: larger windows are split into several frames, as larger messages are more likely
     /// to be lost
-    #[arg(long, value_name = "BYTES", default_value_t = 98_000,
+    #[arg(long, value_name = "BYTES", default_value_t = DATA_BYTES,
           value_parser = clap::value_parser!(u32)
               .range(OUTPUT_BYTES_MIN as i64..=eecvs_nostd::FRAME_BYTES_MAX as i64))]
     frame_bytes: u32,

@@ -158,26 +158,14 @@ impl Context {
         })
     }
 
-    /// Subscribes to a topic of messages of type `M`, whose name is resolved and remapped.
+    /// Subscribes to a topic of messages of type `M`, whose name is resolved and remapped, and keeps to one of its
+    /// publishers.
     ///
     /// # Errors
     /// ROS 2 does not allow the name, or the transport refuses the topic.
-    pub fn subscription<M: Message>(
-        &mut self,
-        topic: &str,
-        qos: Qos,
-    ) -> Result<Box<dyn Subscription>> {
-        let topic = self.arguments.topic(topic)?;
-        self.node.subscription(&topic, M::TYPE, qos)
-    }
-
-    /// Subscribes to a topic of messages of type `M`, and keeps to one of its publishers.
-    ///
-    /// # Errors
-    /// As for [`Context::subscription`].
     pub fn one_publisher<M: Message>(&mut self, topic: &str, qos: Qos) -> Result<OnePublisher> {
-        let subscription = self.subscription::<M>(topic, qos)?;
         let topic = self.arguments.topic(topic)?;
+        let subscription = self.node.subscription(&topic, M::TYPE, qos)?;
         let speaker = self.speaker();
         let say = Box::new(move |line: &str| speaker.say(line));
         Ok(OnePublisher::new(subscription, &topic, say))

@@ -12,7 +12,7 @@ use super::emulate::Pacer;
 use super::{Context, LossOptions, QosOptions, refuse_losses};
 use crate::bag::event_array::Packets;
 use crate::bag::{CDR, Reader, Topic};
-use crate::message::{ENCAPSULATION, EventPacket, Message as _, TypeName, put_cdr};
+use crate::message::{ENCAPSULATION, EventPacket, Message as _, Type, TypeName, put_cdr};
 use crate::transport::Publisher;
 
 /// Parameters that can be set while the node runs.
@@ -60,7 +60,7 @@ struct Played {
 }
 
 impl Played {
-    /// Announces a topic; why its messages are left out is said.
+    /// Announces a topic; if its messages are left out, says why.
     fn new(context: &mut Context, topic: Topic, options: &Play) -> Result<Self> {
         let mut played = Self {
             packets: None,
@@ -100,7 +100,7 @@ impl Played {
                 Ok(EventPacket::TYPE.into())
             }
             (None, None) => {
-                let known = played.topic.known().map(TypeName::from);
+                let known = Type::of(&kind).map(TypeName::from);
                 Ok(known.unwrap_or(TypeName { name: &kind, hash }))
             }
         };
@@ -169,7 +169,7 @@ impl Play {
                 topic.left_out
             ));
         }
-        // What stands before a damage has been played.
+        // Everything before the damage has been played.
         played?;
         let is_empty = messages == 0 && left_out == 0 && !context.stop.is_asked();
         ensure!(
@@ -229,7 +229,7 @@ impl Play {
                     }
                 }
             }
-            // A bag of which nothing can be played would be repeated without an end or a pause.
+            // A bag with nothing to play would be repeated without end or pause.
             if !self.repeat || *messages == before {
                 return Ok(());
             }

@@ -11,7 +11,7 @@ use super::{Context, LossOptions, Now, QosOptions, refuse_losses};
 use crate::bag::{Storage, Topic, Writer};
 use crate::message::{TYPES, Time, Type, sequence_of};
 use crate::sequence::Sequence;
-use crate::transport::{Known, PublisherId, Subscription};
+use crate::transport::{Known, NAMED, PUBLISHERS_MAX, PublisherId, Subscription, UNNAMED};
 
 /// Record topics into a ROS 2 bag
 #[derive(Debug, Clone, Args)]
@@ -52,7 +52,7 @@ fn topic(text: &str) -> Result<(String, Type), String> {
     let (name, kind) = text
         .split_once(':')
         .ok_or_else(|| "a name, a colon, a type".to_owned())?;
-    let known = TYPES.into_iter().find(|known| known.name == kind);
+    let known = Type::of(kind);
     let known = known.ok_or_else(|| {
         let names: Vec<&str> = TYPES.iter().map(|known| known.name).collect();
         format!("type {kind} is not known here: {}", names.join(", "))
@@ -67,20 +67,14 @@ struct Recorded {
     subscription: Box<dyn Subscription>,
     /// The numbers of each publisher's messages.
     publishers: HashMap<PublisherId, Sequence>,
-    /// Whether a second publisher has been told of.
-    is_told: bool,
+    /// Whether the publishers have been named.
+    is_reported: bool,
     /// When the second publisher came, whose name may become known a little later.
     second: Option<Instant>,
     messages: u64,
     /// Messages that could not be read, and are not in the bag.
     unreadable: u64,
 }
-
-/// Publishers of a topic that are told apart; all further ones are taken as one.
-const PUBLISHERS_MAX: usize = 64;
-
-/// Longest wait for the name of a publisher's node.
-const NAMED: Duration = Duration::from_secs(1);
 
 impl Recorded {
     fn lost(&self) -> u64 {
@@ -105,7 +99,7 @@ impl Recorded {
 
     /// Names the publishers if there are several.
     fn tell(&mut self, context: &Context, is_over: bool) {
-        let Some(second) = self.second.filter(|_| !self.is_told) else {
+        let Some(second) = self.second.filter(|_| !self.is_reported) else {
             return;
         };
         let known: Vec<Known> = self
@@ -118,7 +112,7 @@ impl Recorded {
             .iter()
             .filter_map(|known| match known {
                 Known::Node(name) => Some(name.clone()),
-                Known::Unnamed => Some("a publisher without a node".to_owned()),
+                Known::Unnamed => Some(UNNAMED.to_owned()),
                 Known::Gone => None,
             })
             .collect();
@@ -126,7 +120,7 @@ impl Recorded {
         if !is_named && !is_over && second.elapsed() < NAMED {
             return;
         }
-        self.is_told = true;
+        self.is_reported = true;
         if names.len() > 1 {
             names.sort();
             context.say(&format!(
@@ -163,7 +157,7 @@ impl Record {
                 name,
                 kind: *kind,
                 publishers: HashMap::new(),
-                is_told: false,
+                is_reported: false,
                 second: None,
                 messages: 0,
                 unreadable: 0,

@@ -185,7 +185,7 @@ impl Node for DdsNode {
     }
 
     fn publishers_of(&mut self, topic: &str) -> Vec<String> {
-        lock(&self.nodes).publish(topic)
+        lock(&self.nodes).of_topic(topic)
     }
 }
 

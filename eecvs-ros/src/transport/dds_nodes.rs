@@ -8,7 +8,12 @@ use ros2_client::qos::{Durability, History, Reliability, WhenFull};
 use ros2_client::{Context, MessageTypeName, Node, QosProfile, Subscription};
 use serde::Deserialize;
 
-use super::{Known, PublisherId};
+use super::{Known, PublisherId, UNNAMED};
+
+/// Returns the publisher that writes for DDS as `writer`.
+fn id_of(writer: &rustdds::discovery::DiscoveredWriterData) -> PublisherId {
+    PublisherId(ros2_client::Gid::from(writer.writer_proxy.remote_writer_guid).to_bytes16())
+}
 
 /// Name of the topic in DDS.
 const TOPIC: &str = "ros_discovery_info";
@@ -66,11 +71,7 @@ impl NodesOfPublishers {
     pub(super) fn find(&mut self, id: PublisherId) -> Known {
         self.take();
         let writers = self.context.domain_participant().discovered_writers();
-        let is_there = |writer: &rustdds::discovery::DiscoveredWriterData| {
-            let guid = ros2_client::Gid::from(writer.writer_proxy.remote_writer_guid);
-            PublisherId(guid.to_bytes16()) == id
-        };
-        if !writers.iter().any(is_there) {
+        if !writers.iter().any(|writer| id_of(writer) == id) {
             return Known::Gone;
         }
         let name = self.names.get(&id).cloned();
@@ -78,7 +79,7 @@ impl NodesOfPublishers {
     }
 
     /// Returns the nodes of other programs that publish the topic with this absolute name.
-    pub(super) fn publish(&mut self, topic: &str) -> Vec<String> {
+    pub(super) fn of_topic(&mut self, topic: &str) -> Vec<String> {
         self.take();
         let dds_name = format!("rt{topic}");
         let writers = self.context.domain_participant().discovered_writers();
@@ -86,9 +87,8 @@ impl NodesOfPublishers {
             .iter()
             .filter(|writer| writer.publication_topic_data.topic_name == dds_name)
             .map(|writer| {
-                let guid = ros2_client::Gid::from(writer.writer_proxy.remote_writer_guid);
-                let name = self.names.get(&PublisherId(guid.to_bytes16()));
-                name.map_or("a publisher without a node", String::as_str)
+                let name = self.names.get(&id_of(writer));
+                name.map_or(UNNAMED, String::as_str)
             });
         names.map(str::to_owned).collect()
     }

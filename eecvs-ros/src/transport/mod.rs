@@ -86,6 +86,15 @@ pub trait Publisher: Send {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PublisherId(pub [u8; 16]);
 
+/// What messages call a publisher whose node is not known.
+pub const UNNAMED: &str = "a publisher without a node";
+
+/// Longest wait for the name of a publisher's node, which may become known after its first messages.
+pub const NAMED: Duration = Duration::from_secs(1);
+
+/// Number of a topic's publishers that are told apart; all further ones are taken as one.
+pub const PUBLISHERS_MAX: usize = 64;
+
 /// What is known of a publisher.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Known {

@@ -245,6 +245,7 @@ fn parameters_are_described_and_checked() {
         "",
         "cannot undeclare",
     ];
+    assert_eq!(refused.len(), want.len());
     for (refused, want) in refused.iter().zip(want) {
         assert!(refused.contains(want), "{refused} is not {want}");
         assert_eq!(refused.is_empty(), want.is_empty(), "{refused}");
@@ -327,6 +328,7 @@ fn what_is_set_takes_effect() {
         "0 is not in 0.001..=1000",
         "",
     ];
+    assert_eq!(refused.len(), want.len());
     for (refused, want) in refused.iter().zip(want) {
         assert!(refused.contains(want), "{refused} is not {want}");
         assert_eq!(refused.is_empty(), want.is_empty(), "{refused}");

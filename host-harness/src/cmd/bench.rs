@@ -192,7 +192,6 @@ impl Bench {
         Ok(Rate {
             data: &self.data,
             default_folder: Path::new(RECORDINGS),
-            output: self.output(),
             folder: self.folder(is_rate)?,
             quick: self.quick,
             json: self.json,
@@ -205,7 +204,7 @@ impl Bench {
         self.output.as_deref().unwrap_or(Path::new(CHARTS))
     }
 
-    /// Checks the folder of the charts; what the default one has is of builds of the project.
+    /// Checks the folder of the charts; those in the default folder are replaced without --overwrite.
     fn folder(&self, is_own: fn(&str) -> bool) -> Result<RunFolder> {
         let overwrite = self.overwrite || self.output.is_none();
         RunFolder::check(self.output(), overwrite, is_own)

@@ -22,9 +22,7 @@ pub struct Rate<'o> {
     pub data: &'o [PathBuf],
     /// Folder searched when `data` is empty.
     pub default_folder: &'o Path,
-    /// Folder to write the chart to.
-    pub output: &'o Path,
-    /// The same folder, which was checked.
+    /// Folder to write the chart to, which was checked.
     pub folder: RunFolder,
     /// Whether to measure less of everything.
     pub quick: bool,
@@ -122,7 +120,7 @@ impl Rate<'_> {
 
     fn chart(&self, rows: &[Row]) -> Result<[PathBuf; 2]> {
         let title = "Rate against distortion, windows of 32,768 us: events, coefficients, peers";
-        let files = CHART.map(|file| self.output.join(file));
+        let files = CHART.map(|file| self.folder.path().join(file));
         let [svg, png] = &files;
         super::bench::write(svg, &rate_chart::svg(title, rows)?)?;
         rate_chart::picture(title, rows)?.save(png)?;

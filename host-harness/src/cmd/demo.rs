@@ -40,8 +40,24 @@ const SCENE: &str = "scene.raw";
 /// File name of the thresholds.
 const THRESHOLDS: &str = "thresholds.toml";
 
-/// Names of the ways to encode, each with a file of frames and a decoded recording.
-const WAYS: [&str; 7] = ["fast", "dense", "dense50us", "auto", "dct", "dtft", "dwt"];
+/// The ways to encode, each with a file of frames and a decoded recording.
+const WAYS: [(&str, Mode, Option<Transform>); 7] = [
+    ("fast", hybrid(Coder::Fast, Fidelity::Lossless), None),
+    ("dense", hybrid(Coder::Dense, Fidelity::Lossless), None),
+    (
+        "dense50us",
+        hybrid(Coder::Dense, Fidelity::ToleranceUs(50)),
+        None,
+    ),
+    ("auto", Mode::Transform, None),
+    ("dct", Mode::Transform, Some(Transform::Dct)),
+    ("dtft", Mode::Transform, Some(Transform::Dtft)),
+    ("dwt", Mode::Transform, Some(Transform::Dwt)),
+];
+
+const fn hybrid(coder: Coder, fidelity: Fidelity) -> Mode {
+    Mode::Hybrid(Hybrid { coder, fidelity })
+}
 
 /// File names of the charts.
 const CHARTS: [&str; 2] = ["density.svg", "histogram.svg"];
@@ -53,7 +69,7 @@ const REPORT: &str = "report.html";
 fn is_own(name: &str) -> bool {
     let mut of_ways = WAYS
         .iter()
-        .flat_map(|way| [frames_name(way), decoded_name(way)]);
+        .flat_map(|(way, ..)| [frames_name(way), decoded_name(way)]);
     [SCENE, THRESHOLDS, REPORT].contains(&name)
         || CHARTS.contains(&name)
         || of_ways.any(|own| own == name)
@@ -146,18 +162,7 @@ impl Demo {
         ))?;
 
         let mut rows = Vec::new();
-        let hybrid = |coder, fidelity| Mode::Hybrid(Hybrid { coder, fidelity });
-        let transform = Mode::Transform;
-        let ways = [
-            (hybrid(Coder::Fast, Fidelity::Lossless), None),
-            (hybrid(Coder::Dense, Fidelity::Lossless), None),
-            (hybrid(Coder::Dense, Fidelity::ToleranceUs(50)), None),
-            (transform, None),
-            (transform, Some(Transform::Dct)),
-            (transform, Some(Transform::Dtft)),
-            (transform, Some(Transform::Dwt)),
-        ];
-        for (name, (mode, transform)) in WAYS.into_iter().zip(ways) {
+        for (name, mode, transform) in WAYS {
             say(&format!("{name:<10} encode, decode, compare"))?;
             rows.push(run.row(name, mode, transform)?);
         }

@@ -142,30 +142,23 @@ impl Report {
         ))
     }
 
-    /// Makes room for the rows of this study: those of another one are kept, resumed or removed only on request.
+    /// Makes room for the rows of this study. Its own earlier rows are resumed; those of another build or of another
+    /// report are kept or removed only on request.
     fn check_rows(&self, run: &RunFolder, path: &Path, record: &Record) -> Result<()> {
-        let earlier = store::earlier(path, record)?;
-        let goes_on = match earlier {
+        let (whose, remedy) = match store::earlier(path, record)? {
             Earlier::Nothing => return run.begin(),
-            Earlier::Same => true,
-            Earlier::OtherBuild => self.keep_rows,
-            Earlier::Other => false,
+            Earlier::Same => return Ok(()),
+            Earlier::OtherBuild if self.keep_rows => return Ok(()),
+            Earlier::OtherBuild => (
+                "another build of the program",
+                ", or keep them by --keep-rows",
+            ),
+            Earlier::Other => ("another report", ""),
         };
-        if goes_on {
-            return Ok(());
-        }
         ensure!(
             self.overwrite,
-            "{}: has the rows of {}: choose another folder or --overwrite{}",
-            path.display(),
-            match earlier {
-                Earlier::OtherBuild => "another build of the program",
-                _ => "another report",
-            },
-            match earlier {
-                Earlier::OtherBuild => ", or keep them by --keep-rows",
-                _ => "",
-            }
+            "{}: has the rows of {whose}: choose another folder or --overwrite{remedy}",
+            path.display()
         );
         run.begin()
     }

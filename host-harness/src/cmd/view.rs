@@ -317,7 +317,7 @@ impl View {
             origin_us,
         };
         if self.is_folder() {
-            return Ok(Box::new(Pngs::folder(output, self.pngs(output)?, look)?));
+            return Ok(Box::new(Pngs::folder(self.pngs(output)?, look)?));
         }
         match self.ending().as_str() {
             "gif" => {

@@ -31,7 +31,7 @@ pub struct Pngs {
 #[derive(Debug)]
 enum Place {
     File(PathBuf),
-    Folder(PathBuf, RunFolder),
+    Folder(RunFolder),
 }
 
 impl Pngs {
@@ -50,10 +50,10 @@ impl Pngs {
     ///
     /// # Errors
     /// Fails if the folder cannot be made; the message names it.
-    pub fn folder(path: &Path, folder: RunFolder, look: Look) -> Result<Self> {
+    pub fn folder(folder: RunFolder, look: Look) -> Result<Self> {
         folder.make()?;
         Ok(Self {
-            place: Place::Folder(path.to_owned(), folder),
+            place: Place::Folder(folder),
             look,
             frames: 0,
         })
@@ -64,11 +64,11 @@ impl Screen for Pngs {
     fn show(&mut self, frame: &Frame) -> Result<()> {
         let path = match &self.place {
             Place::File(path) => path.clone(),
-            Place::Folder(path, folder) => {
+            Place::Folder(folder) => {
                 if self.frames == 0 {
                     folder.begin()?;
                 }
-                path.join(format!("frame_{:06}.png", self.frames))
+                folder.path().join(format!("frame_{:06}.png", self.frames))
             }
         };
         let png = picture(frame, self.look).png()?;
@@ -95,7 +95,7 @@ mod tests {
         let path = folder.path().join("new/frames");
         let pngs = || {
             let folder = RunFolder::check(&path, true, is_numbered).unwrap();
-            Box::new(Pngs::folder(&path, folder, LOOK).unwrap())
+            Box::new(Pngs::folder(folder, LOOK).unwrap())
         };
         let mut screen = pngs();
         let frames = [frame((3, 2), Some((1, 1))), frame((4, 4), None)];
@@ -128,7 +128,7 @@ mod tests {
         std::fs::write(&file, "").unwrap();
         let path = file.join("x");
         let folder = RunFolder::check(&path, true, is_numbered).unwrap();
-        let error = Pngs::folder(&path, folder, LOOK).unwrap_err();
+        let error = Pngs::folder(folder, LOOK).unwrap_err();
         assert!(format!("{error:#}").contains("file"), "{error:#}");
     }
 }

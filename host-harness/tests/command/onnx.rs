@@ -321,15 +321,20 @@ fn masks_of_a_picture_overlap_by_their_logits() {
     assert_eq!(labels(&model, &frame), expected);
 }
 
-#[test]
-fn a_fixed_size_is_resized_to_and_back() {
-    // One event in each pixel of a box on the grid of 2 x 2 pixels.
+/// The labels of a box on the grid of 2 x 2 pixels, and one event in each of its pixels.
+fn filled_box() -> (Vec<u32>, Vec<Event>) {
     let is_inside = |x: i64, y: i64| (2..8).contains(&x) && (4..8).contains(&y);
     let inside = expected(|x, y| u32::from(is_inside(x, y)));
     let events: Vec<Event> = (0..PIXELS)
         .filter(|pixel| inside[*pixel] == 1)
         .map(|pixel| event((pixel % 12) as u16, (pixel / 12) as u16, true))
         .collect();
+    (inside, events)
+}
+
+#[test]
+fn a_fixed_size_is_resized_to_and_back() {
+    let (inside, events) = filled_box();
     let frame = Frame::new(SENSOR, &events);
     // Half the size: logits of 1/2 inside and -1/2 outside. In between, 3/4 * 3/4 of the corner's
     // logits are of its own side.
@@ -444,12 +449,7 @@ fn integers_are_labels() {
 
 #[test]
 fn an_output_of_another_size_is_resized() {
-    let is_inside = |x: i64, y: i64| (2..8).contains(&x) && (4..8).contains(&y);
-    let inside = expected(|x, y| u32::from(is_inside(x, y)));
-    let events: Vec<Event> = (0..PIXELS)
-        .filter(|pixel| inside[*pixel] == 1)
-        .map(|pixel| event((pixel % 12) as u16, (pixel / 12) as u16, true))
-        .collect();
+    let (inside, events) = filled_box();
     let conv = node(
         "Conv",
         &["image", "weights", "biases"],
@@ -635,7 +635,7 @@ fn models_that_cannot_be_run_are_errors() {
     let classes_of_integers = weighted(
         &[1.0, 0.0, 0.0, 1.0],
         &[0.0; 2],
-        &[node_of("Cast", "logits", "whole", ("to", 6))],
+        &[node_of("Cast", "logits", "whole", ("to", INT32))],
         "whole",
         INT32,
     );

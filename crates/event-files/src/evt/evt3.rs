@@ -11,7 +11,7 @@
 //!
 //! Sensors send vectors as `VECT_BASE_X` and then always `VECT_12`, `VECT_12`, `VECT_8`, and so does the writer
 //! (`evt3_group.rs`). The reader also takes vectors of any other words, which other decoders misread: files that
-//! earlier writers made have a lone `VECT_12`. They also send every `TIME_HIGH`, and the writer leaves some out only
+//! earlier writers made have a lone `VECT_12`. Sensors also send every `TIME_HIGH`; the writer leaves some out only
 //! in a silence of more than 16.8 s: OpenEB's robust decoder reports those as lost, though it loses no event.
 //!
 //! Only `TIME_HIGH` carries the overflow: a `TIME_LOW` may step back by a few microseconds after a `TIME_HIGH`,

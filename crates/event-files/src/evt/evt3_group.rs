@@ -8,9 +8,7 @@
 use event_types::{Event, Polarity};
 
 use super::evt3::{ADDR_X, VECT_8, VECT_12, VECT_BASE_X};
-
-/// Columns of a vector: words of 12, 12 and 8.
-pub const VECTOR_COLUMNS: u16 = 32;
+use super::vector::Run;
 
 /// Words of a vector, including that of its first column.
 const VECTOR_WORDS: usize = 4;
@@ -20,7 +18,7 @@ const VECTOR_WORDS: usize = 4;
 pub struct Group {
     /// Number of events.
     pub events: usize,
-    /// The words, of which a single event uses the first.
+    /// The words; a single event uses only the first.
     words: [u16; VECTOR_WORDS],
 }
 
@@ -36,32 +34,16 @@ impl Group {
             events: 1,
             words: [ADDR_X << 12 | polarity | first.x, 0, 0, 0],
         };
-        let Some(base_max) = width.checked_sub(VECTOR_COLUMNS) else {
-            return Some(single);
-        };
-        let base = first.x.min(base_max);
-        let (mut count, mut columns, mut next) = (0, 0_u32, 0);
-        for event in events {
-            let alike =
-                (event.t_us, event.y, event.polarity) == (first.t_us, first.y, first.polarity);
-            match event.x.checked_sub(base) {
-                Some(column) if alike && column >= next && column < VECTOR_COLUMNS => {
-                    columns |= 1 << column;
-                    next = column + 1;
-                    count += 1;
-                }
-                _ => break,
-            }
-        }
-        if count <= VECTOR_WORDS {
+        let run = Run::of(events, width);
+        if run.count <= VECTOR_WORDS {
             return Some(single);
         }
         // Each part is below the width of its word.
-        let part = |shift: u32, mask: u32| (columns >> shift & mask) as u16;
+        let part = |shift: u32, mask: u32| (run.columns >> shift & mask) as u16;
         Some(Self {
-            events: count,
+            events: run.count,
             words: [
-                VECT_BASE_X << 12 | polarity | base,
+                VECT_BASE_X << 12 | polarity | run.x,
                 VECT_12 << 12 | part(0, 0xfff),
                 VECT_12 << 12 | part(12, 0xfff),
                 VECT_8 << 12 | part(24, 0xff),

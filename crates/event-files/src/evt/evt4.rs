@@ -26,6 +26,7 @@ use event_types::{Event, Polarity, Sensor};
 use crate::evt::header as raw_header;
 use crate::evt::header::RawFile;
 use crate::evt::row::{Outside, Row};
+use crate::evt::vector::Run;
 use crate::evt::writer::RawWriter;
 use crate::format::{Format, Limits, Opening};
 use crate::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
@@ -224,7 +225,7 @@ impl EventWriter for Evt4Writer {
     fn write(&mut self, events: &[Event]) -> Result<()> {
         let mut rest = events;
         while let Some(first) = rest.first() {
-            let run = Run::of(rest, self.0.sensor());
+            let run = Run::of(rest, self.0.sensor().width);
             let (now, later) = rest.split_at(run.count);
             // `high` is below 2^28.
             let time = |high: u64| (TIME_HIGH << TYPE_SHIFT | high as u32).to_le_bytes();
@@ -247,47 +248,5 @@ impl EventWriter for Evt4Writer {
 
     fn finish(self: Box<Self>) -> Result<()> {
         self.0.finish()
-    }
-}
-
-/// A run of events that one vector can hold.
-#[derive(Debug, PartialEq, Eq)]
-struct Run {
-    count: usize,
-    /// First column.
-    x: u16,
-    columns: u32,
-}
-
-impl Run {
-    /// Returns the run at the start of `events`, in their order: the same time, row and polarity, with x rising
-    /// within 32 columns that all lie on the sensor. It has at least one event, if there are any.
-    fn of(events: &[Event], sensor: Sensor) -> Self {
-        let (mut count, mut columns) = (0, 0_u32);
-        let group = |event: &Event| (event.t_us, event.y, event.polarity);
-        let first = events.first();
-        // A narrower sensor has no room for a vector: its events are written one by one.
-        let last_x = sensor.width.checked_sub(VECTOR_EVENTS as u16);
-        let Some((first, x)) = first.map(|first| (first, first.x.min(last_x.unwrap_or(first.x))))
-        else {
-            return Self {
-                count,
-                x: 0,
-                columns,
-            };
-        };
-        for event in events {
-            let column = event.x.checked_sub(x).map_or(u32::MAX, u32::from);
-            // Stop at a column that is not above all columns so far.
-            let is_next = columns.checked_shr(column) == Some(0);
-            if group(event) != group(first) || !is_next || (count > 0 && last_x.is_none()) {
-                break;
-            }
-            columns |= 1 << column;
-            count += 1;
-        }
-        // An event outside the sensor fits no run; it is taken alone and refused later.
-        count = count.max(1);
-        Self { count, x, columns }
     }
 }

@@ -8,4 +8,5 @@ pub mod evt3_group;
 pub mod evt4;
 pub mod header;
 pub(crate) mod row;
+pub(crate) mod vector;
 pub(crate) mod writer;

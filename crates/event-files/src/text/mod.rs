@@ -34,6 +34,7 @@ use event_types::stream::{ErrorKind, Result};
 use event_types::{Event, Polarity, Sensor};
 
 use crate::format::{Format, Limits, Opening};
+use crate::input::marked::MARK;
 use crate::input::{Batch, Decode, Input, OUTSIDE, ReadSeek, Reader};
 use crate::reading::{Columns, Reading, TimeUnit};
 use crate::table::time_unit;
@@ -277,8 +278,8 @@ impl Lines {
         if read == LINE_MAX && self.line.last() != Some(&b'\n') {
             return Err(self.error("the line is longer than 4096 bytes: no event text"));
         }
-        if self.number == 1 && self.line.starts_with(b"\xef\xbb\xbf") {
-            self.line.drain(..3);
+        if self.number == 1 && self.line.starts_with(MARK) {
+            self.line.drain(..MARK.len());
         }
         while self.line.last().is_some_and(u8::is_ascii_whitespace) {
             self.line.pop();

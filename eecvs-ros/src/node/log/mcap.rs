@@ -10,15 +10,12 @@ use std::io::BufWriter;
 use anyhow::{Context as _, Result};
 use event_files::parquet::table::Kind;
 use mcap::records::MessageHeader;
-use mcap::{Compression, WriteOptions};
 use serde_json::{Map, Value, json};
 
 use super::file::TableFile;
 use super::table::{Cell, Column, Rows, Table};
+use crate::bag::write_options;
 use crate::message::Time;
-
-/// Approximate size of a chunk, in bytes.
-const CHUNK_BYTES: u64 = 1 << 20;
 
 /// Maximum number of rows per message.
 const MESSAGE_ROWS: usize = 1 << 14;
@@ -48,11 +45,7 @@ impl McapFile {
     /// Writing fails.
     pub fn new(file: File, name: String, tables: &[(Table, String)]) -> Result<Self> {
         let begin = || {
-            let mut writer = WriteOptions::new()
-                .library(concat!("eecvs ", env!("CARGO_PKG_VERSION")))
-                .compression(Some(Compression::Lz4))
-                .chunk_size(Some(CHUNK_BYTES))
-                .create(BufWriter::new(file))?;
+            let mut writer = write_options().create(BufWriter::new(file))?;
             let mut topics = Vec::new();
             for (table, topic) in tables {
                 // Viewers read JSON with a schema directly; for CDR, some would need the message definitions
