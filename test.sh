@@ -20,8 +20,8 @@
 #             when it is named
 #   usb-recordings   every shared recording by every model that it fits, both ways: minutes, and only when
 #             it is named
-#   fuzz      every fuzz target for FUZZ_SECONDS (default 2), minutes, and only when it is named (the lint stage
-#             compiles them)
+#   fuzz      every fuzz target for FUZZ_SECONDS (default 2), minutes, and only when it is named (the unit stage
+#             runs them on their seeds)
 #   demo      the first command of the README
 #
 # What is missing is installed where that is possible; where it is not, the stage says so.
@@ -74,8 +74,6 @@ lint() {
     if component clippy clippy; then
         cargo clippy --workspace --all-targets "${FEATURES[@]}" -- -D warnings
     fi
-    # Much of what they need has been checked above.
-    cargo check --manifest-path fuzz/Cargo.toml --target-dir target
     RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --quiet
 }
 

@@ -54,6 +54,7 @@ pub trait Trace {
     const LISTENS: bool = true;
     /// Whether target-specific code is left out even where it would report every change of stage. Tests use this
     /// to compare it with the portable code.
+    #[doc(hidden)]
     const IS_PORTABLE: bool = false;
 
     /// Announces that the work from here to the next call belongs to `stage`.

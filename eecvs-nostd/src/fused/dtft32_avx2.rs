@@ -18,15 +18,16 @@ use core::arch::x86_64::{
 
 use crate::accumulate::{any_grid, dtft16};
 use crate::fixed_point::{FRACTION_BITS, Phase};
+use crate::fused::{Parts, Way};
 use crate::group::Impulse;
 use crate::group::{Impulses, Pixel};
 use crate::pack::bits_lsb_first::BitWriter;
 use crate::pack::packer::Packer;
 use crate::prune;
 use crate::stage::{Stage, Trace};
-use crate::transform::Transform;
 use crate::transform::phase::PhaseScale;
 use crate::transform::shape::{Packing, Shape, width_of};
+use crate::transform::{Dtft, Transform};
 use crate::window::Slot;
 
 cpufeatures::new!(detected, "avx2", "bmi1", "bmi2", "popcnt");
@@ -58,6 +59,42 @@ pub struct Waves {
     r: u32,
     /// Shift from sums to levels.
     shift: u32,
+}
+
+/// DTFT coefficients in registers: [`crate::fused::is_waves`].
+pub struct InRegisters;
+
+impl Way for InRegisters {
+    type Basis = Dtft;
+    type State<'p> = (Waves, PhaseScale, &'p mut Packer);
+
+    #[inline(always)]
+    fn words_max(_: Shape) -> usize {
+        WORDS_MAX
+    }
+
+    #[inline(always)]
+    fn begin(parts: Parts<'_>) -> Option<Self::State<'_>> {
+        let waves = Waves::new(parts.shape, parts.scale);
+        Some((waves, parts.scale, parts.packer))
+    }
+
+    #[inline(always)]
+    fn packer<'s>((_, scale, packer): &'s mut Self::State<'_>) -> (PhaseScale, &'s mut Packer) {
+        (*scale, packer)
+    }
+
+    #[inline(always)]
+    fn encode<T: Trace>(
+        (waves, _, packer): &mut Self::State<'_>,
+        pixel: Pixel,
+        slots: &[Slot],
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) {
+        // SAFETY: this way is taken only for frames for which [`is_for`] holds.
+        unsafe { waves.encode(pixel, slots, packer, writer, trace) }
+    }
 }
 
 impl Waves {

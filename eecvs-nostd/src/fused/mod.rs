@@ -21,14 +21,14 @@ use crate::pack::packer::Packer;
 use crate::prune::Kept;
 use crate::quantise::Levels;
 use crate::stage::{Stage, Trace};
-#[cfg(any(eecvs_dsp, target_arch = "x86_64"))]
-use crate::transform::Dtft;
 use crate::transform::phase::PhaseScale;
 use crate::transform::shape::{Packing, Shape};
 use crate::transform::{Basis, Dct, Dwt, Rule, Transform};
 use crate::window::{Slot, Window};
 #[cfg(eecvs_dsp)]
-use dtft32_armv7em::Waves;
+use dtft32_armv7em::InRegisters;
+#[cfg(target_arch = "x86_64")]
+use dtft32_avx2::InRegisters;
 
 const CHUNK_EVENTS_U32: u32 = CHUNK_EVENTS as u32;
 
@@ -141,9 +141,8 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         rest.encode::<B, Sum, T>(pixel, sums, writer, trace)
     }
 
-    /// Encodes pixels as long as the output has room for any pixel, in a frame for which [`is_few`] holds. The few
-    /// coefficients have a loop and a packing of their own. Returns the number of events, of pixels and of
-    /// saturated levels.
+    /// Encodes pixels as long as the output has room for any pixel, in a frame for which [`is_few`] holds. Returns the
+    /// number of events, of pixels and of saturated levels.
     #[inline(never)]
     pub(crate) fn encode_few<T: Trace>(
         &mut self,
@@ -152,53 +151,11 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         writer: &mut BitWriter<'_>,
         trace: &mut T,
     ) -> (u32, u32, u32) {
-        let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
-        while writer.has_words(FEW_WORDS_MAX) {
-            trace.enter(Stage::Group);
-            #[cfg(eecvs_dsp)]
-            if !T::LISTENS {
-                let room = (&mut *writer, FEW_WORDS_MAX);
-                let (some, places) =
-                    walk_armv7em::walk((group, window), self.scale, &mut self.packer, room, None);
-                events += some;
-                pixels += places;
-                if !writer.has_words(FEW_WORDS_MAX) {
-                    break;
-                }
-            }
-            let Some(pixel) = group.next(window) else {
-                break;
-            };
-            let slots = window.slots();
-            let here = pixel.on + pixel.off;
-            if cfg!(eecvs_dsp) && !T::LISTENS && here <= CHUNK_EVENTS_U32 {
-                // Never reached: the walk has encoded all of these.
-                group.put_back(pixel);
-                break;
-            }
-            match here {
-                1 => encode_single::<Dct, T>(
-                    (self.scale, &mut self.packer),
-                    pixel,
-                    slots,
-                    writer,
-                    trace,
-                ),
-                2..=CHUNK_EVENTS_U32 => self.encode_several(&pixel, slots, writer, trace),
-                _ => {
-                    let saturates = self.encode_crowded::<Dct, T>(pixel, slots, writer, trace);
-                    saturated = saturated.saturating_add(saturates);
-                }
-            }
-            events += here;
-            pixels += 1;
-        }
-        (events, pixels, saturated)
+        self.encode_by::<Few, T>(group, window, writer, trace)
     }
 
-    /// Encodes pixels as long as the output has room for any pixel, in a frame for which [`dtft32_armv7em::is_for`]
-    /// holds. Returns the number of events, of pixels and of saturated levels.
-    #[cfg(eecvs_dsp)]
+    /// Does the same in a frame for which [`is_waves`] holds.
+    #[cfg(any(eecvs_dsp, target_arch = "x86_64"))]
     #[inline(never)]
     pub(crate) fn encode_waves<T: Trace>(
         &mut self,
@@ -207,61 +164,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         writer: &mut BitWriter<'_>,
         trace: &mut T,
     ) -> (u32, u32, u32) {
-        let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
-        let words = dtft32_armv7em::words_max(self.shape);
-        while writer.has_words(words) {
-            let memory = (&mut *self.scratch.sums, &mut *self.scratch.magnitudes);
-            let Some(mut waves) = Waves::new(self.shape, self.scale, memory, &self.packer) else {
-                // Never reached: `Config::check` requires the memory.
-                break;
-            };
-            if !T::LISTENS {
-                let room = (&mut *writer, words);
-                let all = (&mut *group, &mut *window);
-                let (some, places) =
-                    walk_armv7em::walk(all, self.scale, &mut self.packer, room, Some(&mut waves));
-                events += some;
-                pixels += places;
-            }
-            let crowded = loop {
-                if !writer.has_words(words) {
-                    break None;
-                }
-                trace.enter(Stage::Group);
-                let Some(pixel) = group.next(window) else {
-                    break None;
-                };
-                let here = pixel.on + pixel.off;
-                if here > CHUNK_EVENTS_U32 {
-                    break Some(pixel);
-                }
-                if !T::LISTENS {
-                    // Never reached: the walk has encoded all of these.
-                    group.put_back(pixel);
-                    break None;
-                }
-                let slots = window.slots();
-                if here == 1 {
-                    let packer = (self.scale, &mut self.packer);
-                    encode_single::<Dtft, T>(packer, pixel, slots, writer, trace);
-                } else {
-                    let gap = 2 * self.packer.step((pixel.x, pixel.y)) + 1;
-                    let tally = (here << 16) | pixel.on;
-                    let impulses = Impulses::new(pixel, slots);
-                    waves.encode((gap, tally), &impulses, &self.packer, writer, trace);
-                }
-                events += here;
-                pixels += 1;
-            };
-            let Some(pixel) = crowded else {
-                break;
-            };
-            events += pixel.on + pixel.off;
-            pixels += 1;
-            let saturates = self.encode_crowded::<Dtft, T>(pixel, window.slots(), writer, trace);
-            saturated = saturated.saturating_add(saturates);
-        }
-        (events, pixels, saturated)
+        self.encode_by::<InRegisters, T>(group, window, writer, trace)
     }
 
     /// Never called, because [`is_waves`] holds for no frame.
@@ -276,47 +179,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         (0, 0, 0)
     }
 
-    /// Encodes pixels as long as the output has room for any pixel, in a frame for which [`dtft32_avx2::is_for`]
-    /// holds. Returns the number of events, of pixels and of saturated levels.
-    #[cfg(target_arch = "x86_64")]
-    #[allow(unsafe_code)]
-    #[inline(never)]
-    pub(crate) fn encode_waves<T: Trace>(
-        &mut self,
-        group: &mut Group,
-        window: &mut Window<'_>,
-        writer: &mut BitWriter<'_>,
-        trace: &mut T,
-    ) -> (u32, u32, u32) {
-        let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
-        let waves = dtft32_avx2::Waves::new(self.shape, self.scale);
-        while writer.has_words(dtft32_avx2::WORDS_MAX) {
-            trace.enter(Stage::Group);
-            let Some(pixel) = group.next(window) else {
-                break;
-            };
-            let slots = window.slots();
-            let here = pixel.on + pixel.off;
-            let packer = &mut self.packer;
-            match here {
-                1 => encode_single::<Dtft, T>((self.scale, packer), pixel, slots, writer, trace),
-                // SAFETY: this is called only for frames for which `dtft32_avx2::is_for` holds.
-                2..=CHUNK_EVENTS_U32 => unsafe {
-                    waves.encode(pixel, slots, packer, writer, trace);
-                },
-                _ => {
-                    let saturates = self.encode_crowded::<Dtft, T>(pixel, slots, writer, trace);
-                    saturated = saturated.saturating_add(saturates);
-                }
-            }
-            events += here;
-            pixels += 1;
-        }
-        (events, pixels, saturated)
-    }
-
-    /// Encodes pixels as long as the output has room for any pixel, in a frame for which [`is_lanes`] holds.
-    /// Returns the number of events, of pixels and of saturated levels.
+    /// Does the same in a frame for which [`is_lanes`] holds.
     #[inline(always)]
     pub(crate) fn encode_lanes<T: Trace>(
         &mut self,
@@ -341,123 +204,81 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         writer: &mut BitWriter<'_>,
         trace: &mut T,
     ) -> (u32, u32, u32) {
+        self.encode_by::<HaarBytes<W>, T>(group, window, writer, trace)
+    }
+
+    /// Encodes pixels in a way that its frame allows, as long as the output has room for any pixel. Returns the
+    /// number of events, of pixels and of saturated levels.
+    #[inline(always)]
+    fn encode_by<W: Way, T: Trace>(
+        &mut self,
+        group: &mut Group,
+        window: &mut Window<'_>,
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) -> (u32, u32, u32) {
         let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
-        while writer.has_words(LANES_WORDS_MAX) {
+        let room = W::words_max(self.shape);
+        while writer.has_words(room) {
             trace.enter(Stage::Group);
-            #[cfg(eecvs_dsp)]
-            if W == 4
-                && !T::LISTENS
-                && let Some(duration_us) = haar16_armv7em::divisor(self.shape, self.scale)
-            {
-                let r = self.shape.r as u32;
-                let room = (&mut *writer, LANES_WORDS_MAX);
-                let (some, places) =
-                    haar16_armv7em::walk((group, window), duration_us, r, &mut self.packer, room);
-                events += some;
-                pixels += places;
-                if !writer.has_words(LANES_WORDS_MAX) {
-                    break;
-                }
-            }
-            let Some(pixel) = group.next(window) else {
+            let Some(mut state) = W::begin(self.parts()) else {
+                // Never reached: `Config::check` requires the memory.
                 break;
             };
-            let slots = window.slots();
-            let here = pixel.on + pixel.off;
-            if cfg!(eecvs_dsp) && W == 4 && !T::LISTENS && here <= CHUNK_EVENTS_U32 {
-                // Never reached: the walk has encoded all of these.
-                group.put_back(pixel);
-                break;
+            // A trace wants to know each stage, which a walk mixes.
+            if W::HAS_WALK && !T::LISTENS {
+                let (some, places) = W::walk(&mut state, (group, window), (writer, room));
+                events += some;
+                pixels += places;
             }
-            match here {
-                1 => encode_single::<Dwt, T>(
-                    (self.scale, &mut self.packer),
-                    pixel,
-                    slots,
-                    writer,
-                    trace,
-                ),
-                2..=CHUNK_EVENTS_U32 => self.encode_bytes::<W, T>(pixel, slots, writer, trace),
-                _ => {
-                    let saturates = self.encode_crowded::<Dwt, T>(pixel, slots, writer, trace);
-                    saturated = saturated.saturating_add(saturates);
+            let crowded = loop {
+                if !writer.has_words(room) {
+                    break None;
                 }
-            }
-            events += here;
+                trace.enter(Stage::Group);
+                let Some(pixel) = group.next(window) else {
+                    break None;
+                };
+                let here = pixel.on + pixel.off;
+                if here > CHUNK_EVENTS_U32 {
+                    break Some(pixel);
+                }
+                if W::HAS_WALK && !T::LISTENS {
+                    // Never reached: the walk has encoded all of these.
+                    group.put_back(pixel);
+                    break None;
+                }
+                let slots = window.slots();
+                if here == 1 {
+                    let packer = W::packer(&mut state);
+                    encode_single::<W::Basis, T>(packer, pixel, slots, writer, trace);
+                } else {
+                    W::encode(&mut state, pixel, slots, writer, trace);
+                }
+                events += here;
+                pixels += 1;
+            };
+            let Some(pixel) = crowded else {
+                break;
+            };
+            events += pixel.on + pixel.off;
             pixels += 1;
+            let slots = window.slots();
+            let saturates = self.encode_crowded::<W::Basis, T>(pixel, slots, writer, trace);
+            saturated = saturated.saturating_add(saturates);
         }
         (events, pixels, saturated)
     }
 
-    /// Returns the differences of a pixel that comes from a group.
     #[inline(always)]
-    #[cfg_attr(eecvs_dsp, allow(unsafe_code))]
-    fn sum_lanes<const W: usize>(&self, impulses: &Impulses<'_>) -> Lanes<W> {
-        #[cfg(eecvs_dsp)]
-        {
-            // Always present: `is_lanes` has checked this.
-            let duration_us = haar16_armv7em::divisor(self.shape, self.scale).unwrap_or(u32::MAX);
-            // SAFETY: the list is the group's, holds events of this window, and is not empty.
-            unsafe { haar16_armv7em::sum(impulses, duration_us) }
-        }
-        #[cfg(not(eecvs_dsp))]
-        haar_bytes::sum(
-            impulses.clone(),
-            self.scale,
-            self.shape.grid.trailing_zeros(),
-        )
-    }
-
-    /// Encodes a pixel of 2 events up to a chunk, with its differences as bytes.
-    #[inline(always)]
-    fn encode_bytes<const W: usize, T: Trace>(
-        &mut self,
-        pixel: Pixel,
-        slots: &[Slot],
-        writer: &mut BitWriter<'_>,
-        trace: &mut T,
-    ) {
-        trace.enter(Stage::Accumulate);
-        let mut sums = self.sum_lanes::<W>(&Impulses::new(pixel, slots));
-        trace.enter(Stage::Prune);
-        let nonzero = sums.nonzero();
-        let mut kept = nonzero.bits();
-        if nonzero.count() > self.shape.r as u32 {
-            kept = haar_bytes::largest(sums, pixel.on + pixel.off, self.shape.r as u32);
-            sums = sums.keep(kept);
-        }
-        trace.enter(Stage::Quantise);
-        let levels = sums.levels();
-        let spread = levels.spread();
-        trace.enter(Stage::Pack);
-        let (position, counts) = ((pixel.x, pixel.y), (pixel.on, pixel.off));
-        self.packer
-            .bytes(position, counts, (kept, levels, spread), writer);
-    }
-
-    /// Encodes a pixel of 2 events up to a chunk.
-    #[inline(always)]
-    fn encode_several<T: Trace>(
-        &mut self,
-        pixel: &Pixel,
-        slots: &[Slot],
-        writer: &mut BitWriter<'_>,
-        trace: &mut T,
-    ) {
-        trace.enter(Stage::Accumulate);
-        let impulses = Impulses::new(*pixel, slots);
-        let (position, counts) = ((pixel.x, pixel.y), (pixel.on, pixel.off));
-        #[cfg(target_arch = "x86_64")]
-        {
-            let sums = self.cosines.sums_of(&impulses);
-            trace.enter(Stage::Pack);
-            self.packer.seven_vectors(position, counts, sums, writer);
-        }
-        #[cfg(not(target_arch = "x86_64"))]
-        {
-            self.cosines.sum(&impulses);
-            trace.enter(Stage::Pack);
-            self.packer.seven(position, counts, &self.cosines, writer);
+    fn parts(&mut self) -> Parts<'_> {
+        Parts {
+            shape: self.shape,
+            scale: self.scale,
+            sums: self.scratch.sums,
+            magnitudes: self.scratch.magnitudes,
+            packer: &mut self.packer,
+            cosines: &mut self.cosines,
         }
     }
 
@@ -487,6 +308,197 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         };
         rest.encode::<B, WideSum, T>(pixel, totals, writer, trace)
     }
+}
+
+/// What a [`Way`] encodes a pixel with.
+pub(crate) struct Parts<'p> {
+    shape: Shape,
+    scale: PhaseScale,
+    #[cfg_attr(not(eecvs_dsp), allow(dead_code))]
+    sums: &'p mut [Sum],
+    #[cfg_attr(not(eecvs_dsp), allow(dead_code))]
+    magnitudes: &'p mut [u32],
+    packer: &'p mut Packer,
+    cosines: &'p mut Cosines,
+}
+
+/// A way to encode the pixels of a frame in one go. Each way gives the bits of [`PixelEncoder::encode`].
+pub(crate) trait Way {
+    type Basis: Basis;
+    type State<'p>;
+
+    /// Whether [`Self::walk`] encodes pixels, all up to a crowded one.
+    const HAS_WALK: bool = false;
+
+    /// Returns the largest number of words that a pixel of 1 event up to a chunk takes.
+    fn words_max(shape: Shape) -> usize;
+
+    /// Returns the state for pixels up to a crowded one, or `None` if there is too little memory.
+    fn begin(parts: Parts<'_>) -> Option<Self::State<'_>>;
+
+    /// Returns what a single event is packed with.
+    fn packer<'s>(state: &'s mut Self::State<'_>) -> (PhaseScale, &'s mut Packer);
+
+    /// Encodes pixels up to the window's last one or to a crowded one, which the group then returns next, or until
+    /// the output has less than `room` words left. Returns the number of events and of pixels.
+    fn walk(
+        _: &mut Self::State<'_>,
+        _input: (&mut Group, &mut Window<'_>),
+        _output: (&mut BitWriter<'_>, usize),
+    ) -> (u32, u32) {
+        (0, 0)
+    }
+
+    /// Encodes a pixel of 2 events up to a chunk.
+    fn encode<T: Trace>(
+        state: &mut Self::State<'_>,
+        pixel: Pixel,
+        slots: &[Slot],
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    );
+}
+
+/// Few DCT coefficients, all kept: [`is_few`].
+struct Few;
+
+impl Way for Few {
+    type Basis = Dct;
+    type State<'p> = Parts<'p>;
+
+    const HAS_WALK: bool = cfg!(eecvs_dsp);
+
+    #[inline(always)]
+    fn words_max(_: Shape) -> usize {
+        FEW_WORDS_MAX
+    }
+
+    #[inline(always)]
+    fn begin(parts: Parts<'_>) -> Option<Parts<'_>> {
+        Some(parts)
+    }
+
+    #[inline(always)]
+    fn packer<'s>(state: &'s mut Parts<'_>) -> (PhaseScale, &'s mut Packer) {
+        (state.scale, state.packer)
+    }
+
+    #[cfg(eecvs_dsp)]
+    #[inline(always)]
+    fn walk(
+        state: &mut Parts<'_>,
+        input: (&mut Group, &mut Window<'_>),
+        output: (&mut BitWriter<'_>, usize),
+    ) -> (u32, u32) {
+        walk_armv7em::walk(input, state.scale, state.packer, output, None)
+    }
+
+    #[inline(always)]
+    fn encode<T: Trace>(
+        state: &mut Parts<'_>,
+        pixel: Pixel,
+        slots: &[Slot],
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) {
+        trace.enter(Stage::Accumulate);
+        let impulses = Impulses::new(pixel, slots);
+        let (position, counts) = ((pixel.x, pixel.y), (pixel.on, pixel.off));
+        #[cfg(target_arch = "x86_64")]
+        {
+            let sums = state.cosines.sums_of(&impulses);
+            trace.enter(Stage::Pack);
+            state.packer.seven_vectors(position, counts, sums, writer);
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        {
+            state.cosines.sum(&impulses);
+            trace.enter(Stage::Pack);
+            state.packer.seven(position, counts, state.cosines, writer);
+        }
+    }
+}
+
+/// Haar differences as bytes in W words: [`is_lanes`].
+struct HaarBytes<const W: usize>;
+
+impl<const W: usize> Way for HaarBytes<W> {
+    type Basis = Dwt;
+    type State<'p> = Parts<'p>;
+
+    const HAS_WALK: bool = cfg!(eecvs_dsp) && W == 4;
+
+    #[inline(always)]
+    fn words_max(_: Shape) -> usize {
+        LANES_WORDS_MAX
+    }
+
+    #[inline(always)]
+    fn begin(parts: Parts<'_>) -> Option<Parts<'_>> {
+        Some(parts)
+    }
+
+    #[inline(always)]
+    fn packer<'s>(state: &'s mut Parts<'_>) -> (PhaseScale, &'s mut Packer) {
+        (state.scale, state.packer)
+    }
+
+    #[cfg(eecvs_dsp)]
+    #[inline(always)]
+    fn walk(
+        state: &mut Parts<'_>,
+        input: (&mut Group, &mut Window<'_>),
+        output: (&mut BitWriter<'_>, usize),
+    ) -> (u32, u32) {
+        let (shape, packer) = (state.shape, &mut *state.packer);
+        // Always present: `is_lanes` has checked this.
+        haar16_armv7em::divisor(shape, state.scale).map_or((0, 0), |duration_us| {
+            haar16_armv7em::walk(input, duration_us, shape.r as u32, packer, output)
+        })
+    }
+
+    #[inline(always)]
+    fn encode<T: Trace>(
+        state: &mut Parts<'_>,
+        pixel: Pixel,
+        slots: &[Slot],
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) {
+        trace.enter(Stage::Accumulate);
+        let r = state.shape.r as u32;
+        let mut sums = sum_lanes::<W>(&Impulses::new(pixel, slots), state.shape, state.scale);
+        trace.enter(Stage::Prune);
+        let nonzero = sums.nonzero();
+        let mut kept = nonzero.bits();
+        if nonzero.count() > r {
+            kept = haar_bytes::largest(sums, pixel.on + pixel.off, r);
+            sums = sums.keep(kept);
+        }
+        trace.enter(Stage::Quantise);
+        let levels = sums.levels();
+        let spread = levels.spread();
+        trace.enter(Stage::Pack);
+        let (position, counts) = ((pixel.x, pixel.y), (pixel.on, pixel.off));
+        state
+            .packer
+            .bytes(position, counts, (kept, levels, spread), writer);
+    }
+}
+
+/// Returns the Haar differences of a pixel that comes from a group.
+#[inline(always)]
+#[cfg_attr(eecvs_dsp, allow(unsafe_code))]
+fn sum_lanes<const W: usize>(impulses: &Impulses<'_>, shape: Shape, scale: PhaseScale) -> Lanes<W> {
+    #[cfg(eecvs_dsp)]
+    {
+        // Always present: `is_lanes` has checked this.
+        let duration_us = haar16_armv7em::divisor(shape, scale).unwrap_or(u32::MAX);
+        // SAFETY: the list is the group's, holds events of this window, and is not empty.
+        unsafe { haar16_armv7em::sum(impulses, duration_us) }
+    }
+    #[cfg(not(eecvs_dsp))]
+    haar_bytes::sum(impulses.clone(), scale, shape.grid.trailing_zeros())
 }
 
 /// Encodes a pixel of one event, whose coefficients follow from its time.
