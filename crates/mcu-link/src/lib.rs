@@ -207,7 +207,7 @@ impl Plan {
 fn status_of(message: &Message) -> Result<Option<Status>> {
     match message {
         Message::Packet(Kind::Status, body) => Status::parse(body).map(Some).context(
-            "the encoder's status has a different layout: build its image from the same sources",
+            "the encoder's status has another layout: build its image from the same sources",
         ),
         _ => Ok(None),
     }
