@@ -591,7 +591,7 @@ impl Aedat4Decoder {
         self.input.error_at(
             self.packet_offset,
             format!(
-                "event {} in this packet (t = {t}, x = {x}, y = {y}) {what} ({width}x{height})",
+                "event {} (t = {t}, x = {x}, y = {y}, in this packet) {what} ({width}x{height})",
                 self.events
             ),
         )
@@ -866,7 +866,7 @@ mod tests {
         // Offsets count back from the packet's end: the packet holds 1000 events and nothing after them.
         let event = |index: usize| end - (1000 - index) * EVENT_BYTES;
         for (at, value, what) in [
-            (event(700) + 7, 0x80, "event 700 in this packet (t = -"),
+            (event(700) + 7, 0x80, "event 700 (t = -"),
             (event(700) + 9, 0x80, "x = -"),
             (event(700) + 8, 64, "x = 64"),
             (event(700) + 10, 48, "y = 48"),

@@ -406,7 +406,7 @@ impl<'f> Elements<'f> {
         };
         if small && bytes > 4 {
             return Err(format!(
-                "damaged variable: {word:#x} is not the type of an element"
+                "damaged variable: {word:#x} is not the tag of an element"
             ));
         }
         let bytes = u64::from(bytes);
