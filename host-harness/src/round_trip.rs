@@ -104,7 +104,7 @@ pub fn decode(
     }
     ensure!(
         windows.report().is_clean(),
-        "frames do not come back; please report this"
+        "frames were lost or damaged in the round trip; please report this"
     );
     Ok(events)
 }

@@ -73,8 +73,8 @@ pub fn split(
             None => {
                 ensure!(
                     parts.len() < PARTS_MAX,
-                    "byte {}: more than {PARTS_MAX} parts: are these frames of two sensors of one size that \
-                     alternate? They cannot be told apart",
+                    "byte {}: more than {PARTS_MAX} parts: are these frames of two sensors of one \
+                     size that alternate? They cannot be separated",
                     located.offset
                 );
                 let file = folder.join(format!("{}-{width}x{height}.eecvs", parts.len() + 1));

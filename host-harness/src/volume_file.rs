@@ -83,8 +83,9 @@ impl VolumeFile {
         let first = *self.shape.get_or_insert(shape);
         ensure!(
             shape == first,
-            "{}: the volume of the window at {t0_us} us is of {shape:?}, and those before of {first:?}: the windows have \
-             other transforms: ask for --bins B, or encode with --transform",
+            "{}: the volume of the window at {t0_us} us has the shape {shape:?}, but those before \
+             have {first:?}: the windows have different transforms: use --bins B, or encode with \
+             --transform",
             self.path.display()
         );
         let [channels, height, width] = shape;

@@ -35,7 +35,7 @@ pub fn run(seconds: u32, targets: &[String]) -> Result<ExitCode> {
     for target in targets {
         ensure!(
             all.contains(target),
-            "no target {target}; there are: {}",
+            "no target {target}; the targets are: {}",
             all.join(" ")
         );
     }

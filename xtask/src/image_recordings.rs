@@ -122,7 +122,8 @@ pub fn run(events: Option<u64>) -> Result<ExitCode> {
     }
     let image = image::build(Machine::NetduinoPlus2, "encoder")?;
     let eecvs = tree::eecvs(&[])?;
-    let folder = tempfile::tempdir().context("a folder for the list of hot pixels")?;
+    let folder =
+        tempfile::tempdir().context("cannot create a folder for the list of hot pixels")?;
     fs::write(folder.path().join("hot.txt"), HOT).context("hot.txt")?;
     let (next, has_failed, line) = (AtomicUsize::new(0), AtomicBool::new(false), Mutex::new(()));
     thread::scope(|scope| {

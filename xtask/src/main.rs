@@ -24,7 +24,7 @@ use saved::Action;
     name = "cargo xtask",
     bin_name = "cargo xtask",
     version,
-    about = "What people do with this project"
+    about = "Tasks of this project"
 )]
 struct Arguments {
     #[command(subcommand)]
@@ -40,7 +40,7 @@ enum Task {
     },
     /// Run the tests whose names contain one of the filters, with the features of ./test.sh
     Test {
-        /// Parts of tests' names, `text::` or `golden`
+        /// Parts of test names, such as `text::` or `golden`
         #[arg(required = true)]
         filters: Vec<String>,
     },
@@ -70,12 +70,12 @@ enum Task {
     /// Run the cases that `host-instructions` counts
     #[command(hide = true)]
     HostCases {
-        /// Where the inputs are
+        /// Folder of the inputs
         folder: PathBuf,
     },
     /// Compare the encoder's image with the host's encoder, on a scene and recordings, in every mode
     ImageRecordings {
-        /// Take the first so many events of each recording; all of them take 20 minutes
+        /// Take only this many events from the start of each recording; all of them take 20 minutes
         #[arg(long)]
         events: Option<u64>,
     },
@@ -84,7 +84,7 @@ enum Task {
         /// Also write the rows as a record
         #[arg(long)]
         record: Option<PathBuf>,
-        /// Rounds; the best of all counts
+        /// Number of rounds, of which the best counts
         #[arg(long, default_value_t = 5)]
         rounds: u32,
     },
@@ -107,7 +107,7 @@ enum Task {
     },
     /// Put sensors, a hub and receivers under load: eecvs-hub/load.sh
     HubLoad {
-        /// As the script takes them
+        /// Arguments of the script
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
@@ -119,7 +119,7 @@ enum Task {
     },
     /// Measure the delay of frames on ROS 2: eecvs-ros/delay.sh
     RosDelay {
-        /// As the script takes them
+        /// Arguments of the script
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },

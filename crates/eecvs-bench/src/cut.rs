@@ -96,7 +96,7 @@ pub fn of_recording(folder: &Path, name: &str) -> Result<Cut> {
     let (name, file, [width, height], take) = RECORDINGS
         .into_iter()
         .find(|(cut, ..)| *cut == name)
-        .with_context(|| format!("{name}: no recording's cut has this name"))?;
+        .with_context(|| format!("{name}: no cut of a recording has this name"))?;
     let path = folder.join(file);
     let mut reader = event_files::open(&path, None)?;
     let sensor = Sensor { width, height };
@@ -137,7 +137,7 @@ fn cut(
         events.retain(|event| sensor.contains(event.x, event.y));
     }
     events.drain(..skip.min(events.len()));
-    let first = events.first().context("a recording without events")?.t_us;
+    let first = events.first().context("the recording has no events")?.t_us;
     let window_us = match take {
         Take::OneWindow { .. } => {
             events.truncate(EVENTS);

@@ -223,7 +223,8 @@ pub fn check(rows: &[Row]) -> Result<()> {
     for row in rows {
         ensure!(
             row.max_error_per_event <= row.bound,
-            "{} {} at {} = {}: off by {:e} per event, documented are {:e}; please report this",
+            "{} {} at {} = {}: off by {:e} per event, more than the documented {:e}; please report \
+             this",
             row.kernel,
             row.transform,
             row.axis,

@@ -76,7 +76,7 @@ impl Images {
 }
 
 fn run(machine: Machine, image: &Path, windows: &Windows) -> Result<Vec<Line>> {
-    let folder = tempfile::tempdir().context("a folder for the cut")?;
+    let folder = tempfile::tempdir().context("cannot create a folder for the cut")?;
     let words: Vec<u8> = words(windows)?
         .iter()
         .flat_map(|word| word.to_le_bytes())
@@ -102,7 +102,10 @@ fn words(windows: &Windows) -> Result<Vec<u32>> {
             for pixel in window.pixels() {
                 words.push(u32::try_from(pixel.impulses.len())?);
                 for impulse in pixel.impulses {
-                    ensure!(impulse.offset_us < 1 << 31, "a window of over 2^31 us");
+                    ensure!(
+                        impulse.offset_us < 1 << 31,
+                        "a window is longer than 2^31 us"
+                    );
                     words.push((impulse.offset_us << 1) | u32::from(impulse.is_on));
                 }
             }
@@ -129,7 +132,7 @@ fn counts(
                 == (check.kernel, check.transform, check.m)
         });
         let Some(line) = line else {
-            bail!("{name}: the image does not have it");
+            bail!("{name}: missing from the image's output");
         };
         let count = Count {
             target: target.to_owned(),
@@ -152,7 +155,7 @@ fn counts(
         };
         ensure!(
             check.is_of(&count),
-            "{name}: the image's sums are not this host's"
+            "{name}: the image's sums differ from this host's"
         );
         counts.push(count);
     }

@@ -91,10 +91,10 @@ impl Marks {
             let next = at + line.len();
             let content = line.trim();
             if content == begin {
-                ensure!(from.is_none(), "line {number}: there is {begin} twice");
+                ensure!(from.is_none(), "line {number}: {begin} occurs twice");
                 from = Some(next);
             } else if content == end {
-                ensure!(to.is_none(), "line {number}: there is {end} twice");
+                ensure!(to.is_none(), "line {number}: {end} occurs twice");
                 ensure!(from.is_some(), "line {number}: {end} is before {begin}");
                 to = Some(at);
             } else if from.is_some() && to.is_none() && content.starts_with("<!--") {
@@ -198,9 +198,9 @@ mod tests {
             (&[A, "old\n"], "no line <!-- a end -->"),
             (&["old\n", A_END], "line 2: <!-- a end --> is before"),
             (&[A_END, A], "line 1: <!-- a end --> is before"),
-            (&[A, A, A_END], "line 2: there is <!-- a: do a"),
-            (&[A, A_END, "x\n", A], "line 4: there is <!-- a: do a"),
-            (&[A, A_END, A_END], "line 3: there is <!-- a end --> twice"),
+            (&[A, A, A_END], "line 2: <!-- a: do a"),
+            (&[A, A_END, "x\n", A], "line 4: <!-- a: do a"),
+            (&[A, A_END, A_END], "line 3: <!-- a end --> occurs twice"),
             // One table inside another, or half inside.
             (&[A, "x\n", B, "y\n", B_END, A_END], "line 3: <!-- b: do b"),
             (&[B, A, B_END, A_END], "line 3: <!-- b end --> is between"),

@@ -88,7 +88,8 @@ pub fn parse(text: &str) -> Result<Vec<Count>> {
     text.lines()
         .enumerate()
         .map(|(i, line)| {
-            serde_json::from_str(line).with_context(|| format!("line {}: no counts", i + 1))
+            serde_json::from_str(line)
+                .with_context(|| format!("line {}: not instruction counts", i + 1))
         })
         .collect()
 }
@@ -98,7 +99,7 @@ pub fn parse(text: &str) -> Result<Vec<Count>> {
 /// # Errors
 /// Fails if the saved file is not in the format of this version.
 pub fn saved() -> Result<Vec<Count>> {
-    parse(SAVED).context("firmware/kernels.json: save it anew")
+    parse(SAVED).context("firmware/kernels.json: save it again")
 }
 
 /// Returns the saved counts of `windows`, and the number of counts left out because their checksums differ from

@@ -66,7 +66,7 @@ pub fn read<R: DeserializeOwned>(folder: &Path, name: &str) -> Result<RecordFile
     // Some editors put a byte-order mark in front.
     let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
     serde_json::from_str(text)
-        .with_context(|| format!("{}: is no record of these rows", path.display()))
+        .with_context(|| format!("{}: is not a record of these rows", path.display()))
 }
 
 fn text<R: Serialize>(rows: &[R]) -> Result<String> {
@@ -138,6 +138,6 @@ mod tests {
         let said = |name| format!("{:#}", read::<Row>(&folder, name).unwrap_err());
         assert!(said("none").contains("none.json: cannot be read"));
         fs::write(path(&folder, "other"), "{\"rows\":3}").unwrap();
-        assert!(said("other").contains("other.json: is no record"));
+        assert!(said("other").contains("other.json: is not a record"));
     }
 }

@@ -88,29 +88,26 @@ impl LinkReport {
             ));
         }
         for (frames, what) in [
-            (self.frames_before, "before the first one that is there"),
+            (self.frames_before, "missing before the first one"),
             (self.frames_lost, "lost"),
             (self.frames_repeated, "repeated"),
             (self.frames_reordered, "out of order"),
             (self.frames_malformed, "malformed"),
-            (self.frames_dependent, "without those they go on from"),
+            (self.frames_dependent, "that depend on missing ones"),
         ] {
             if frames > 0 {
                 met.push(format!("frames {what}: {frames}"));
             }
         }
         if self.restarts > 0 {
-            met.push(format!(
-                "new beginnings of the numbering: {}",
-                self.restarts
-            ));
+            met.push(format!("restarts of the numbering: {}", self.restarts));
         }
         let Some((offset, sensor)) = &self.other_sensor else {
             return Some(format!("{}; everything else was used", met.join("; ")));
         };
         met.push(format!(
-            "at byte {offset} frames of another sensor begin ({sensor}): everything before was used; `eecvs split` \
-             takes them apart"
+            "frames of another sensor ({sensor}) begin at byte {offset}: everything before was \
+             used; `eecvs split` separates them"
         ));
         Some(met.join("; "))
     }

@@ -17,15 +17,15 @@ const BYTES_MAX: u64 = 64 << 20;
 pub fn read(path: &Path, sensor: Sensor) -> Result<Vec<(u16, u16)>> {
     let name = path.display();
     let size = std::fs::metadata(path)
-        .with_context(|| format!("{name}: reading hot pixels"))?
+        .with_context(|| format!("{name}: cannot read the hot pixels"))?
         .len();
     ensure!(
         size <= BYTES_MAX,
         Damaged,
-        "{name}: {size} bytes are more than a list of pixels has"
+        "{name}: {size} bytes are too many for a list of pixels"
     );
-    let text =
-        std::fs::read_to_string(path).with_context(|| format!("{name}: reading hot pixels"))?;
+    let text = std::fs::read_to_string(path)
+        .with_context(|| format!("{name}: cannot read the hot pixels"))?;
     let mut pixels = Vec::new();
     // Some editors put a byte-order mark in front.
     let text = text.trim_start_matches('\u{feff}');
@@ -44,7 +44,7 @@ pub fn read(path: &Path, sensor: Sensor) -> Result<Vec<(u16, u16)>> {
         ensure!(
             sensor.contains(x, y),
             Damaged,
-            "{name}: line {}: {x},{y} is outside of the sensor of {} x {}",
+            "{name}: line {}: {x},{y} is outside the sensor of {} x {}",
             number + 1,
             sensor.width,
             sensor.height

@@ -223,12 +223,13 @@ fn reason(error: ConfigError, config: &Config) -> String {
     match error {
         ConfigError::M => format!("M is {}: it must be 1 to 64", config.m),
         ConfigError::Grid => format!(
-            "the grid is of {}: it must be of 1 to 1024",
+            "the grid is {}: it must be 1 to 1024",
             config.grid.unwrap_or_default()
         ),
-        ConfigError::Bins => "a volume has one bin or more".to_owned(),
+        ConfigError::Bins => "a volume must have one bin or more".to_owned(),
         ConfigError::Rate if config.mode.is_transform() => {
-            "a budget of bytes is for mode hybrid: coefficients cannot be thinned".to_owned()
+            "a byte budget is possible only in mode hybrid: coefficients cannot be thinned"
+                .to_owned()
         }
         ConfigError::Rate => format!(
             "a budget of {} bytes a second is too small: the headers of windows of {} us alone take {}",
@@ -236,7 +237,7 @@ fn reason(error: ConfigError, config: &Config) -> String {
             config.window.window_us,
             config.budget_min()
         ),
-        ConfigError::Order => "the order of events is for mode hybrid".to_owned(),
+        ConfigError::Order => "the order of events can be kept only in mode hybrid".to_owned(),
         // These cannot occur, because the memory is allocated for the configuration.
         ConfigError::Scratch | ConfigError::Dense | ConfigError::Coefficients => {
             format!("the encoder's memory is too small ({error:?}): please report this")

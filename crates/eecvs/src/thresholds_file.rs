@@ -128,7 +128,7 @@ tau_high = {}
         if bytes.len() as u64 > FILE_BYTES_MAX {
             bail!(
                 Damaged,
-                "{name}: larger than {FILE_BYTES_MAX} bytes: this is no thresholds file"
+                "{name}: larger than {FILE_BYTES_MAX} bytes: this is not a thresholds file"
             );
         }
         let text = String::from_utf8(bytes).map_err(|error| {

@@ -100,7 +100,7 @@ impl Rereadable {
                 whole: None,
             });
         }
-        let unkept = || format!("{name}: cannot be kept in a temporary file");
+        let unkept = || format!("{name}: cannot be copied to a temporary file");
         let mut whole = NamedTempFile::new().with_context(unkept)?;
         std::io::copy(&mut open_bytes(path)?, &mut whole).with_context(unkept)?;
         let whole = whole.into_temp_path();

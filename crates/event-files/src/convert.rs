@@ -95,7 +95,7 @@ impl Filter {
                     height,
                 } = crop;
                 format!(
-                    "crop {x},{y},{width},{height} does not lie inside of the sensor ({}x{})",
+                    "crop {x},{y},{width},{height} does not lie inside the sensor ({}x{})",
                     sensor.width, sensor.height
                 )
             })

@@ -130,7 +130,9 @@ impl EsReader {
         if major != 2 {
             return Err(input.error_at(
                 12,
-                format!("Event Stream {major}.{minor}.{patch} is not known: convert it to 2"),
+                format!(
+                    "Event Stream {major}.{minor}.{patch} is not supported: convert it to version 2"
+                ),
             ));
         }
         let kind = match kind {
@@ -159,7 +161,7 @@ impl EsReader {
             let [w0, w1, h0, h1] = sides;
             let (width, height) = (u16::from_le_bytes([w0, w1]), u16::from_le_bytes([h0, h1]));
             Sensor::new(width, height).ok_or_else(|| {
-                input.error_at(16, format!("{width}x{height} is no size of a sensor"))
+                input.error_at(16, format!("{width}x{height} is not a valid sensor size"))
             })?
         };
         Ok(Self::around(EsDecoder {
@@ -342,7 +344,7 @@ impl EventWriter for EsWriter {
             ensure!(
                 t_us <= T_MAX_US,
                 CannotHold,
-                "{name}: event {index}: time {t_us} us is above 2^36, the last that is written as \
+                "{name}: event {index}: time {t_us} us is above 2^36 us, the largest written as \
                  Event Stream: write .aedat4"
             );
             for _ in 0..step_us / DVS_OVERFLOW_US {

@@ -63,7 +63,7 @@ const LEFT_OUT: &[(&str, &str)] = &[
     #[cfg(not(feature = "parquet"))]
     ("Parquet", "parquet"),
     #[cfg(not(feature = "ros"))]
-    ("bags of ROS", "ros"),
+    ("ROS bags", "ros"),
 ];
 
 /// Number of leading bytes that detection looks at.
@@ -277,7 +277,7 @@ fn open_folder(
         let _ = (folder, place, reading);
         bail!(
             Unsupported,
-            "{name}: is a folder: bags of ROS need this crate's feature `ros`"
+            "{name}: is a folder: ROS bags need this crate's feature `ros`"
         );
     }
 }
@@ -395,7 +395,7 @@ fn open_place(opening: Opening) -> Result<Box<dyn EventReader>> {
     ensure!(
         place.is_none() || format.has_places,
         Refused,
-        "{name}: {} has no places: nothing is behind its name",
+        "{name}: {} has no parts to name: give only the name of the file",
         format.title
     );
     adjusted::check(format, name, &opening.reading)?;
@@ -458,7 +458,10 @@ fn left_out() -> String {
         .collect();
     match names.as_slice() {
         [] => String::new(),
-        names => format!("; left out, without these features: {}", names.join(", ")),
+        names => format!(
+            "; not in this build, which lacks their features: {}",
+            names.join(", ")
+        ),
     }
 }
 
@@ -508,11 +511,15 @@ pub fn create(path: &Path, sensor: Sensor) -> Result<Box<dyn EventWriter>> {
 pub fn create_as(path: &Path, format: &Format, sensor: Sensor) -> Result<Box<dyn EventWriter>> {
     let create = format
         .create
-        .with_context(|| format!("{}: {} are not written", path.display(), format.title))?;
+        .with_context(|| format!("{}: {} cannot be written", path.display(), format.title))?;
     let output = Output::begin(path)?;
     if output.is_direct() && !format.streams {
-        let file = NamedTempFile::new()
-            .with_context(|| format!("{}: no temporary file for it", path.display()))?;
+        let file = NamedTempFile::new().with_context(|| {
+            format!(
+                "{}: no temporary file can be created for it",
+                path.display()
+            )
+        })?;
         let file = file.into_temp_path();
         let writer = create(&file, sensor)?;
         return Ok(Box::new(Later {
@@ -581,7 +588,8 @@ impl EventWriter for Later {
         } = *self;
         writer.finish()?;
         let name = output.name().display();
-        let mut file = File::open(&file).with_context(|| format!("{name}: its temporary file"))?;
+        let mut file = File::open(&file)
+            .with_context(|| format!("{name}: its temporary file cannot be opened"))?;
         let mut pipe = output.file()?;
         io::copy(&mut file, &mut pipe).with_context(|| format!("{name}: cannot be written"))?;
         output.keep()

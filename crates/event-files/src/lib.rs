@@ -164,7 +164,7 @@ fn check_inside(name: &str, index: u64, event: &Event, sensor: Sensor) -> Result
     ensure!(
         sensor.contains(event.x, event.y),
         CannotHold,
-        "{name}: event {index} at x = {}, y = {} is outside of the sensor ({}x{})",
+        "{name}: event {index} at x = {}, y = {} is outside the sensor ({}x{})",
         event.x,
         event.y,
         sensor.width,

@@ -93,8 +93,8 @@ impl Columns {
     /// # Errors
     /// A description of the syntax, if `text` does not follow it.
     pub fn parse(text: &str) -> Result<Self, String> {
-        const USAGE: &str = "one letter for each column, t, x, y, p once each and - for one to leave out (as -xytp), \
-                             or names (as t=time,x=col,y=row,p=on)";
+        const USAGE: &str = "one letter per column, t, x, y, p once each and - for a column to \
+                             leave out (as in -xytp), or names (as in t=time,x=col,y=row,p=on)";
         let wrong = || USAGE.to_owned();
         if text.contains('=') {
             let mut names: [Option<String>; 4] = Default::default();

@@ -121,7 +121,8 @@ enum Run {
 impl Run {
     /// Writes events to a temporary file, to be read again from its start.
     fn spill(events: &mut dyn Iterator<Item = Result<Event>>) -> Result<Self> {
-        const WHY: &str = "a temporary file for sorting (TMPDIR names its folder)";
+        const WHY: &str = "a temporary file for sorting cannot be written (TMPDIR names its \
+                           folder)";
         let file = tempfile::tempfile().context(WHY)?;
         let mut out = BufWriter::with_capacity(BUFFER_BYTES, file);
         let mut left = 0;

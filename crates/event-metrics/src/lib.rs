@@ -166,7 +166,7 @@ fn common_sensor(a: &dyn EventReader, b: &dyn EventReader) -> Result<Sensor> {
     ensure!(
         of_a == of_b || !is_stated(a) || !is_stated(b),
         Refused,
-        "the recordings are of different sensors, {}x{} and {}x{}: nothing of theirs can be compared",
+        "the recordings are of different sensors, {}x{} and {}x{}, and cannot be compared",
         of_a.width,
         of_a.height,
         of_b.width,

@@ -169,8 +169,7 @@ impl Windower {
                 let event = run.get(outside).context("position lies in the run")?;
                 bail!(
                     Undecided,
-                    "event {} at ({}, {}) lies outside of the {}x{} sensor; give --width and \
-                     --height",
+                    "event {} at ({}, {}) lies outside the {}x{} sensor; give --width and --height",
                     self.events_read + outside as u64,
                     event.x,
                     event.y,

@@ -129,7 +129,7 @@ impl Account {
         let missing = self.seen.iter().filter(|seen| !**seen).count();
         if let Some(at) = self.seen.iter().position(|seen| !*seen) {
             self.first_different
-                .get_or_insert_with(|| format!("frame {at} has not come"));
+                .get_or_insert_with(|| format!("frame {at} is missing"));
         }
         let outcome = &mut self.outcome;
         outcome.events = sent;
@@ -156,17 +156,17 @@ impl Account {
             problems.push(format!("{} events were lost", outcome.events_lost));
         }
         if self.malformed > 0 {
-            problems.push(format!("{} frames do not unpack", self.malformed));
+            problems.push(format!("{} frames cannot be unpacked", self.malformed));
         }
         if self.out_of_order > 0 {
             problems.push(format!(
-                "the numbers of the frames jump {} times",
+                "the frame numbers jump {} times",
                 self.out_of_order
             ));
         }
         if u64::from(outcome.status.frames) != outcome.frames & u64::from(u32::MAX) {
             problems.push(format!(
-                "{} frames came but the encoder sent {}",
+                "{} frames arrived but the encoder sent {}",
                 outcome.frames, outcome.status.frames
             ));
         }
@@ -179,13 +179,13 @@ impl Account {
         if damaged_there > 0 || ignored > 0 || overruns > 0 {
             problems.push(format!(
                 "the encoder received {damaged_there} damaged bytes and {ignored} words that are \
-                 no events, and had no time for {overruns} bytes"
+                 not events, and had no time to read {overruns} bytes"
             ));
         }
         let damaged_bytes = damaged_bytes - self.damaged_before;
         if damaged_bytes > 0 {
             problems.push(format!(
-                "{damaged_bytes} bytes belong to no frame and no packet"
+                "{damaged_bytes} bytes belong to no frame or packet"
             ));
         }
         self.outcome

@@ -75,7 +75,7 @@ impl Sender<'_> {
                 bail!("the exchange ended");
             }
             match self.writer.write(left) {
-                Ok(0) => bail!("the link to the encoder takes no more bytes"),
+                Ok(0) => bail!("the link to the encoder accepts no more bytes"),
                 Ok(sent) => {
                     self.moved.fetch_add(sent as u64, Ordering::Relaxed);
                     left = &left[sent..];
@@ -229,7 +229,7 @@ fn receive(
 
 fn stalled(patience: Duration) -> Error {
     anyhow!(
-        "the encoder neither takes nor sends anything for {} s",
+        "the encoder has neither accepted nor sent anything for {} s",
         patience.as_secs_f32()
     )
 }

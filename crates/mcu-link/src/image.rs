@@ -32,9 +32,7 @@ pub fn build_portable(machine: Machine, program: &str) -> Result<PathBuf> {
 fn build_with(machine: Machine, program: &str, options: &[&str]) -> Result<PathBuf> {
     let scripts = [FIRMWARE, "firmware"].map(|folder| Path::new(folder).join("build.sh"));
     let Some(script) = scripts.iter().find(|script| script.is_file()) else {
-        bail!(
-            "no sources of the firmware in {FIRMWARE} or ./firmware: run this in the project's folder"
-        );
+        bail!("no firmware sources in {FIRMWARE} or ./firmware: run this in the project's folder");
     };
     let name = script.display();
     let watched = stderr().is_terminal();
@@ -62,7 +60,7 @@ fn build_with(machine: Machine, program: &str, options: &[&str]) -> Result<PathB
     let folder = said.lines().last().unwrap_or_default();
     let image = Path::new(folder).join(program);
     if !image.is_file() {
-        bail!("{}: {name} has not built it", image.display());
+        bail!("{}: {name} did not build it", image.display());
     }
     Ok(image)
 }
@@ -83,7 +81,7 @@ impl ImageSizes {
     /// # Errors
     /// A file that is not a 32-bit ELF file.
     pub fn of(image: &[u8]) -> Result<Self> {
-        let file: ElfFile32 = ElfFile32::parse(image).context("no 32-bit ELF image")?;
+        let file: ElfFile32 = ElfFile32::parse(image).context("not a 32-bit ELF image")?;
         let mut sizes = Self::default();
         for section in file.sections() {
             let SectionFlags::Elf {

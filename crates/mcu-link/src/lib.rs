@@ -193,7 +193,8 @@ impl Plan {
         if let Some((index, t_us)) = refused {
             bail!(
                 "event {index}: its time {t_us} us lies before {} us or after a gap that EVT 2.0 \
-                 words cannot show (4.7 hours), as do {} further events: cut the recording there",
+                 words cannot encode (4.7 hours), as do the times of {} further events: cut the \
+                 recording there",
                 plan.time_base_us,
                 refusals - 1
             );
@@ -258,7 +259,7 @@ fn host_frames(job: &Job<'_>, limits: Limits) -> Result<Vec<Vec<u8>>> {
     let mut rest = &bytes[..];
     while !rest.is_empty() {
         let Scan::Frame(frame) = scan(rest) else {
-            bail!("the host's encoder made bytes that are no frame: please report this");
+            bail!("the host's encoder made bytes that are not a frame: please report this");
         };
         let (frame, after) = rest.split_at(frame.bytes);
         frames.push(frame.to_vec());

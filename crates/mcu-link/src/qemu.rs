@@ -66,8 +66,9 @@ impl Machine {
 fn installed<T>(started: std::io::Result<T>) -> Result<T> {
     match started {
         Err(error) if error.kind() == ErrorKind::NotFound => bail!(
-            "{PROGRAM} is not installed: get it with `apt-get install qemu-system-arm` (Debian, \
-             Ubuntu), `dnf install qemu-system-arm` (Fedora) or `brew install qemu` (macOS)"
+            "{PROGRAM} is not installed: install it with `apt-get install qemu-system-arm` \
+             (Debian, Ubuntu), `dnf install qemu-system-arm` (Fedora) or `brew install qemu` \
+             (macOS)"
         ),
         other => other.with_context(|| format!("starting {PROGRAM}")),
     }
@@ -135,7 +136,7 @@ pub fn run(machine: Machine, image: &Path, folder: &Path, patience: Duration) ->
             let said = [&stderr, &stdout].map(|text| text.lines().last().unwrap_or_default());
             bail!("{name}: the image failed ({status}): {}", said.join(" "))
         }
-        None => bail!("{name}: the image has not ended after {patience:?}"),
+        None => bail!("{name}: the image did not end within {patience:?}"),
     }
 }
 
@@ -174,7 +175,8 @@ impl Qemu {
         let bytes =
             std::fs::read(&image_path).with_context(|| format!("{name}: cannot be read"))?;
         let decoder = LogDecoder::new(&bytes).with_context(|| format!("{name}"))?;
-        let folder = tempfile::tempdir().context("a folder for the emulator's socket")?;
+        let folder =
+            tempfile::tempdir().context("cannot create a folder for the emulator's socket")?;
         let started = Command::new(PROGRAM)
             .args(["-M", machine.name()])
             .args(["-display", "none", "-monitor", "none"])
@@ -230,7 +232,10 @@ impl Qemu {
                         bail!("{end}");
                     }
                     if started.elapsed() > START {
-                        bail!("{}: no connection to the emulator: {error}", path.display());
+                        bail!(
+                            "{}: cannot connect to the emulator: {error}",
+                            path.display()
+                        );
                     }
                 }
             }

@@ -68,14 +68,14 @@ pub fn keep_out(
             .iter()
             .take_while(|pixel| numbers.write(sensor.number(**pixel), &mut body))
             .count();
-        ensure!(fits > 0, "hot pixels come in raster order");
+        ensure!(fits > 0, "hot pixels must be in raster order");
         rest = &rest[fits..];
         told += fits;
         let status = ask(connection, Kind::Hot, &body[..numbers.bytes()])?;
         let held = status.hot_pixels as usize;
         ensure!(
             status.refusal.is_none() && held == told,
-            "the encoder keeps {held} of {} hot pixels out: {}",
+            "the encoder leaves out {held} of {} hot pixels: {}",
             pixels.len(),
             status.refusal.map_or("some were lost", reason)
         );
@@ -134,25 +134,27 @@ fn ask(connection: &mut Connection, kind: Kind, body: &[u8]) -> Result<Status> {
 const fn reason(refusal: Refusal) -> &'static str {
     match refusal {
         Refusal::Sensor => {
-            "a side of the sensor is out of its range, or its own sensor has another size"
+            "a side of the sensor is out of range, or the encoder's own sensor has another size"
         }
         Refusal::Thresholds => "the thresholds are in the wrong order",
         Refusal::Transform => "it has no such transform",
-        Refusal::Step => "the step is out of its range",
+        Refusal::Step => "the step is out of range",
         Refusal::Mode => "it has no such mode or fidelity",
-        Refusal::Readout => "no sensor scans like that",
+        Refusal::Readout => "no sensor has such a readout",
         Refusal::Flag => "a flag is neither 0 nor 1",
         Refusal::M => "M must be 1 to 64",
         Refusal::Grid => "the grid must be 1 to 1024",
         Refusal::Numbers => "it has no memory for this M and grid",
         Refusal::Dense => "it has no memory for the dense coder on this sensor",
         Refusal::Bins => "bins must be 1 or more",
-        Refusal::Rate => "the budget is too small, or not for mode hybrid",
-        Refusal::Windows => "it has no memory for windows of this sensor, or they are of 0 us",
+        Refusal::Rate => "the budget is too small, or the mode is not hybrid",
+        Refusal::Windows => {
+            "it has no memory for windows of this sensor, or their duration is 0 us"
+        }
         Refusal::HotOutside => "one is not on the sensor",
         Refusal::HotRoom => "it has no memory for more",
         Refusal::HotUnset => "they came before a setup",
         Refusal::Order => "it cannot keep the order of events",
-        Refusal::Coefficients => "it has no adaptive coder of coefficients: --coder plain",
+        Refusal::Coefficients => "it has no adaptive coder of coefficients: use --coder plain",
     }
 }

@@ -104,7 +104,7 @@ pub fn arrays<R: Representation>(
     let is_inside = |event: &Event| sensor.contains(event.x, event.y);
     ensure!(
         source.events.iter().all(is_inside) && source.events.is_sorted_by_key(|event| event.t_us),
-        "{}: events must be in order of time and inside of the sensor; sort and filter them first",
+        "{}: events must be in time order and inside the sensor; sort and filter them first",
         source.name
     );
     let (mut array_bytes, mut spent) = (0, Duration::ZERO);

@@ -216,7 +216,7 @@ impl Bench {
         if sources.is_empty() {
             ensure!(
                 folder.is_none(),
-                "{}: none of the recordings; leave --recordings out to take emulated scenes",
+                "{}: holds none of the recordings; omit --recordings to use emulated scenes",
                 folder.unwrap_or(Path::new(RECORDINGS)).display()
             );
             sources = skips::source::scenes()?;
@@ -254,8 +254,8 @@ impl Bench {
         if let Some(document) = place {
             ensure!(
                 has_recordings,
-                "{}: its table is of recordings, which are not all in {}: --recordings names their \
-                 folder",
+                "{}: its table is of recordings, and not all of them are in {}: name their folder \
+                 with --recordings",
                 document.display(),
                 self.recordings
                     .as_deref()
@@ -291,7 +291,7 @@ impl Bench {
         if let Some(folder) = &self.recordings {
             ensure!(
                 folder.is_dir(),
-                "{}: no folder of recordings; leave --recordings out to take emulated scenes",
+                "{}: not a folder; omit --recordings to use emulated scenes",
                 folder.display()
             );
             return Ok((cut::of_recordings(folder)?, Origin::Recordings));
@@ -307,8 +307,8 @@ impl Bench {
     fn counts(&self, windows: &[Windows], origin: Origin) -> Result<(Vec<Count>, String)> {
         let images = match (self.mcu, self.quick) {
             (Some(Mcu::Run), _) => Ok(Images::build()?),
-            (Some(Mcu::Saved), _) => Err("as asked for".to_owned()),
-            (None, true) => Err("--quick counts none".to_owned()),
+            (Some(Mcu::Saved), _) => Err("as requested".to_owned()),
+            (None, true) => Err("--quick does not count".to_owned()),
             (None, false) => Images::build().map_err(|error| format!("{error:#}")),
         };
         let reason = match images {
@@ -328,7 +328,7 @@ impl Bench {
         let (counts, other) = mcu::saved_of(windows, origin)?;
         let mut source = format!("saved with the project ({reason})");
         if other > 0 {
-            source += &format!("; {other} left out, whose sums are not this program's");
+            source += &format!("; {other} left out, whose sums differ from this program's");
         }
         Ok((counts, source))
     }

@@ -43,7 +43,7 @@ impl Rate<'_> {
     pub fn run(&self) -> Result<()> {
         let place = self.save.first().map(PathBuf::as_path).or(self.record);
         if let (Some(document), Some(missing)) = (place, lossless::missing()) {
-            anyhow::bail!("{}: its table has {missing}", document.display());
+            anyhow::bail!("{}: its table would have {missing}", document.display());
         }
         let effort = if self.quick {
             Effort::QUICK
@@ -112,7 +112,7 @@ impl Rate<'_> {
         let files = distinct(self.data)?;
         ensure!(
             !files.is_empty(),
-            "{}: no recording in it; leave --data out to take emulated scenes",
+            "{}: holds no recording; omit --data to use emulated scenes",
             self.data[0].display()
         );
         Ok(files)

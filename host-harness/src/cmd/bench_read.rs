@@ -67,7 +67,7 @@ fn measure(file: &Path, repetitions: usize, duration: Duration) -> Result<Row> {
         let row = read(file)?;
         ensure!(
             quickest.events == row.events,
-            "{}: changes while it is read: wait until it is whole",
+            "{}: changed while it was read: wait until it is complete",
             file.display()
         );
         if row.seconds < quickest.seconds {

@@ -15,7 +15,7 @@ use serde::Serialize;
 /// Compare recording B with recording A: frames, event times and events
 ///
 /// The windows are cut from recording A: half-open, consecutive, aligned to its first event. The exit status is 0
-/// however much the recordings differ: events that B lacks (missing) or has too much (surplus) are counted.
+/// however much the recordings differ: events that B lacks (missing) or has in addition (surplus) are counted.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Compare {
     /// The original recording
@@ -76,12 +76,15 @@ impl Compare {
         let comparison = comparison.with_context(context)?;
         match offset_us {
             Some(offset_us) if offset_us != 0 && !self.align => eprintln!(
-                "eecvs: the clock of {} is {offset_us} us ahead of that of {}: --align compares without this constant",
+                "eecvs: the clock of {} is {offset_us} us ahead of that of {}: --align removes \
+                 this offset",
                 b.name(),
                 a.name()
             ),
             None if self.align => {
-                eprintln!("eecvs: no constant between the clocks was found: compared as they are");
+                eprintln!(
+                    "eecvs: no constant offset between the clocks was found: compared as they are"
+                );
             }
             _ => {}
         }

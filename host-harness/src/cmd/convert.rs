@@ -66,7 +66,7 @@ fn crop(text: &str) -> Result<Crop> {
             number
                 .trim()
                 .parse()
-                .with_context(|| format!("`{number}` is no number"))
+                .with_context(|| format!("`{number}` is not a number"))
         })
         .collect::<Result<_>>()?;
     let [x, y, width, height] = numbers[..] else {
@@ -131,7 +131,7 @@ fn table(converted: &Converted) -> String {
     ];
     let counts = [
         ("times shifted by, us", lost.shifted_us),
-        ("lost: outside of the format", lost.outside),
+        ("lost: outside the format", lost.outside),
         ("lost: beyond its times", lost.beyond_time),
         ("times raised", lost.raised),
     ];

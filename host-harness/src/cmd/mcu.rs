@@ -66,7 +66,7 @@ impl Mcu {
         let image = match &self.image {
             Some(image) => image.clone(),
             None => {
-                image::build(self.machine, "encoder").context("no image; --image names another")?
+                image::build(self.machine, "encoder").context("no image; name one with --image")?
             }
         };
         let sizes = ImageSizes::read(&image)?;

@@ -151,13 +151,13 @@ impl Report {
             Earlier::OtherBuild if self.keep_rows => return Ok(()),
             Earlier::OtherBuild => (
                 "another build of the program",
-                ", or keep them by --keep-rows",
+                ", or keep them with --keep-rows",
             ),
             Earlier::Other => ("another report", ""),
         };
         ensure!(
             self.overwrite,
-            "{}: has the rows of {whose}: choose another folder or --overwrite{remedy}",
+            "{}: holds the rows of {whose}: choose another folder or use --overwrite{remedy}",
             path.display()
         );
         run.begin()
@@ -187,7 +187,7 @@ impl Report {
                 .map(|path| path.display().to_string())
                 .collect();
             let none = format!(
-                "{}: no recordings; docs/datasets.md says where there are some",
+                "{}: no recordings; docs/datasets.md says where to get some",
                 paths.join(", ")
             );
             ensure!(self.data.is_empty(), none);

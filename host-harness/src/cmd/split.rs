@@ -84,14 +84,14 @@ impl Split {
         let name = self.output.display();
         ensure!(
             !is_dash(&self.output),
-            "{name}: parts are files of a folder: name one"
+            "{name}: the parts are written to a folder: name one"
         );
         // Replacing the input by one of its own parts would destroy it.
         let folder = self.input.parent().unwrap_or(Path::new(""));
         let is_inside = folder.join(".").canonicalize().ok() == self.output.canonicalize().ok();
         ensure!(
             !is_inside || !self.overwrite.overwrite,
-            "{name}: {} lies there: choose another folder",
+            "{name}: is the folder of the input {}: choose another folder",
             self.input.display()
         );
         RunFolder::check(&self.output, self.overwrite.overwrite, is_part)

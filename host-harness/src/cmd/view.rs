@@ -125,7 +125,7 @@ struct Summary {
 }
 
 fn speed(text: &str) -> Result<f64> {
-    let speed: f64 = text.parse().context("it is no number")?;
+    let speed: f64 = text.parse().context("it is not a number")?;
     ensure!(
         (1e-6..=1e6).contains(&speed),
         "it must be from 0.000001 to 1000000"
@@ -151,7 +151,8 @@ impl View {
         let name = self.file.display();
         ensure!(
             self.output.is_some() || self.terminal_columns.is_some() || stdout().is_terminal(),
-            "{name}: stdout is no terminal: give -o OUT.gif, OUT.png or OUT/, or --terminal-columns N"
+            "{name}: stdout is not a terminal: give -o OUT.gif, OUT.png or OUT/, or \
+             --terminal-columns N"
         );
         if let Some(output) = &self.output {
             self.check(output)?;
@@ -203,7 +204,7 @@ impl View {
             played.frames > 0 || is_stopped,
             "{name}: no events{}",
             if self.from_us.is_some() || self.to_us.is_some() {
-                " at these times: `eecvs info` tells the first and the last"
+                " at these times: `eecvs info` prints the first and the last"
             } else {
                 ""
             }
@@ -237,7 +238,7 @@ impl View {
         for input in inputs {
             ensure!(
                 !is_same(input, output),
-                "{name}: is {}, which is read: give the output another name",
+                "{name}: is the same file as the input {}: give the output another name",
                 input.display()
             );
         }
@@ -323,7 +324,7 @@ impl View {
             "gif" => {
                 ensure!(
                     self.fps <= gif::FPS_MAX,
-                    "{}: browsers show a GIF at {} frames a second at the most: give a smaller --fps",
+                    "{}: browsers show a GIF at {} frames a second at most: give a smaller --fps",
                     output.display(),
                     gif::FPS_MAX
                 );
@@ -359,7 +360,7 @@ impl View {
             }
             let counts = [
                 (slices.late(), "are too far out of time order to be shown"),
-                (slices.outside(), "lie outside of the sensor"),
+                (slices.outside(), "lie outside the sensor"),
             ];
             for (count, what) in counts.into_iter().filter(|(count, _)| *count > 0) {
                 missing(anyhow!("{name}: {count} events {what}"));
@@ -370,8 +371,8 @@ impl View {
             && played.frames > 0
         {
             eprintln!(
-                "eecvs: {}: no frame has events of both files: their clocks differ, or they are of \
-                 different times",
+                "eecvs: {}: no frame has events of both files: their clocks differ, or they were \
+                 recorded at different times",
                 decoded.display()
             );
         }

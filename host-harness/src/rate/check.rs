@@ -24,7 +24,7 @@ pub enum Promise {
 pub fn check(promise: Promise, original: &[Event], decoded: &[Event]) -> Result<()> {
     ensure!(
         original.len() == decoded.len(),
-        "{} events came back of {}; please report this",
+        "{} of {} events came back; please report this",
         decoded.len(),
         original.len()
     );
@@ -33,7 +33,7 @@ pub fn check(promise: Promise, original: &[Event], decoded: &[Event]) -> Result<
         let place = |key: &Key| (key.0, key.1, key.2);
         ensure!(
             place(a) == place(b),
-            "at (x, y) = ({}, {}) other events came back; please report this",
+            "at (x, y) = ({}, {}) different events came back; please report this",
             a.1,
             a.0
         );
@@ -44,8 +44,8 @@ pub fn check(promise: Promise, original: &[Event], decoded: &[Event]) -> Result<
         };
         ensure!(
             a.3.abs_diff(b.3) <= most,
-            "an event at (x, y) = ({}, {}) came back {} us off, promised are {most}; please report \
-             this",
+            "an event at (x, y) = ({}, {}) came back {} us off, more than the promised {most} us; \
+             please report this",
             a.1,
             a.0,
             a.3.abs_diff(b.3)

@@ -36,7 +36,7 @@ pub fn write(sensor: Sensor, events: &[Event]) -> Result<Vec<u8>> {
     for event in events {
         let step = event.t_us.checked_sub(before_us);
         let step = step.and_then(|step| u32::try_from(step).ok());
-        steps.push(step.context("a step of time that 32 bits do not hold")?);
+        steps.push(step.context("a time step that does not fit into 32 bits")?);
         before_us = event.t_us;
     }
     shuffle(&mut bytes, &steps.iter().map(|step| step.to_le_bytes()));

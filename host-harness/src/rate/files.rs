@@ -27,16 +27,21 @@ impl Format {
     /// # Errors
     /// Fails on I/O errors, or if the format cannot hold the recording.
     pub fn round_trip(self, source: &Source) -> Result<(usize, f64, Vec<Event>)> {
-        let folder = tempfile::tempdir().context("a temporary folder")?;
+        let folder = tempfile::tempdir().context("cannot create a temporary folder")?;
         let path = folder.path().join("recording");
         let started = Instant::now();
         let mut writer = self.create(&path, source)?;
         writer.write(&source.events)?;
         writer.finish()?;
         let seconds = started.elapsed().as_secs_f64();
-        let bytes = std::fs::metadata(&path).context("the file's size")?.len();
+        let bytes = std::fs::metadata(&path)
+            .context("cannot read the file's size")?
+            .len();
         let mut reader = event_files::open(&path, Some(source.sensor))?;
-        ensure!(reader.sensor() == source.sensor, "another sensor came back");
+        ensure!(
+            reader.sensor() == source.sensor,
+            "a different sensor came back"
+        );
         let mut events = Vec::with_capacity(source.events.len());
         while reader.read(&mut events)? > 0 {}
         Ok((usize::try_from(bytes)?, seconds, events))

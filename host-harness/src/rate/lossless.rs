@@ -59,7 +59,7 @@ pub const fn missing() -> Option<&'static str> {
     if cfg!(feature = "zstd") {
         None
     } else {
-        Some("no rows of zstd-19 and aedat4-zstd: build with --features zstd")
+        Some("no rows for zstd-19 and aedat4-zstd: build with --features zstd")
     }
 }
 

@@ -61,7 +61,7 @@ pub fn coded(
         let pixels = [&plain, &coded].map(|window| window.as_ref().map(|window| &window.pixels));
         ensure!(
             pixels[0] == pixels[1],
-            "its coefficients are not those of plain codes; please report this"
+            "its coefficients differ from those of plain codes; please report this"
         );
         if plain.is_none() {
             return Ok((file.len(), seconds));
@@ -88,7 +88,7 @@ fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) 
         let (number, since_us) = grid.window(header.t0_us);
         ensure!(
             since_us == 0 && header.duration_us == WINDOW_US,
-            "a window was closed early, and its volume is no other's: make the window shorter"
+            "a window was closed early, so its volume matches no other: make the window shorter"
         );
         let bins = bins.get_or_insert_with(|| Inverse::new(header.transform, header.grid, BINS));
         for pixel in &window.pixels {

@@ -171,8 +171,8 @@ impl Page<'_> {
             html += "</tr>\n";
         }
         html += "</table>\n<p>mse and ssim compare the signed event counts per pixel and window, \
-                 which the link carries exactly; the times are what the coefficients lose. \
-                 Mev/s is one thread of this machine.</p>\n</html>\n";
+             which the link carries exactly; the times are what the coefficients lose. Mev/s is \
+             for one thread of this machine.</p>\n</html>\n";
         html
     }
 }

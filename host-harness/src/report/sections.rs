@@ -155,7 +155,7 @@ mod tests {
             assert_eq!(
                 section.marks.content(&text).unwrap().trim(),
                 section.text.trim(),
-                "{}: {name} is not of its record: cargo xtask record writes both",
+                "{}: {name} does not match its record: cargo xtask record writes both",
                 section.document
             );
         }
@@ -170,10 +170,7 @@ mod tests {
                     || sections
                         .iter()
                         .any(|section| (section.document, section.marks.name) == (document, name));
-                assert!(
-                    is_known,
-                    "{document}: nothing is known of the section {name}"
-                );
+                assert!(is_known, "{document}: unknown section {name}");
             }
         }
     }

@@ -124,8 +124,9 @@ impl Results {
                 let (fixed, _) = lowest(&FIXED);
                 let peaks = self.lowest_by_peaks(set, metric);
                 here.push(format!(
-                    "of {count} {set}, {name} is lowest by the DTFT in {all}, in {fixed} where only the \
-                     three transforms are compared, and in {peaks} of these by the peaks of summed atoms"
+                    "of {count} {set}, {name} is lowest by the DTFT in {all}, in {fixed} where \
+                     only the three transforms are compared, and in {peaks} where these are \
+                     compared by the peaks of summed atoms"
                 ));
                 if set == SCENES {
                     most_scenes.push(all);
@@ -145,8 +146,8 @@ impl Results {
             ),
             verdict,
             here: format!(
-                "At M = {M}: {}. Event times are solved for here, with counts on the link, where the \
-                 paper thresholds summed atoms.",
+                "At M = {M}: {}. Event times are solved for here, with the counts sent on the \
+                 link; the paper thresholds summed atoms.",
                 here.join("; ")
             ),
         }
@@ -264,14 +265,14 @@ impl Results {
             }
         }
         if here.is_empty() {
-            here.push("not measured at both".to_owned());
+            here.push("not measured at both M".to_owned());
         }
         Claim {
             claim: "The EMD does not change from M = 8 to M = 24 (Table II)".to_owned(),
             verdict: verdict(&same),
             here: format!(
-                "Median of emd_pixel_us at M = 8 over that at M = 24: {}. An EMD that does not change is \
-                 one that its decoder does not get out of the coefficients.",
+                "Median of emd_pixel_us at M = 8 over that at M = 24: {}. If an EMD does not \
+                 change, its decoder does not get it from the coefficients.",
                 here.join("; ")
             ),
         }
@@ -351,8 +352,8 @@ impl Results {
             ),
             verdict: verdict(&wins),
             here: format!(
-                "Mean IoU of matched segments, another segmenter on other scenes: {}. Frames of whole \
-                 windows come back as they were, since counts are on the link.",
+                "Mean IoU of matched segments, another segmenter on other scenes: {}. Frames of \
+                 whole windows come back exactly, because the counts are sent on the link.",
                 here.join("; ")
             ),
         }

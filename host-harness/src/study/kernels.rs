@@ -118,7 +118,7 @@ impl KernelRow {
         let known = |name: &str| {
             let found = NAMES.into_iter().find(|known| *known == name);
             found.with_context(|| {
-                format!("kernels: {name} is unknown; measure anew, without --keep-rows")
+                format!("kernels: {name} is unknown; measure again, without --keep-rows")
             })
         };
         Ok(eecvs_bench::Row {

@@ -122,7 +122,7 @@ fn a_chain_that_lost_a_frame_goes_on_at_the_next_key_and_says_so() {
     folder.write("lost.eecvs", lost.concat());
     let summary = folder
         .eecvs("decode lost.eecvs -o b.raw --json")
-        .loses(&["lost.eecvs", "frames lost: 1", "go on from"])
+        .loses(&["lost.eecvs", "frames lost: 1", "depend on missing ones: 1"])
         .object();
     assert_eq!(count(&summary, "frames_dependent"), 1);
     assert_eq!(count(&summary, "windows"), frames.len() as u64 - 2);

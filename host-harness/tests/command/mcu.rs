@@ -378,7 +378,7 @@ fn what_is_wrong_is_said() {
         (
             Fault::FlipBit(2),
             1..=1,
-            vec!["frame 2 has not come", "no frame", "jump 1 times"],
+            vec!["frame 2 is missing", "no frame", "jump 1 times"],
         ),
         (
             // Every frame of a window tells how many events it holds.
@@ -389,12 +389,12 @@ fn what_is_wrong_is_said() {
         (
             Fault::LoseFrame(0),
             1..=1,
-            vec!["frame 0 has not come", "are accounted for"],
+            vec!["frame 0 is missing", "are accounted for"],
         ),
         (
             Fault::LoseFrame(3),
             1..=1,
-            vec!["frame 3 has not come", "are accounted for"],
+            vec!["frame 3 is missing", "are accounted for"],
         ),
         (
             Fault::RepeatFrame(1),
@@ -409,7 +409,7 @@ fn what_is_wrong_is_said() {
         (
             Fault::Miscount,
             0..=0,
-            vec!["frames came but the encoder sent"],
+            vec!["frames arrived but the encoder sent"],
         ),
     ] {
         let behaviour = Behaviour {
@@ -435,7 +435,7 @@ fn an_encoder_that_fails_ends_the_run() {
         (Fault::Restart(1), "restarted in the middle"),
         (
             Fault::Stall(1),
-            "neither takes nor sends anything for 0.5 s",
+            "neither accepted nor sent anything for 0.5 s",
         ),
         (Fault::Close(1), "encoder"),
         (Fault::Status, "another layout"),
@@ -528,7 +528,7 @@ fn usage_and_images_are_checked() {
     folder.write("not.elf", b"no image");
     folder
         .eecvs("mcu --image not.elf --json")
-        .fails(&["not.elf", "no 32-bit ELF"]);
+        .fails(&["not.elf", "not a 32-bit ELF"]);
     folder
         .eecvs("mcu --image missing.elf --json")
         .fails(&["missing.elf", "cannot be read"]);

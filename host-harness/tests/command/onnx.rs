@@ -555,7 +555,7 @@ fn models_that_do_not_fit_are_told_from_those_that_do() {
         ),
         (
             identity(image(1, [Fixed(1 << 40), Fixed(12)])),
-            "1 to 4096 are possible",
+            "1 to 4096 are supported",
         ),
         (
             model(
@@ -640,7 +640,7 @@ fn models_that_cannot_be_run_are_errors() {
         INT32,
     );
     for (bytes, part) in [
-        (contradicting, "runtime fails"),
+        (contradicting, "runtime failed"),
         (flat, "[260, 346]"),
         (says_nothing, "`logits` has values that are not finite"),
         (overflows, "`squares` has values that are not finite"),

@@ -277,7 +277,7 @@ fn volumes_that_cannot_be_made_are_refused() {
         ),
         (
             "--volume v.npy --all-windows",
-            &["other transforms", "--bins"],
+            &["different transforms", "--bins"],
         ),
         ("--volume v.txt", &["v.txt", ".npy"]),
         ("-o b.csv --bins 4", &["--volume"]),

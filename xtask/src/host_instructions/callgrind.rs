@@ -28,13 +28,13 @@ pub fn measure() -> anyhow::Result<Counts> {
         Command::new("valgrind").arg("--version").output().is_ok(),
         "valgrind is missing: apt-get install valgrind"
     );
-    let folder = tempfile::tempdir().context("a folder for the inputs")?;
+    let folder = tempfile::tempdir().context("cannot create a folder for the inputs")?;
     let folder = folder.path();
     cases::prepare(folder)?;
     // Natively first: which cases there are, and that their answers are right.
     let cases = cases::run(folder)?;
     let profile = folder.join("callgrind.out");
-    let program = env::current_exe().context("this program's own file")?;
+    let program = env::current_exe().context("cannot find this program's own file")?;
     let counted = symbol(&program)?;
     let output = Command::new("valgrind")
         .args(["--tool=callgrind", "--demangle=no"])
@@ -59,7 +59,7 @@ pub fn measure() -> anyhow::Result<Counts> {
         .map(|(i, (name, events)): (usize, Case)| {
             let file = profile.with_extension(format!("out.{}", i + 1));
             let count = || {
-                let text = fs::read_to_string(&file).context("no profile")?;
+                let text = fs::read_to_string(&file).context("cannot read the profile")?;
                 count(&text, &program, events)
             };
             let count = count().with_context(|| format!("{}: {name}", file.display()))?;
@@ -96,7 +96,9 @@ fn count(profile: &str, program: &Path, events: usize) -> anyhow::Result<Count> 
             lines.next();
         } else if line.starts_with(|first: char| first.is_ascii_digit()) {
             let cost = line.split_ascii_whitespace().nth(1).unwrap_or("0");
-            let cost: u64 = cost.parse().with_context(|| format!("no cost: {line}"))?;
+            let cost: u64 = cost
+                .parse()
+                .with_context(|| format!("not a cost line: {line}"))?;
             *(if is_own {
                 &mut instructions
             } else {

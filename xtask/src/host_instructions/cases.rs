@@ -53,7 +53,10 @@ pub fn run(folder: &Path) -> anyhow::Result<Vec<Case>> {
         let mut read = Ok(Vec::new());
         count_these(&mut || read = read_all(bytes.take().unwrap_or_default(), file));
         let read = read?;
-        ensure!(events.is_empty() || events == read, "{file}: other events");
+        ensure!(
+            events.is_empty() || events == read,
+            "{file}: different events"
+        );
         cases.push((name.to_owned(), read.len()));
         events = read;
     }

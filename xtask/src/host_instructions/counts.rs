@@ -51,7 +51,8 @@ impl Counts {
         let name = path.display();
         let text = fs::read_to_string(path).with_context(|| format!("{name}: cannot be read"))?;
         let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
-        serde_json::from_str(text).with_context(|| format!("{name}: no counts: save them anew"))
+        serde_json::from_str(text)
+            .with_context(|| format!("{name}: not instruction counts: save them again"))
     }
 
     /// JSON.

@@ -81,7 +81,7 @@ impl Counts {
         for (i, line) in text.lines().enumerate() {
             runs.push(
                 serde_json::from_str(line)
-                    .with_context(|| format!("{name}: line {}: no counts", i + 1))?,
+                    .with_context(|| format!("{name}: line {}: not instruction counts", i + 1))?,
             );
         }
         anyhow::ensure!(!runs.is_empty(), "{name}: no counts: did the image run?");
@@ -169,7 +169,9 @@ impl Counts {
         );
         for run in &self.0 {
             let plain = plain.0.iter().find(|plain| plain.key() == run.key());
-            let plain = plain.with_context(|| format!("{:?}: not in both", run.key()))?;
+            let plain = plain.with_context(|| {
+                format!("{:?}: missing from the counts in plain Rust", run.key())
+            })?;
             anyhow::ensure!(
                 (run.check, run.bytes) == (plain.check, plain.bytes),
                 "{:?}: the frames differ",

@@ -19,7 +19,7 @@ pub fn write(folder: &Path, recordings: Option<&Path>) -> anyhow::Result<()> {
         match recordings.filter(|recordings| recordings.join(file).exists()) {
             Some(recordings) => write_cut(&to, &cut::of_recording(recordings, name)?)?,
             None => {
-                println!("{file}: not there, no cut");
+                println!("{file}: missing, so no cut of it");
                 write_words(&to, &[])?;
             }
         }
@@ -31,7 +31,7 @@ pub fn write(folder: &Path, recordings: Option<&Path>) -> anyhow::Result<()> {
 }
 
 fn write_cut(to: &Path, cut: &Cut) -> anyhow::Result<()> {
-    let first = cut.events.first().context("a cut without events")?.t_us;
+    let first = cut.events.first().context("the cut has no events")?.t_us;
     let mut words = vec![
         u32::from(cut.sensor.width),
         u32::from(cut.sensor.height),
@@ -43,7 +43,7 @@ fn write_cut(to: &Path, cut: &Cut) -> anyhow::Result<()> {
     for event in &cut.events {
         let (time, word) = encoder
             .encode(*event)
-            .context("an event that EVT 2.0 cannot hold")?;
+            .context("the cut has an event that EVT 2.0 cannot hold")?;
         words.extend(time);
         words.push(word);
     }

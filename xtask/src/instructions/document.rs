@@ -91,7 +91,7 @@ mod tests {
         let document = std::fs::read_to_string(document).unwrap();
         assert!(
             MARKS.content(&document).unwrap() == tables(&counts).expect("every run"),
-            "the tables are not those of firmware/instructions.json"
+            "the tables do not match firmware/instructions.json"
         );
     }
 }

@@ -67,7 +67,7 @@ pub fn run(action: Action) -> Result<ExitCode> {
 
 /// Runs an image, whose lines are the counts.
 fn count(image: &Path, to: &Path) -> Result<()> {
-    let folder = tempfile::tempdir().context("a folder to run QEMU in")?;
+    let folder = tempfile::tempdir().context("cannot create a folder to run QEMU in")?;
     let text = qemu::run(MACHINE, image, folder.path(), PATIENCE)?;
     fs::write(to, text).with_context(|| format!("{}: cannot be written", to.display()))
 }

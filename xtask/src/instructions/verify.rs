@@ -37,10 +37,10 @@ pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
     let (words, _) = bytes.as_chunks::<4>();
     let words: Vec<u32> = words.iter().map(|word| u32::from_le_bytes(*word)).collect();
     let [width, height, window_us, _, words @ ..] = &words[..] else {
-        bail!("{name}: no cut");
+        bail!("{name}: not a cut");
     };
     let sensor = Sensor::new(u16::try_from(*width)?, u16::try_from(*height)?);
-    let sensor = sensor.with_context(|| format!("{name}: no sensor"))?;
+    let sensor = sensor.with_context(|| format!("{name}: not a valid sensor size"))?;
     let hybrid = |coder| {
         let fidelity = Fidelity::Lossless;
         Mode::Hybrid(Hybrid { coder, fidelity })
@@ -76,7 +76,7 @@ pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
     output.take(&mut encoder);
     ensure!(
         (output.bytes, output.check) == (run.bytes, run.check),
-        "{name}: {} M={}: the image's frames are not this host's",
+        "{name}: {} M={}: the image's frames differ from this host's",
         run.transform,
         run.m
     );

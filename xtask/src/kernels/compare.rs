@@ -48,8 +48,8 @@ impl Display for Comparison {
         }
         writeln!(
             f,
-            "{} kernel counts compared, {} failures (one may grow by {TOLERANCE_PERCENT} %, \
-             of the kernels not in use by {OTHERS_PERCENT} %)",
+            "{} kernel counts compared, {} failures (a count may grow by {TOLERANCE_PERCENT} %, \
+             that of a kernel not in use by {OTHERS_PERCENT} %)",
             self.counts,
             self.failures.len()
         )

@@ -87,7 +87,7 @@ mod tests {
         let document = std::fs::read_to_string(document).unwrap();
         assert!(
             MARKS.content(&document).unwrap() == table(&counts),
-            "the table is not that of firmware/kernels.json"
+            "the table does not match firmware/kernels.json"
         );
     }
 

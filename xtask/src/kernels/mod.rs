@@ -55,7 +55,7 @@ fn count(recordings: &Path) -> Result<Vec<Count>> {
     if cut::recordings().all(|(_, file)| recordings.join(file).exists()) {
         origins.push((Origin::Recordings, cut::of_recordings(recordings)?));
     } else {
-        println!("no recordings, no cuts of them");
+        println!("no recordings, so no cuts of them");
     }
     origins.push((Origin::Emulator, cut::of_scenes()?));
     let images = Images::build()?;

@@ -368,7 +368,7 @@ impl<'s> Point<'s> {
                 }
                 ensure!(
                     !skips.singles || frame == expected,
-                    "{}, {}: not skipping {skip} gives another frame: please report this",
+                    "{}, {}: not skipping {skip} gives a different frame: please report this",
                     self.source.name,
                     self.transform.name()
                 );

@@ -143,7 +143,7 @@ pub fn encode(
         // Both are moved into this closure and dropped with it, also on an error: that ends the threads.
         let (front, cuts) = (front, cuts);
         let start = |name: &str| Builder::new().name(name.to_owned());
-        let unstarted = "starting a thread: try fewer with --threads";
+        let unstarted = "cannot start a thread: use fewer with --threads";
         start("read")
             .spawn_scoped(scope, move || read(reader, &filled_in, &used))
             .context(unstarted)?;

@@ -42,7 +42,7 @@ impl Finder {
     pub const fn about(self) -> &'static str {
         match self {
             Self::Exact => {
-                "Solved for from all coefficients together, and verified by encoding them again"
+                "Solved for jointly from all coefficients, and verified by encoding the times again"
             }
             Self::Peaks => "Peaks of the summed atoms, one after the other: faster, and a baseline",
         }

@@ -230,7 +230,9 @@ impl Header {
                 let base = base.trim().parse().ok();
                 header.time_base_us = base
                     .filter(|base| *base <= Wrapping::START_MAX)
-                    .ok_or_else(|| input.error_at(start, "the time base is no number"))?;
+                    .ok_or_else(|| {
+                        input.error_at(start, "the time base is not a number of at most 2^60 us")
+                    })?;
             }
         }
         header.size = width
@@ -268,8 +270,8 @@ impl Guess<'_> {
                 if self.size.is_some_and(|s| is_large(&s)) =>
             {
                 let what = format!(
-                    "{} and addresses of 16 bits, as a DVS128 of 128x128 has them, not a sensor of {width}x{height}: \
-                     leave --width and --height out",
+                    "{}, and the addresses have 16 bits, as those of a DVS128 (128x128), not a \
+                     sensor of {width}x{height}: omit --width and --height",
                     self.named()
                 );
                 return Err(input.error(what));
@@ -281,13 +283,14 @@ impl Guess<'_> {
         let Sensor { width, height } = chip.sensor;
         let taken = format!("{} of {width}x{height}", layout.name());
         let why = match (layout, self.size) {
-            (Layout::Dvs128, _) => format!("{} and addresses of 16 bits", self.named()),
+            (Layout::Dvs128, _) => format!("{}, and the addresses have 16 bits", self.named()),
             (_, Some(_)) => format!(
-                "{} and a DAVIS's addresses; the size was given",
+                "{}, and the addresses are those of a DAVIS; the size was given",
                 self.named()
             ),
             (_, None) => format!(
-                "{} and a DAVIS's addresses, all of them inside of the DAVIS240; of another one: --width and --height",
+                "{}, and the addresses are those of a DAVIS and all fit a DAVIS240; for another \
+                 DAVIS, give --width and --height",
                 self.named()
             ),
         };
@@ -302,7 +305,7 @@ impl Guess<'_> {
     fn named(&self) -> String {
         match self.class {
             Some(class) => format!("chip {class} is not known"),
-            None => "no line # AEChip:".to_owned(),
+            None => "no `# AEChip:` line".to_owned(),
         }
     }
 
@@ -329,15 +332,20 @@ impl Guess<'_> {
             // a DAVIS.
             (false, false, Some(_)) => Ok(Layout::Davis),
             (true, true, Some(_)) if is_large || count == 0 => Ok(Layout::Davis),
-            (true, true, _) if count > 0 => Err(input.error(format!(
-                "{}, and its addresses fit a DVS128 as well as a DAVIS: add a line such as \
-                 `# AEChip: DVS128` or `# AEChip: DAVIS240C` to the header, or give --width W --height H",
-                self.named()
-            )).of_kind(ErrorKind::Undecided)),
-            _ => Err(input.error(format!(
-                "{}, so its size is not known: give --width W --height H",
-                self.named()
-            )).of_kind(ErrorKind::Undecided)),
+            (true, true, _) if count > 0 => Err(input
+                .error(format!(
+                    "{}, and the addresses fit a DVS128 as well as a DAVIS: add a line such as \
+                     `# AEChip: DVS128` or `# AEChip: DAVIS240C` to the header, or give --width W \
+                     --height H",
+                    self.named()
+                ))
+                .of_kind(ErrorKind::Undecided)),
+            _ => Err(input
+                .error(format!(
+                    "{}, so the sensor size is not known: give --width W --height H",
+                    self.named()
+                ))
+                .of_kind(ErrorKind::Undecided)),
         }
     }
 
@@ -367,8 +375,8 @@ impl Guess<'_> {
         } = Chip::DAVIS240.sensor;
         if width > u32::from(columns) || height > u32::from(rows) {
             let why = format!(
-                ", and its addresses have {width} columns and {height} rows, more than a DAVIS240 (346x260 and \
-                 640x480 are the sizes of others)"
+                ", and the addresses span {width} columns and {height} rows, more than a DAVIS240 \
+                 has (other DAVIS sensors have 346x260 or 640x480)"
             );
             return ask(input, why);
         }
@@ -399,8 +407,8 @@ impl Aedat2Writer {
         let chip = chip.ok_or_else(|| {
             error!(
                 CannotHold,
-                "{}: AEDAT 2.0 holds DVS128 (128x128) and DAVIS240C (240x180), not {}x{}: \
-                 write .aedat4",
+                "{}: AEDAT 2.0 holds only DVS128 (128x128) and DAVIS240C (240x180) recordings, not \
+                 {}x{}: write .aedat4",
                 crate::output::final_path(path).display(),
                 sensor.width,
                 sensor.height

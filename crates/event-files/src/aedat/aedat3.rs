@@ -80,7 +80,9 @@ impl Aedat3Reader {
         let Some(sensor) = chip.map(|chip| chip.sensor).or(size) else {
             let what = match first {
                 Some((_, name)) => format!("the size of source {name} is not known"),
-                None => "the header names no #Source, so no sensor size".to_owned(),
+                None => {
+                    "the header has no #Source line, so the sensor size is not known".to_owned()
+                }
             };
             return Err(input
                 .error(format!("{what}: give --width W --height H"))
@@ -95,7 +97,7 @@ impl Aedat3Reader {
                 what: "stream",
                 taken: format!("source {number}, {name}"),
                 why: format!(
-                    "the first in the header; others are counted alone: {}",
+                    "the first in the header; the events of the others are only counted: {}",
                     others.join(", ")
                 ),
             });
@@ -142,7 +144,7 @@ fn read_header(input: &mut Input) -> Result<Vec<(u16, String)>> {
         let value = value.trim();
         if key.eq_ignore_ascii_case("Format") && !value.eq_ignore_ascii_case("RAW") {
             let what =
-                format!("packets in the format {value}: only RAW is known: record it as RAW");
+                format!("packets in the format {value}: only RAW is supported: record as RAW");
             return Err(input.error_at(start, what));
         }
         // Lines of `-Source` describe earlier recordings from which this one was made.
@@ -221,7 +223,7 @@ impl Aedat3Decoder {
                 continue;
             }
             if size != EVENT_BYTES as u64 {
-                let what = format!("polarity events of {size} bytes: only 8 are known");
+                let what = format!("polarity events of {size} bytes: only 8 bytes are supported");
                 return Err(self.input.error_at(start, what));
             }
             // `bytes` is at most [`PACKET_MAX`].

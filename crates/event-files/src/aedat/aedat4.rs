@@ -297,7 +297,7 @@ fn streams_of(xml: &str) -> Result<Vec<Stream>, String> {
         let name = node.attribute("name").unwrap_or_default();
         let id = name
             .parse()
-            .map_err(|_| format!("stream name {name:?} is no number"))?;
+            .map_err(|_| format!("stream name {name:?} is not a number"))?;
         let content = match kind.as_str() {
             "EVTS" => Content::OtherEvents,
             "FRME" => Content::Frames,
@@ -347,7 +347,7 @@ fn choose(streams: &mut [Stream], place: Option<&str>) -> Result<Option<Assumpti
     if let Some(place) = place {
         if found.next().is_some() {
             return Err(format!(
-                "more than one event stream is called {place}: name one by its number: {all}"
+                "more than one event stream is called {place}: choose one by its number: {all}"
             ));
         }
         stream.content = Content::Events;
@@ -359,7 +359,7 @@ fn choose(streams: &mut [Stream], place: Option<&str>) -> Result<Option<Assumpti
         what: "stream",
         taken,
         why: format!(
-            "the first of {all}; another one is named behind the file, as in FILE.aedat4/1"
+            "the first of {all}; to choose another, name it after the file, as in FILE.aedat4/1"
         ),
     }))
 }
@@ -489,7 +489,7 @@ impl Aedat4Decoder {
         if let Some(place) = places.position(|bytes| bytes == MAGIC) {
             return Err(self.input.error_at(
                 at + place as u64,
-                "another recording begins here: take the files apart",
+                "another recording begins here: separate the files",
             ));
         }
         self.input.seek(at)
@@ -591,7 +591,7 @@ impl Aedat4Decoder {
         self.input.error_at(
             self.packet_offset,
             format!(
-                "event {} of the packet here (t = {t}, x = {x}, y = {y}) {what} ({width}x{height})",
+                "event {} (t = {t}, x = {x}, y = {y}, in this packet) {what} ({width}x{height})",
                 self.events
             ),
         )
@@ -704,7 +704,7 @@ impl Decode for Aedat4Decoder {
                 let (what, kind) = if event.t < 0 {
                     ("has a negative time", "events with a negative time")
                 } else {
-                    ("is outside of the sensor", OUTSIDE)
+                    ("is outside the sensor", OUTSIDE)
                 };
                 if !self.leave_out {
                     return Err(self.event_error(&event, what));
@@ -866,7 +866,7 @@ mod tests {
         // Offsets count back from the packet's end: the packet holds 1000 events and nothing after them.
         let event = |index: usize| end - (1000 - index) * EVENT_BYTES;
         for (at, value, what) in [
-            (event(700) + 7, 0x80, "event 700 of the packet here (t = -"),
+            (event(700) + 7, 0x80, "event 700 (t = -"),
             (event(700) + 9, 0x80, "x = -"),
             (event(700) + 8, 64, "x = 64"),
             (event(700) + 10, 48, "y = 48"),

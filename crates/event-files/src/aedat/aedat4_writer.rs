@@ -12,7 +12,7 @@ use crate::aedat::aedat4::{EVENT_BYTES, MAGIC};
 use crate::{BATCH_EVENTS, EventWriter, create_file};
 
 /// Message for a packet or a file that exceeds the format's fields.
-const TOO_LARGE: &str = "AEDAT 4: too large a packet or file";
+const TOO_LARGE: &str = "AEDAT 4: the packet or the file is too large";
 
 /// Largest number of events in a packet: 256 KiB before compression.
 const PACKET_EVENTS: usize = BATCH_EVENTS;

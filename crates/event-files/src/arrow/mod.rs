@@ -275,7 +275,7 @@ impl ArrowDecoder {
     fn open(mut source: Box<dyn ReadSeek>, name: &str, reading: &Reading) -> Result<Self> {
         let length = source.seek(SeekFrom::End(0));
         let length =
-            length.map_err(|error| error!(Damaged, "{name}: byte 0: cannot be sought: {error}"))?;
+            length.map_err(|error| error!(Damaged, "{name}: byte 0: cannot seek: {error}"))?;
         let mut magic = Vec::new();
         let read = source
             .rewind()
@@ -284,7 +284,8 @@ impl ArrowDecoder {
         ensure!(
             !magic.starts_with(FEATHER_1),
             Unsupported,
-            "{name}: byte 0: Feather 1 is not read: write it again by pyarrow.feather.write_feather"
+            "{name}: byte 0: Feather 1 is not supported: write the file again with \
+             pyarrow.feather.write_feather"
         );
         let mut is_file = magic.starts_with(MAGIC);
         let mut length = length;
@@ -307,9 +308,8 @@ impl ArrowDecoder {
                 let Some((schema, first, at)) = place.footer() else {
                     other?;
                     place.position = start;
-                    return Err(place.error(
-                        "no schema comes first, nor is one in the footer: truncated or damaged",
-                    ));
+                    return Err(place
+                        .error("no schema at the start or in the footer: truncated or damaged"));
                 };
                 place.position = first;
                 (length, is_file) = (at, false);
@@ -318,7 +318,7 @@ impl ArrowDecoder {
             other => {
                 other?;
                 return Err(
-                    place.error("no schema comes first: not an Arrow file, or a damaged one")
+                    place.error("no schema at the start: not an Arrow file, or a damaged one")
                 );
             }
         };
@@ -477,7 +477,7 @@ impl ArrowDecoder {
         }
         let open = |buffer: usize| {
             let place = batch.buffers.get(buffer).copied();
-            self.buffer(place.ok_or("it is not there")?, body, batch.codec)
+            self.buffer(place.ok_or("a buffer is missing")?, body, batch.codec)
         };
         let numbers =
             |stored: Stored, buffer: usize, count: usize| -> Result<Vec<Option<Number>>, String> {
@@ -501,19 +501,19 @@ impl ArrowDecoder {
                 numbers.map(|number| number.ok_or_else(too_large)).collect()
             }
             Items::Texts(bytes) => {
-                let dtype = Dtype::new(b'i', false, bytes).ok_or("unknown texts")?;
+                let dtype = Dtype::new(b'i', false, bytes).ok_or("unknown type of text")?;
                 let ends = numbers(Stored::Number(dtype), 1, rows + 1)?;
                 let ends = ends
                     .into_iter()
                     .map(|end| usize::try_from(end?.whole()?).ok());
                 let ends: Option<Vec<usize>> = ends.collect();
-                let ends = ends.ok_or("damaged texts")?;
+                let ends = ends.ok_or("damaged text")?;
                 let mut letters = Vec::new();
                 let read = open(2)?.take(TEXTS_MAX).read_to_end(&mut letters);
                 read.map_err(|error| error.to_string())?;
                 let texts = ends.iter().zip(ends.iter().skip(1));
                 texts
-                    .map(|(start, end)| item(letters.get(*start..*end).ok_or("damaged texts")?))
+                    .map(|(start, end)| item(letters.get(*start..*end).ok_or("damaged text")?))
                     .collect()
             }
         }
@@ -527,7 +527,7 @@ impl ArrowDecoder {
         codec: Codec,
     ) -> Result<Box<dyn Read + Send>, String> {
         if at.checked_add(length).is_none_or(|end| end > body) {
-            return Err("it lies outside of its batch: damaged".to_owned());
+            return Err("it lies outside its batch: damaged".to_owned());
         }
         let section = Section::new(&self.source, body_at.saturating_add(at), length);
         unpacked(section, codec)
@@ -539,7 +539,7 @@ impl ArrowDecoder {
             let error = |what: &str| self.error(start, format!("column {name}: {what}"));
             let place = self.columns.places.get(which).copied().unwrap_or_default();
             let (node, buffer) = self.schema.position(place).ok_or_else(|| {
-                error("it is behind a column of a type that is not read: drop that")
+                error("it comes after a column of an unsupported type: drop that column")
             })?;
             let nulls = batch.nulls.get(node).copied();
             let nulls = nulls.ok_or_else(|| error("it is not in the batch"))?;
@@ -557,7 +557,7 @@ impl ArrowDecoder {
                 None => None,
                 Some((id, _)) => {
                     let known = self.dictionaries.get(&id).cloned();
-                    Some(known.ok_or_else(|| error("its dictionary is not there: damaged"))?)
+                    Some(known.ok_or_else(|| error("its dictionary is missing: damaged"))?)
                 }
             };
             let stored = self.columns.stored.get(which).copied();
@@ -684,7 +684,7 @@ fn item(text: &[u8]) -> Result<Number, String> {
     let text = String::from_utf8_lossy(text);
     let number = text.trim().parse().map(Number::Whole);
     let number = number.or_else(|_| text.trim().parse().map(Number::Float));
-    number.map_err(|_| format!("{} is no number and no polarity", text.escape_debug()))
+    number.map_err(|_| format!("{} is neither a number nor a polarity", text.escape_debug()))
 }
 
 /// The end of one file followed by the start of another.

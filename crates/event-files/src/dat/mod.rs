@@ -121,17 +121,18 @@ impl DatReader {
             [EVENT_2D | EVENT_CD, 8] => {}
             [TRIGGER, _] => {
                 return wrong(
-                    "the file holds triggers, no events: read the _cd.dat beside it".into(),
+                    "the file holds triggers, not events: read the _cd.dat file beside it".into(),
                 );
             }
             [EVENT_2D | EVENT_CD, bytes] => {
                 return wrong(format!(
-                    "records of {bytes} bytes: only 8 are known: damaged file"
+                    "records of {bytes} bytes instead of 8: damaged file"
                 ));
             }
             [other, _] => {
                 return wrong(format!(
-                    "events of type {other}: only 0 and 12 are known: convert it with Metavision"
+                    "events of type {other}: only types 0 and 12 are supported: convert the file \
+                     with Metavision"
                 ));
             }
         }
@@ -143,7 +144,7 @@ impl DatReader {
             Some("2") => Version::Two,
             Some("0" | "1") => Version::One,
             Some(other) => {
-                let what = format!("version {other} of DAT is not known: only 1 and 2 are");
+                let what = format!("version {other} of DAT is not supported: only 0, 1 and 2 are");
                 return Err(input.error_at(0, what));
             }
             None => {
@@ -190,14 +191,17 @@ fn version_of_records(input: &mut Input, sensor: Sensor) -> Result<(Version, Ass
     let (version, why) = match (is_one, is_two) {
         (true, false) => (
             Version::One,
-            "no record fits version 2 and all fit version 1",
+            "the first records all fit version 1, but not all fit version 2",
         ),
         (false, true) => (
             Version::Two,
-            "no record fits version 1 and all fit version 2",
+            "the first records all fit version 2, but not all fit version 1",
         ),
-        (true, true) => (Version::Two, "the first records fit version 1 as well"),
-        (false, false) => (Version::Two, "the first records fit no version"),
+        (true, true) => (Version::Two, "the first records fit versions 1 and 2"),
+        (false, false) => (
+            Version::Two,
+            "not all of the first records fit version 1, nor do all fit version 2",
+        ),
     };
     let taken = if version == Version::One { "1" } else { "2" };
     Ok((
@@ -205,7 +209,7 @@ fn version_of_records(input: &mut Input, sensor: Sensor) -> Result<(Version, Ass
         Assumption {
             what: "version",
             taken: taken.to_owned(),
-            why: format!("no line % Version; {why}"),
+            why: format!("no `% Version` line; {why}"),
         },
     ))
 }

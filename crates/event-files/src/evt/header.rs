@@ -183,7 +183,7 @@ impl RawHeader {
         match self.t0.as_deref().map(str::parse) {
             None => Ok(0),
             Some(Ok(t0_us)) if t0_us <= Wrapping::START_MAX => Ok(t0_us),
-            Some(_) => Err(input.error_at(0, "% T0 is no time of at most 2^60 us")),
+            Some(_) => Err(input.error_at(0, "% T0 is not a time of at most 2^60 us")),
         }
     }
 

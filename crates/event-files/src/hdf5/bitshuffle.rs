@@ -38,7 +38,9 @@ pub fn unpack(chunk: &[u8], values: &[u32]) -> Result<Vec<u8>, String> {
             lz4_flex::block::decompress_into(bytes, out).ok()
         }),
         ZSTANDARD => packed(chunk, element, unpack::zstandard_into),
-        other => Err(format!("blocks packed by codec {other}")),
+        other => Err(format!(
+            "blocks packed with codec {other}, which is not supported"
+        )),
     }
 }
 

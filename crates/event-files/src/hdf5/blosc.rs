@@ -138,7 +138,11 @@ pub fn unpack_stream(packed: &[u8], out: &mut [u8], codec: u8) -> Result<(), Str
         2 => unpack::snappy(packed, size).map(|unpacked| copied(&unpacked, out)),
         3 => unpack::fill(flate2::read::ZlibDecoder::new(packed), out),
         4 => unpack::zstandard_into(packed, out),
-        other => return Err(format!("a Blosc buffer packed by codec {other}")),
+        other => {
+            return Err(format!(
+                "a Blosc buffer packed with codec {other}, which is not supported"
+            ));
+        }
     };
     if filled == Some(size) {
         Ok(())

@@ -108,7 +108,10 @@ fn frame(packed: &[u8], most: usize) -> Result<Vec<u8>, String> {
         .and_then(<[u8]>::first_chunk)
         .ok_or(DAMAGED)?;
     if flags & ANY_LENGTH != 0 || kind & 15 != 0 {
-        return Err("a Blosc 2 frame in several files, or of buffers of any length".to_owned());
+        return Err(
+            "a Blosc 2 frame in several files or with buffers of variable length is not supported"
+                .to_owned(),
+        );
     }
     if size > most {
         return Err(format!("a Blosc 2 frame of {size} bytes, above {most}"));
@@ -180,7 +183,7 @@ fn buffer(packed: &[u8], most: usize) -> Result<Vec<u8>, String> {
     let (size, block, all) = (size?, block?, all?);
     if version > VERSION {
         return Err(format!(
-            "a Blosc 2 buffer of format {version}, which is not known"
+            "a Blosc 2 buffer of format {version}, which is not supported"
         ));
     }
     if version == 0 {
@@ -206,7 +209,9 @@ fn buffer(packed: &[u8], most: usize) -> Result<Vec<u8>, String> {
         buffer.header = EXTENDED_BYTES;
         let kind = more >> 4 & 7;
         if more & 0x89 != 0 {
-            return Err("a Blosc 2 buffer with a dictionary, or of no data".to_owned());
+            return Err(
+                "a Blosc 2 buffer with a dictionary or without data is not supported".to_owned(),
+            );
         }
         if kind != 0 {
             let rest = packed.get(EXTENDED_BYTES..).ok_or(DAMAGED)?;
@@ -336,7 +341,11 @@ impl Buffer<'_> {
                     }
                 }
                 3 => add_differences(block, before, self.element),
-                other => return Err(format!("a Blosc 2 buffer with filter {other}")),
+                other => {
+                    return Err(format!(
+                        "a Blosc 2 buffer with filter {other}, which is not supported"
+                    ));
+                }
             }
         }
         Ok(())
@@ -407,7 +416,7 @@ impl Array {
         };
         let (shape, chunk, block) = (sides()?, sides()?, sides()?);
         if shape.iter().zip(&chunk).any(|(side, chunk)| side > chunk) {
-            return Err("a Blosc 2 array of several buffers".to_owned());
+            return Err("a Blosc 2 array of several buffers is not supported".to_owned());
         }
         let whole = chunk.iter().zip(&block).map(|(chunk, block)| {
             let count = chunk.checked_add(block.checked_sub(1)?)? / block;

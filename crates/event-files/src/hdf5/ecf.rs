@@ -112,7 +112,9 @@ impl Columns {
         let count = usize::try_from(header >> 2).unwrap_or(usize::MAX);
         // Two bytes of x hold at most six events.
         if count > EVENTS_MAX || count.div_ceil(6) > packed.len() / 2 {
-            return Err(rest.damage(&format!("it has not the {count} events that it claims")));
+            return Err(rest.damage(&format!(
+                "it does not hold the {count} events that it claims"
+            )));
         }
         self.t.resize(count + SLACK, 0);
         self.x.resize(count + SLACK, 0);
@@ -132,7 +134,7 @@ impl Columns {
         }
         match rest.bytes.len() {
             0 => Ok(count),
-            more => Err(rest.damage(&format!("{more} bytes behind the last event"))),
+            more => Err(rest.damage(&format!("{more} bytes after the last event"))),
         }
     }
 
@@ -389,7 +391,7 @@ impl<'a> Rest<'a> {
                 break;
             }
             if bits == LONG_STEP_BITS {
-                return Err(self.damage("a step in time of more than 64 bits"));
+                return Err(self.damage("a time step of more than 64 bits"));
             }
             long |= u64::from(byte & 15) << bits;
             bits += 4;
@@ -499,9 +501,9 @@ mod tests {
         for (chunk, want) in [
             (vec![1, 0], "byte 0 of the chunk: it ends"),
             (good[..good.len() - 1].to_vec(), "it ends before"),
-            ([&good[..], &[0]].concat(), "1 bytes behind the last event"),
-            (changed(3, 1), "it has not the 4194307 events"),
-            (changed(1, 1), "it has not the 67 events"),
+            ([&good[..], &[0]].concat(), "1 bytes after the last event"),
+            (changed(3, 1), "it does not hold the 4194307 events"),
+            (changed(1, 1), "it does not hold the 67 events"),
             (changed(12, 4), "byte 13 of the chunk: more times"),
             (times(&[0x11, 0, 0, 0, 0]), "a time above 2^64"),
             (times(&[0xf1, 0x01, 0, 0]), "a time above 2^64"),

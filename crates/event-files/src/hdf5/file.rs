@@ -524,7 +524,7 @@ impl H5Type for Bytes {
 }
 
 fn no_number() -> Error {
-    Error::InvalidData("the type is not one of numbers".to_owned())
+    Error::InvalidData("the type is not numeric".to_owned())
 }
 
 fn rows(start: u64, count: u64) -> SliceInfoElem {

@@ -98,15 +98,17 @@ impl Plan {
         if file.dataset(DDD)?.is_some() {
             bail!(
                 Unsupported,
-                "{}: byte 0: raw packets of a DAVIS camera at {DDD}, as in DDD17 and DDD20, which are not read: \
-                 write columns t, x, y, p by the data set's own tools (ddd20-utils)",
+                "{}: byte 0: raw packets of a DAVIS camera at {DDD}, as in DDD17 and DDD20, which \
+                 are not supported: write columns t, x, y, p with the data set's own tools \
+                 (ddd20-utils)",
                 file.name()
             );
         }
         bail!(
             Damaged,
-            "{}: byte 0: no events at davis/left/events, no events/x, y, t, p, no table or compound \
-             events, but {}: name the dataset or group after the file's name, as in {0}/GROUP/DATASET",
+            "{}: byte 0: no events at davis/left/events, no events/x, y, t, p, no table or \
+             compound events; the file has {}: name the dataset or group after the file's name, as \
+             in {0}/GROUP/DATASET",
             file.name(),
             file.describe()
         )
@@ -168,8 +170,8 @@ impl Plan {
             let known =
                 fields(dataset.dtype(), given).filter(|_| dataset.shape().len() == 1 && !by_places);
             let Some((_, unit)) = known else {
-                let what = "the compound has no fields t, x, y, p of numbers, in one dimension, or others than \
-                            --columns t=NAME,x=NAME,y=NAME,p=NAME says";
+                let what = "the compound must have one dimension and numeric fields t, x, y, p, or \
+                            those that --columns t=NAME,x=NAME,y=NAME,p=NAME names";
                 return Err(file.error(&dataset, what));
             };
             return Ok(Found {
@@ -202,8 +204,8 @@ impl Plan {
         let shape = sides.and_then(|sides| turned(*sides));
         let (Some((events, is_turned)), Some(_)) = (shape, number_type(dataset.dtype())) else {
             let what = format!(
-                "the events must be of shape (N, {wanted}) or ({wanted}, N) and numbers, or compounds t, x, y, p: \
-                 see --columns"
+                "the events must be numbers of shape (N, {wanted}) or ({wanted}, N), or compounds \
+                 t, x, y, p: see --columns"
             );
             return Err(file.error(&dataset, what).of_kind(ErrorKind::Undecided));
         };
@@ -579,7 +581,7 @@ fn addresses(file: &Hdf5, place: &str) -> Result<Option<Found>> {
         assumption: Some(Assumption {
             what: "columns",
             taken: "x, y, p of addrs".to_owned(),
-            why: "snnTorch has them so".to_owned(),
+            why: "the order that snnTorch uses".to_owned(),
         }),
     }))
 }

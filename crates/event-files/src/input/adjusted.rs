@@ -18,13 +18,13 @@ pub fn check(format: &Format, name: &str, reading: &Reading) -> Result<()> {
     ensure!(
         is_table || reading.time_unit.is_none(),
         Undecided,
-        "{name}: the times of {} have one unit, microseconds: leave --time-unit out",
+        "{name}: the times of {} are always in microseconds: omit --time-unit",
         format.title
     );
     ensure!(
         is_table || reading.columns.is_none(),
         Undecided,
-        "{name}: {} has no columns to choose: leave --columns out",
+        "{name}: {} has no columns to choose: omit --columns",
         format.title
     );
     Ok(())
@@ -42,7 +42,7 @@ pub fn adjusted(
     ensure!(
         is_table || !leaves_out || reader.leave_out_bad_events(),
         Refused,
-        "{name}: {} holds no events that could be bad: leave --leave-out-bad-events out",
+        "{name}: {} cannot hold bad events: omit --leave-out-bad-events",
         format.title
     );
     let offset_us = if is_table { 0 } else { reading.time_offset_us };
@@ -51,7 +51,7 @@ pub fn adjusted(
     let stated_size = is_other.then(|| Assumption {
         what: "stated size",
         taken: format!("{}x{}", sensor.width, sensor.height),
-        why: "the file states it; --width and --height count where a file states none".to_owned(),
+        why: "the file states it; --width and --height apply only if a file states none".to_owned(),
     });
     if stated_size.is_none() && offset_us == 0 {
         return Ok(reader);

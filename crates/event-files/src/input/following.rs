@@ -7,7 +7,7 @@
 use std::io::{self, Read, Seek, SeekFrom};
 
 /// Message for the place where another recording begins.
-pub const ANOTHER: &str = "another recording begins here: take the files apart";
+pub const ANOTHER: &str = "another recording begins here: separate the files";
 
 /// Number of bytes that are searched: more than a footer of some 100,000 row groups.
 pub const SEARCHED_BYTES: u64 = 1 << 24;

@@ -73,20 +73,21 @@ pub fn open_growing(
     ensure!(
         format.grows,
         Refused,
-        "{name}: {} files are read when they are whole: wait for its end",
+        "{name}: {} files can be read only when they are complete: wait until this one is",
         format.title
     );
     ensure!(
         path.is_file(),
         Refused,
-        "{name}: only a file can be followed, not a folder nor a place in a file: name the bag's last file"
+        "{name}: only a file can be followed, not a folder or a place in a file: name the bag's \
+         last file"
     );
     // Without a stated size, the whole file would be searched for its largest pixel.
     let sensor = reader.sensor();
     if reading.size.is_none() && !has_size(|reading| open(path, reading), reading, sensor) {
         bail!(
             Undecided,
-            "{name}: tells no sensor size, and grows: give --width W --height H"
+            "{name}: states no sensor size and is still growing: give --width W --height H"
         );
     }
     drop(reader);

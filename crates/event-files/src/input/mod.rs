@@ -58,7 +58,7 @@ impl Input {
     pub fn new(mut source: Box<dyn ReadSeek>, name: &str) -> Result<Self> {
         let length = source
             .seek(SeekFrom::End(0))
-            .with_context(|| format!("{name}: cannot be sought; pipes are not supported"))?;
+            .with_context(|| format!("{name}: cannot seek; pipes are not supported"))?;
         Ok(Self {
             buffer: InputBuffer::new(source),
             name: name.to_owned(),
@@ -109,7 +109,7 @@ impl Input {
     /// I/O.
     pub fn end(&mut self) -> Result<u64> {
         let end = self.buffer.end();
-        let end = end.with_context(|| format!("{}: its end cannot be sought", self.name))?;
+        let end = end.with_context(|| format!("{}: cannot seek to its end", self.name))?;
         self.buffer.seek(end);
         Ok(end)
     }
@@ -122,7 +122,7 @@ impl Input {
         ensure!(
             i64::try_from(offset).is_ok(),
             Damaged,
-            "{}: byte {offset}: cannot be sought",
+            "{}: byte {offset}: cannot seek here",
             self.name
         );
         self.buffer.seek(offset);
@@ -212,7 +212,7 @@ impl Input {
         ensure!(
             offset >= self.length,
             Damaged,
-            "{}: byte {offset}: the file ends here and had {} bytes: it was cut while it was read",
+            "{}: byte {offset}: the file ends here but had {} bytes: it was cut while it was read",
             self.name,
             self.length
         );
@@ -478,7 +478,7 @@ impl<const N: usize> Words<N> {
         }
         Err(input.error_at(
             input.offset() - rest as u64,
-            format!("the file ends within a word of {N} bytes ({rest} are there): truncated"),
+            format!("the file ends within a word of {N} bytes ({rest} are present): truncated"),
         ))
     }
 
@@ -515,8 +515,9 @@ impl Input {
         Err(self.error_at(
             offset,
             format!(
-                "event {index} at x = {x}, y = {y} is outside of the sensor ({width}x{height}): the recording \
-                 is damaged, or its size is another: see --width and --height, and --leave-out-bad-events"
+                "event {index} at x = {x}, y = {y} is outside the sensor ({width}x{height}): the \
+                 recording is damaged, or the sensor has another size: see --width and --height, \
+                 and --leave-out-bad-events"
             ),
         ))
     }

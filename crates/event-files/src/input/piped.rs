@@ -155,7 +155,8 @@ impl Read for Piped {
         let passed = passed.and_then(|passed| usize::try_from(passed).ok());
         let Some(held) = passed.and_then(|passed| self.kept.get(passed..)) else {
             return Err(Error::other(
-                "a pipe gives each byte once, and these have passed: save it to a file first",
+                "a pipe can be read only once, and these bytes have passed: save it to a file \
+                 first",
             ));
         };
         let count = held.len().min(bytes.len());
@@ -190,7 +191,7 @@ pub fn whole(mut pipe: impl Read + Seek, name: &str) -> Result<File> {
     let mut file = tempfile::tempfile()
         .with_context(|| format!("{name}: no temporary file can be created for it"))?;
     io::copy(&mut pipe, &mut file)
-        .with_context(|| format!("{name}: cannot be kept in a temporary file"))?;
+        .with_context(|| format!("{name}: cannot be copied to a temporary file"))?;
     Ok(file)
 }
 

@@ -128,7 +128,7 @@ impl MatFile {
     pub fn open(mut source: Box<dyn ReadSeek>, name: &str) -> Result<Self> {
         let length = source
             .seek(io::SeekFrom::End(0))
-            .map_err(|error| error!(Damaged, "{name}: its end cannot be sought: {error}"))?;
+            .map_err(|error| error!(Damaged, "{name}: cannot seek to its end: {error}"))?;
         let mut file = Self {
             name: name.to_owned(),
             source: Arc::new(Mutex::new(source)),
@@ -140,7 +140,7 @@ impl MatFile {
         let read = Section::new(&file.source, 0, length).read_exact(&mut header);
         let order = read.ok().and_then(|()| byte_order(&header));
         file.big_endian =
-            order.ok_or_else(|| file.error(0, "no MAT-file of level 5: save it with -v7"))?;
+            order.ok_or_else(|| file.error(0, "not a level 5 MAT-file: save it with -v7"))?;
         let mut at = HEADER_BYTES as u64;
         while at < length {
             match file.variable(at, length) {
@@ -205,7 +205,7 @@ impl MatFile {
         if end > length {
             let there = length - at;
             return Err(format!(
-                "truncated: the variable has {} bytes, of which {there} are there",
+                "truncated: the variable has {} bytes, of which {there} are present",
                 tag.end()
             ));
         }
@@ -376,7 +376,7 @@ impl<'f> Elements<'f> {
     fn skip_to(&mut self, at: u64) -> Result<(), String> {
         let skipped = at
             .checked_sub(self.at)
-            .ok_or("damaged variable: an element is longer than the one that it is in")?;
+            .ok_or("damaged variable: an element is longer than the element that contains it")?;
         match &mut self.data {
             // Within the buffer's size, reading on is cheaper than seeking.
             Data::Plain(_) if skipped > BUFFER_BYTES as u64 => {
@@ -406,7 +406,7 @@ impl<'f> Elements<'f> {
         };
         if small && bytes > 4 {
             return Err(format!(
-                "damaged variable: no element has {word:#x} for its type"
+                "damaged variable: {word:#x} is not the tag of an element"
             ));
         }
         let bytes = u64::from(bytes);
@@ -540,7 +540,7 @@ impl<'f> Elements<'f> {
             let name = String::from_utf8_lossy(name).into_owned();
             let tag = self.tag()?;
             if tag.kind != MATRIX {
-                return Err(format!("damaged variable: field {name} is no array"));
+                return Err(format!("damaged variable: field {name} is not an array"));
             }
             match self.head(&tag)? {
                 Some(head)

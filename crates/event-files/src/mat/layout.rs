@@ -301,11 +301,13 @@ fn missing(file: &MatFile, what: &str) -> event_types::stream::Error {
     file.error(
         0,
         format!(
-            "{what}, neither variables t, x, y, p nor one structure of these nor one matrix of 4 columns: \
-             the file has {}: name a structure or matrix after the file's name, as in {name}/TD, or see --columns",
+            "{what}; variables t, x, y, p, one structure of these or one matrix of 4 columns is \
+             expected, but the file has {}: name a structure or matrix after the file's name, as \
+             in {name}/TD, or see --columns",
             list.join(", ").escape_debug()
         ),
-    ).of_kind(ErrorKind::Undecided)
+    )
+    .of_kind(ErrorKind::Undecided)
 }
 
 fn find(arrays: &[(String, Array)], names: &[&str]) -> Option<Array> {

@@ -146,8 +146,8 @@ impl EventWriter for MatWriter {
             ensure!(
                 index < VARIABLE_BYTES_MAX / EVENT_BYTES,
                 CannotHold,
-                "{name}: event {index}: MATLAB's level 5 ends a variable at 2 GiB: cut the recording with \
-                 --to-us, or write .hdf5"
+                "{name}: event {index}: MATLAB's level 5 limits a variable to 2 GiB: cut the \
+                 recording with --to-us, or write .hdf5"
             );
             let p: i8 = if event.polarity == Polarity::On {
                 1

@@ -167,7 +167,7 @@ impl NpzFile {
         let (name, arrays) = (&self.name, arrays.join(", "));
         error!(
             Undecided,
-            "{name}: byte 0: {what}, but {arrays}: name one, as in {name}/events, or see --columns"
+            "{name}: byte 0: {what}, only {arrays}: name one, as in {name}/events, or see --columns"
         )
     }
 
@@ -183,15 +183,15 @@ impl NpzFile {
 
     fn checked(&self, entry: &Entry, dtype: Dtype) -> Result<Dtype> {
         if dtype.is_object() {
-            let what = "it holds objects of Python (a dictionary or a list, pickled), which only Python can \
-                        read: load it there with allow_pickle=True and save its arrays: \
+            let what = "it holds pickled Python objects (a dictionary or a list), which only \
+                        Python can read: load it there with allow_pickle=True and save its arrays: \
                         numpy.savez(FILE, t=..., x=..., y=..., p=...)";
             return Err(self.error(entry, what));
         }
         let ok = dtype.is_number();
         ok.then_some(dtype).ok_or_else(|| {
-            let what = "the type must be bool, an integer of up to 8 or a float of up to 8 bytes, or a time \
-                        of a unit from as to W";
+            let what = "the type must be bool, an integer or a float of up to 8 bytes, or a time \
+                        with a unit from as to W";
             self.error(entry, what)
         })
     }
@@ -258,7 +258,7 @@ impl NpzFile {
         let Some(found) = find_names(names.clone(), given_names(reading)) else {
             let names: Vec<&str> = names.take(24).collect();
             let what = format!(
-                "the fields t, x, y, p are not all there, but {}: see --columns",
+                "the fields t, x, y, p are not all present, only {}: see --columns",
                 names.join(", ")
             );
             return Err(self.error(entry, what).of_kind(ErrorKind::Undecided));

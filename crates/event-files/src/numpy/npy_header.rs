@@ -256,7 +256,7 @@ impl NpyHeader {
         };
         let start = take(8)?;
         if start.get(..6) != Some(MAGIC) {
-            return Err("no npy array".to_owned());
+            return Err("not an npy array".to_owned());
         }
         let version = start.get(6).copied().unwrap_or(0);
         let size_bytes = match version {

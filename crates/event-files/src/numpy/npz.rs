@@ -224,7 +224,8 @@ impl NpzDecoder {
             let readers = others.filter(|other| other.entry.name == of.entry.name);
             if stream.left() > 0 && readers.count() == 1 {
                 let what = format!(
-                    "{} bytes follow the array in its file: save arrays to files of their own, or as one .npz",
+                    "{} bytes follow the array in its file: save each array to its own file, or \
+                     all as one .npz",
                     stream.left()
                 );
                 return Err(self.error(index, what));

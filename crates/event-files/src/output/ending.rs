@@ -55,7 +55,7 @@ impl Kind {
         ensure!(
             !is_other,
             Refused,
-            "{}: the ending is that of another kind of file: use {}",
+            "{}: this extension is that of another kind of file: use {}",
             path.display(),
             self.endings().first().copied().unwrap_or_default()
         );

@@ -61,7 +61,7 @@ pub fn check(path: &Path, kind: Kind, overwrite: bool, inputs: &[&Path]) -> Resu
     ensure!(
         overwrite || !path.exists(),
         Refused,
-        "{name}: is there already: choose another name or --overwrite"
+        "{name}: already exists: choose another name or use --overwrite"
     );
     let target = target(path)?;
     let folder = folder(&target);
@@ -135,7 +135,7 @@ impl Output {
             match error.kind() {
                 ErrorKind::AlreadyExists => error!(
                     Refused,
-                    "{part}: was left by a capture that did not end: move it away or --overwrite"
+                    "{part}: was left by an interrupted capture: move it away or use --overwrite"
                 ),
                 _ => event_types::stream::Error::other(error)
                     .context(format!("{part}: cannot be created")),
@@ -460,7 +460,7 @@ mod tests {
         std::fs::hard_link(at("in.raw"), at("hard.eecvs")).unwrap();
         let input = at("in.raw");
         for (name, kind, overwrite, reason) in [
-            ("old.eecvs", Kind::Frames, false, "is there already"),
+            ("old.eecvs", Kind::Frames, false, "already exists"),
             ("out.raw", Kind::Frames, true, "another kind"),
             ("out.npy", Kind::Frames, true, "another kind"),
             ("out.svg", Kind::Frames, true, "another kind"),

@@ -192,7 +192,7 @@ impl Column {
         }
         let page = metadata::page(&mut self.reader).ok_or("a damaged page header")?;
         if page.bytes > PAGE_BYTES_MAX || page.stored_bytes > PAGE_BYTES_MAX {
-            return Err("a page above 64 MB: write it again with smaller pages".to_owned());
+            return Err("a page above 64 MB: write the file again with smaller pages".to_owned());
         }
         let stored = unpack::stream(
             (&mut self.reader).take(page.stored_bytes),
@@ -284,7 +284,9 @@ fn unpack(stored: &[u8], bytes: u64, codec: i64) -> Result<Vec<u8>, String> {
                 5 => "Hadoop's LZ4",
                 _ => "an unknown codec",
             };
-            return Err(format!("packed by {name}: write it again with zstd"));
+            return Err(format!(
+                "packed with {name}: write the file again with zstd"
+            ));
         }
     };
     let unpacked = unpacked.filter(|unpacked| unpacked.len() == size);
@@ -307,7 +309,9 @@ impl ParquetDecoder {
         let total = metadata.groups.iter().map(|group| group.rows);
         let total = total.fold(0_u64, u64::saturating_add);
         if total != metadata.rows {
-            return Err(error("the row groups have other rows than the footer says"));
+            return Err(error(
+                "the row groups do not have the number of rows that the footer states",
+            ));
         }
         let chunks = metadata.groups.iter().flat_map(|group| &group.chunks);
         let last = chunks
@@ -517,7 +521,7 @@ fn footer(source: &mut dyn ReadSeek, name: &str) -> Result<(u64, Vec<u8>)> {
     let failed = |error: std::io::Error| error!(Damaged, "{name}: byte 0: cannot be read: {error}");
     let length = source.seek(SeekFrom::End(0)).map_err(failed)?;
     let truncated = || {
-        let what = "the file does not end in PAR1, behind its footer: truncated";
+        let what = "the file does not end with PAR1 after its footer: truncated";
         error!(Damaged, "{name}: byte {length}: {what}")
     };
     let end = length.checked_sub(8).ok_or_else(truncated)?;
@@ -528,7 +532,7 @@ fn footer(source: &mut dyn ReadSeek, name: &str) -> Result<(u64, Vec<u8>)> {
     ensure!(
         &magic != ENCRYPTED,
         Damaged,
-        "{name}: byte {end}: the footer is encrypted: write it again without encryption"
+        "{name}: byte {end}: the footer is encrypted: write the file again without encryption"
     );
     if &magic != MAGIC {
         return Err(truncated());

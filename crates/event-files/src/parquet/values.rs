@@ -222,7 +222,8 @@ impl Values {
             (SPLIT, Stored::Number(dtype)) => Self::Split(bytes, dtype, 0),
             (other, _) => {
                 return Err(format!(
-                    "values of encoding {other} are not read: write it again with the default encodings"
+                    "values in encoding {other} are not supported: write the file again with the \
+                     default encodings"
                 ));
             }
         })

@@ -106,7 +106,7 @@ impl Bag {
         let mut input = Input::new(source, name)?;
         let mut start = vec![0; MAGIC.len()];
         if input.fill(&mut start)? < start.len() || start != MAGIC {
-            return Err(input.error_at(0, "no bag of version 2.0 (#ROSBAG V2.0)"));
+            return Err(input.error_at(0, "not a bag of version 2.0 (#ROSBAG V2.0)"));
         }
         Ok(Self {
             bytes: Chunked::new(input),

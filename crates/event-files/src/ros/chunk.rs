@@ -149,7 +149,7 @@ impl Chunked {
     fn take_some(&mut self, bytes: &mut Vec<u8>, n: u64) -> Result<u64> {
         if n > MESSAGE_MAX as u64 {
             return Err(self.error(format!(
-                "a record of {n} bytes, more than the {MESSAGE_MAX} that one may have: it is damaged"
+                "a record of {n} bytes, more than the {MESSAGE_MAX} allowed: it is damaged"
             )));
         }
         bytes.clear();
@@ -223,7 +223,7 @@ impl Chunked {
     /// The chunk is inside a chunk, or its length is impossible.
     pub fn enter(&mut self, compression: &str, packed: u64, size: u64) -> Result<()> {
         if self.chunk.is_some() {
-            return Err(self.error("a chunk inside of a chunk: it is damaged"));
+            return Err(self.error("a chunk inside a chunk: it is damaged"));
         }
         if matches!(compression, "" | "none") {
             return if packed == size {
@@ -231,20 +231,21 @@ impl Chunked {
                 Ok(())
             } else {
                 Err(self.error(format!(
-                    "an uncompressed chunk of {packed} bytes that is said to have {size}: damaged"
+                    "an uncompressed chunk of {packed} bytes whose stated size is {size}: damaged"
                 )))
             };
         }
         if size > MESSAGE_MAX as u64 {
             return Err(self.error(format!(
-                "a chunk of {size} bytes, more than the {MESSAGE_MAX} that one may have: record \
-                 with smaller chunks"
+                "a chunk of {size} bytes, more than the {MESSAGE_MAX} allowed: record with smaller \
+                 chunks"
             )));
         }
         if packed == 0 {
             return Err(self.error(format!(
-                "a chunk in {compression} that was not closed: its recorder was cut off, or is at \
-                 work: only chunks without compression can be read before"
+                "a {compression} chunk that was not closed: its recorder was interrupted or is \
+                 still recording: until a chunk is closed, it can be read only if it is \
+                 uncompressed"
             )));
         }
         let offset = self.input.offset();
@@ -344,6 +345,7 @@ impl Chunked {
 
 fn ends_early(missing: u64) -> String {
     format!(
-        "the file ends {missing} bytes early: the recording was cut off; what stands before can be used"
+        "the file ends {missing} bytes early: the recording was cut off; everything before can be \
+         used"
     )
 }

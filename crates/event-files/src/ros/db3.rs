@@ -135,7 +135,7 @@ impl Database {
         ensure!(
             length.checked_rem(page.unsigned_abs()) == Some(0),
             Damaged,
-            "{name}: byte {length}: truncated within a page of the database: copy it anew"
+            "{name}: byte {length}: truncated within a page of the database: copy it again"
         );
         Ok(Self {
             connection,
@@ -156,8 +156,12 @@ impl Database {
             };
             statement.query_map([], row)?.collect::<Result<Vec<_>, _>>()
         });
-        let rows =
-            rows.with_context(|| format!("{}: byte 0: no bag of ROS 2 (table topics)", self.name))?;
+        let rows = rows.with_context(|| {
+            format!(
+                "{}: byte 0: not a ROS 2 bag (its table topics cannot be read)",
+                self.name
+            )
+        })?;
         let mut read = Vec::new();
         for (id, topic, kind, serialisation) in rows {
             match topics.meet(&topic, &kind) {
@@ -197,7 +201,7 @@ impl Database {
 
     fn broken(&self) -> String {
         format!(
-            "{}: byte 0 behind message {}: SQLite cannot read on: the database is damaged",
+            "{}: byte 0 after message {}: SQLite cannot read further: the database is damaged",
             self.name, self.message
         )
     }
@@ -244,7 +248,8 @@ impl Messages for Database {
                     self.message = id;
                     if let Some(kind) = kind {
                         if length > MESSAGE_MAX as i64 {
-                            let what = format!("{length} bytes are too many: it is damaged");
+                            let what =
+                                format!("{length} bytes are too many for a message: it is damaged");
                             return Err(self.error(0, &what));
                         }
                         break Some((kind, Serialisation::Cdr));

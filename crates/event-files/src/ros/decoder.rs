@@ -149,7 +149,7 @@ impl RosReader {
             .map_err(|(at, what)| messages.error(at, &what))?;
         let sensor = match (head.width, head.height) {
             (0, 0) => size.ok_or_else(|| {
-                let what = "the messages tell no sensor size: give --width W --height H";
+                let what = "the messages state no sensor size: give --width W --height H";
                 messages.error(0, what).of_kind(ErrorKind::Undecided)
             })?,
             (width, height) => {
@@ -196,7 +196,8 @@ impl RosDecoder {
         if (head.width, head.height) != self.told {
             let (width, height) = self.told;
             let what = format!(
-                "the sensor's size is {}x{} here and {width}x{height} before: convert the parts",
+                "the sensor size is {}x{} here but {width}x{height} before: convert the parts \
+                 separately",
                 head.width, head.height
             );
             return Err(self.messages.error(0, &what));

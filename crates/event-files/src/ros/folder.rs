@@ -43,12 +43,12 @@ pub fn open(path: &Path, place: Option<&str>, size: Option<Sensor>) -> Result<Ro
     let name = path.join(METADATA).display().to_string();
     let metadata = std::fs::metadata(path.join(METADATA)).with_context(|| {
         let folder = path.display();
-        format!("{folder}: is a directory, not a recording, nor a bag of ROS 2 ({METADATA})")
+        format!("{folder}: is a directory, neither a recording nor a ROS 2 bag ({METADATA})")
     })?;
     ensure!(
         metadata.len() <= METADATA_MAX,
         Damaged,
-        "{name}: byte {METADATA_MAX}: longer than metadata is"
+        "{name}: byte {METADATA_MAX}: too long for the metadata of a bag"
     );
     let text = std::fs::read_to_string(path.join(METADATA))
         .with_context(|| format!("{name}: byte 0: cannot be read as text"))?;
@@ -56,7 +56,7 @@ pub fn open(path: &Path, place: Option<&str>, size: Option<Sensor>) -> Result<Ro
     ensure!(
         !files.is_empty(),
         Damaged,
-        "{name}: byte 0: no relative_file_paths: write it anew with `ros2 bag reindex`"
+        "{name}: byte 0: no relative_file_paths: write it again with `ros2 bag reindex`"
     );
     let files: Vec<PathBuf> = files.iter().map(|file| path.join(file)).collect();
     let messages = Folder {
@@ -121,8 +121,8 @@ pub fn unpacked(path: &Path) -> Result<Option<TempPath>> {
         return Ok(None);
     }
     let packed = File::open(path).with_context(|| format!("{name}: cannot be opened"))?;
-    let mut unpacked =
-        tempfile::NamedTempFile::new().with_context(|| format!("{name}: no temporary file"))?;
+    let mut unpacked = tempfile::NamedTempFile::new()
+        .with_context(|| format!("{name}: no temporary file can be created"))?;
     let what = || format!("{name}: byte 0: cannot be decompressed");
     let mut decoder = ruzstd::decoding::StreamingDecoder::new(BufReader::new(packed))
         .map_err(std::io::Error::other)
@@ -141,7 +141,8 @@ fn open_plain(path: &Path, called: &Path, name: &str) -> Result<Box<dyn Messages
         Some("db3") => Ok(Box::new(db3::Database::new(path, name)?)),
         _ => bail!(
             Unsupported,
-            "{name}: byte 0: a bag's files are .mcap or .db3, or these in .zstd"
+            "{name}: byte 0: a bag's files must be .mcap or .db3, or one of these compressed as \
+             .zstd"
         ),
     }
 }

@@ -127,7 +127,7 @@ impl Mcap {
         let mut input = Input::new(source, name)?;
         let mut start = [0; MAGIC.len()];
         if input.fill(&mut start)? < start.len() || &start != MAGIC {
-            return Err(input.error_at(0, "no MCAP file of version 0"));
+            return Err(input.error_at(0, "not an MCAP file of version 0"));
         }
         Ok(Self {
             bytes: Chunked::new(input),
@@ -205,7 +205,8 @@ impl Mcap {
         let counted = counted.and_then(|(_, content)| content.first_chunk().copied());
         match (self.messages, counted.map(u64::from_le_bytes)) {
             (Some(messages), Some(counted)) if messages != counted => Err(self.damaged(&format!(
-                "the summary counts {counted} messages, and {messages} stand before it: the file is damaged"
+                "the summary counts {counted} messages, but {messages} come before it: the file is \
+                 damaged"
             ))),
             _ => Ok(()),
         }
@@ -278,7 +279,9 @@ impl Mcap {
         };
         let (size, crc, name) = numbers().map_err(|what: String| self.damaged(&what))?;
         if name > 64 {
-            return Err(self.damaged("a chunk's compression is no name: it is damaged"));
+            return Err(
+                self.damaged("the name of a chunk's compression is too long: it is damaged")
+            );
         }
         self.bytes.take(&mut self.content, name.into())?;
         let compression = String::from_utf8_lossy(&self.content).into_owned();
@@ -325,8 +328,8 @@ impl Messages for Mcap {
             self.at = self.bytes.offset();
             if !more {
                 return Err(self.damaged(
-                    "the file ends without the end of its data: the recording was cut off; what \
-                     stands before can be used",
+                    "the file ends without the end of its data: the recording was cut off; \
+                     everything before can be used",
                 ));
             }
             self.bytes.take(&mut self.content, 1 + 8)?;

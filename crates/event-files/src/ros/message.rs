@@ -189,9 +189,11 @@ impl Head {
                 let base_ns = fields.u64()?;
                 let encoding = Encoding::of(fields.string()?)?;
                 if fields.u8()? != 0 {
-                    return Err("is_bigendian is set, which no decoder knows: record on a \
-                                little-endian computer"
-                        .to_owned());
+                    return Err(
+                        "is_bigendian is set, which no decoder supports: record on a little-endian \
+                         computer"
+                            .to_owned(),
+                    );
                 }
                 let n = fields.sequence()?.len();
                 let end = fields.cursor.at;
@@ -199,7 +201,7 @@ impl Head {
                 if rest != 0 {
                     let word = encoding.word_bytes();
                     return Err(format!(
-                        "{n} bytes of events are no whole words of {word}: damaged"
+                        "{n} bytes of events are not whole words of {word} bytes: damaged"
                     ));
                 }
                 Content::Packed {

@@ -189,8 +189,8 @@ impl MessageEvents {
             false => "an event".to_owned(),
         };
         let what = format!(
-            "{event} at x = {x}, y = {y} is outside of the sensor ({width}x{height}): the recording is \
-             damaged"
+            "{event} at x = {x}, y = {y} is outside the sensor ({width}x{height}): the recording \
+             is damaged"
         );
         (at, what)
     }
@@ -308,7 +308,8 @@ impl MessageEvents {
 
     fn time(&self, at: usize, base_ns: u64, since_ns: u64) -> Result<u64, Damage> {
         base_ns.checked_add(since_ns).ok_or_else(|| {
-            let what = format!("time_base {base_ns} ns leads beyond 2^64 ns: it is damaged");
+            let what =
+                format!("time_base {base_ns} ns leads to a time beyond 2^64 ns: it is damaged");
             (at, what)
         })
     }
@@ -340,7 +341,7 @@ impl MessageEvents {
         let behind = fields.left();
         if *left == 0 && behind > 3 {
             // CDR pads a message to 4 bytes.
-            let what = format!("{behind} bytes are left behind the events: another layout");
+            let what = format!("{behind} bytes are left after the events: another layout");
             return Err((cursor.at, what));
         }
         self.push(at, event, batch)

@@ -47,7 +47,7 @@ impl Topics {
         let Some(kind) = kind else {
             if wanted {
                 return Err(format!(
-                    "the topic {} holds {}: events are {}",
+                    "the topic {} holds {}, not events ({})",
                     shown(topic),
                     shown(kind_name),
                     Kind::NAMES
@@ -73,11 +73,13 @@ impl Topics {
     #[must_use]
     pub fn missing(&self) -> String {
         match (&self.wanted, self.events.as_slice()) {
-            (Some(wanted), []) => format!("no events on the topic {wanted}, nor on another"),
+            (Some(wanted), []) => format!("no events on the topic {wanted} or any other"),
             (Some(wanted), events) if !events.contains(wanted) => {
                 let events: Vec<String> = events.iter().map(|name| shown(name)).collect();
                 let events = events.join(", ");
-                format!("no topic {wanted}: the recording's topics of events are {events}")
+                format!(
+                    "no topic {wanted} with events: the recording's topics with events are {events}"
+                )
             }
             (Some(wanted), _) => format!("the topic {wanted} holds no messages"),
             (None, _) => format!("no topic holds events ({})", Kind::NAMES),

@@ -62,13 +62,13 @@ impl Columns {
             Some(reading::Columns::Places { columns, .. }) => {
                 let count = schema.len();
                 return Err(format!(
-                    "--columns has {columns} columns, but the file {count}"
+                    "--columns has {columns} columns, but the file has {count}"
                 ));
             }
             _ => named.as_ref().map(|named| named.places).ok_or_else(|| {
                 let names: Vec<&str> = names().take(24).collect();
                 format!(
-                    "no columns t, x, y, p, but {}: see --columns",
+                    "no columns t, x, y, p, only {}: see --columns",
                     names.join(", ")
                 )
             })?,
@@ -78,7 +78,7 @@ impl Columns {
             let column = schema.get(place).ok_or("no such column")?;
             *slot = column.stored.ok_or_else(|| {
                 let name = column.name;
-                format!("column {name} is of a type that is not read: cast it to int64")
+                format!("column {name} is of an unsupported type: cast it to int64")
             })?;
         }
         let [t, ..] = places;

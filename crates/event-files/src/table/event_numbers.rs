@@ -170,9 +170,9 @@ pub fn given_names(reading: &Reading) -> Option<&[String; 4]> {
 pub fn names_taken(named: &Named) -> Option<Assumption> {
     (!named.passed_by.is_empty()).then(|| Assumption {
         what: "columns",
-        taken: "with the likeliest names".to_owned(),
+        taken: "those with the likeliest names".to_owned(),
         why: format!(
-            "{} could be one too; --columns t=NAME,x=NAME,y=NAME,p=NAME says otherwise",
+            "{} could be meant too; --columns t=NAME,x=NAME,y=NAME,p=NAME overrides this",
             named.passed_by.join(", ")
         ),
     })
@@ -188,7 +188,7 @@ pub fn order_taken(columns: [usize; 4]) -> Assumption {
     Assumption {
         what: "columns",
         taken: letters.into_iter().map(|(letter, _)| letter).collect(),
-        why: format!("told by the first {SAMPLE_ROWS} rows; --columns says otherwise"),
+        why: format!("recognised from the first {SAMPLE_ROWS} rows; --columns overrides this"),
     }
 }
 

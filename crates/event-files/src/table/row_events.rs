@@ -245,7 +245,7 @@ impl RowEvents {
             assumptions.push(Assumption {
                 what: "polarity",
                 taken: "1 for on, -1 for off, 0 for no event".to_owned(),
-                why: "there are three".to_owned(),
+                why: "the recording has three polarities".to_owned(),
             });
         }
         Ok(Self {
@@ -339,8 +339,8 @@ impl RowEvents {
                     if *wraps == 2 * HALF_CLOCK {
                         self.assumptions.push(Assumption {
                             what: "clock",
-                            taken: "of 32 bits, going on where it wraps".to_owned(),
-                            why: "times of type uint32 fall back by more than 2^31".to_owned(),
+                            taken: "of 32 bits, continued across wraps".to_owned(),
+                            why: "times of type uint32 jump back by more than 2^31".to_owned(),
                         });
                     }
                 } else if *last < NEAR_WRAP && now > 2 * HALF_CLOCK - NEAR_WRAP && *wraps > 0 {
@@ -435,17 +435,17 @@ impl Bad {
             Self::Between(which) => (
                 *which,
                 Some(NO_PIXEL),
-                format!("{} is not whole", value(*which)),
+                format!("{} is not a whole number", value(*which)),
             ),
             Self::Outside(x, y) => {
                 let Sensor { width, height } = sensor;
-                let what = format!("x = {x}, y = {y} is outside of the sensor ({width}x{height})");
+                let what = format!("x = {x}, y = {y} is outside the sensor ({width}x{height})");
                 (X, Some(OUTSIDE), what)
             }
             Self::NoTime => (
                 T,
                 Some(NO_TIME),
-                "the time is no number or above 2^63 us".to_owned(),
+                "the time is not a number or is above 2^63 us".to_owned(),
             ),
             Self::Negative(t_us) => {
                 let what = format!(
@@ -465,12 +465,14 @@ impl Bad {
 /// Returns the message for a recording that has both 0 and -1.
 fn mixed(has_one: bool) -> String {
     if has_one {
-        "more than two polarities: -1, 0 and 1. If 0 is no event, as CeleX has it, --leave-out-bad-events leaves \
-         those out; if files of 0 and 1 and of -1 and 1 were merged, write p as 0 and 1 again"
+        "more than two polarities: -1, 0 and 1. If 0 means no event, as in CeleX recordings, \
+         --leave-out-bad-events leaves those out; if files of 0 and 1 and of -1 and 1 were merged, \
+         write p as 0 and 1 again"
             .to_owned()
     } else {
-        "the polarities are 0 and -1, which would both be off: if they are bits with a sign, write p as -p"
-            .to_owned()
+        "the polarities are 0 and -1, which would both be off: if they are signed bits, write p as \
+         -p"
+        .to_owned()
     }
 }
 

@@ -109,7 +109,9 @@ pub fn unstated(times: &[f64], whole: bool) -> Result<Taken, String> {
     if unit == TimeUnit::S && is_slow(unit, gap) && all_whole && !is_slow(TimeUnit::Us, gap) {
         return Ok(Taken {
             unit: TimeUnit::Us,
-            why: "whole numbers that are too far apart for seconds; --time-unit s|ms|ns says otherwise".to_owned(),
+            why: "whole numbers that are too far apart for seconds; --time-unit s|ms|ns overrides \
+                  this"
+                .to_owned(),
         });
     }
     if is_slow(unit, gap) {
@@ -129,7 +131,7 @@ pub fn unstated(times: &[f64], whole: bool) -> Result<Taken, String> {
     Ok(Taken {
         unit,
         why: format!(
-            "{what} without a stated unit; --time-unit {} says otherwise",
+            "{what} without a stated unit; --time-unit {} overrides this",
             others.join("|")
         ),
     })
@@ -153,7 +155,7 @@ fn since_1970(times: &[f64], most: f64, unit: TimeUnit) -> Result<Taken, String>
     Ok(Taken {
         unit: *taken,
         why: format!(
-            "times since 1970: {most:.3e} is too large for {}; --time-unit says otherwise",
+            "times since 1970: {most:.3e} is too large for {}; --time-unit overrides this",
             unit.name()
         ),
     })

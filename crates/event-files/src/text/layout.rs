@@ -238,10 +238,10 @@ impl Layout {
         lines: &[Vec<&[u8]>],
         sensor: Option<Sensor>,
     ) -> Result<Found, &'static str> {
-        const UNCLEAR: &str = "the order of the columns is unclear: name it by --columns, such as --columns txyp, or \
-                               add a first line such as t,x,y,p";
-        const SEVERAL: &str = "more than one order of the columns fits: name it by --columns, such as --columns txyp \
-                               or xytp, or add a first line such as t,x,y,p";
+        const UNCLEAR: &str = "the order of the columns is unclear: give it with --columns, such \
+                               as --columns txyp, or add a first line such as t,x,y,p";
+        const SEVERAL: &str = "more than one order of the columns fits: give it with --columns, \
+                               such as --columns txyp or xytp, or add a first line such as t,x,y,p";
         let Some(first) = lines.first() else {
             return Ok(Found {
                 layout: Self::of_order(&[Field::T, Field::X, Field::Y, Field::P], 4),
@@ -288,8 +288,8 @@ impl Layout {
             .collect();
         if let [layout] = candidates.as_slice() {
             let why = match columns {
-                4 => "no names; no other order fits the first lines",
-                _ => "no names; further columns are left out, as v2e's labels",
+                4 => "no column names; no other order fits the first lines",
+                _ => "no column names; further columns, such as v2e's labels, are left out",
             };
             return Ok(Found {
                 layout: layout.clone(),
@@ -303,7 +303,10 @@ impl Layout {
         match rising.as_slice() {
             [layout] => Ok(Found {
                 layout: (*layout).clone(),
-                why: Some("no names; of the orders that fit, only its times never fall"),
+                why: Some(
+                    "no column names; of the orders that fit, it is the only one whose times never \
+                     decrease",
+                ),
             }),
             _ if candidates.is_empty() => Err(UNCLEAR),
             _ => Err(SEVERAL),

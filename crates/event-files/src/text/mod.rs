@@ -156,7 +156,7 @@ impl TextReader {
             assumptions.push(Assumption {
                 what: "columns",
                 taken: layout.title(),
-                why: format!("{why}; --columns says otherwise"),
+                why: format!("{why}; --columns overrides this"),
             });
         }
         let (times, whole) = times_of(&fields, layout.t);
@@ -276,7 +276,7 @@ impl Lines {
         self.number += 1;
         self.is_ended = self.line.last() == Some(&b'\n');
         if read == LINE_MAX && self.line.last() != Some(&b'\n') {
-            return Err(self.error("the line is longer than 4096 bytes: no event text"));
+            return Err(self.error("the line is longer than 4096 bytes: not event text"));
         }
         if self.number == 1 && self.line.starts_with(MARK) {
             self.line.drain(..MARK.len());
@@ -373,9 +373,10 @@ impl Start {
                         start.take(&header);
                     } else if start.layout.is_none() {
                         return Err(lines.error(match columns {
-                            Some(_) => "these are not the column names of --columns",
+                            Some(_) => "these are not the column names that --columns gives",
                             None => {
-                                "no events and no column names t, x, y, p: name the columns by --columns"
+                                "no events and no column names t, x, y, p: name the columns with \
+                                 --columns"
                             }
                         }).of_kind(ErrorKind::Undecided));
                     }
@@ -386,8 +387,8 @@ impl Start {
                     return Err(lines.error(what));
                 }
                 if has_decimal_comma(&lines.line) {
-                    let what =
-                        "a comma within a field, as of numbers with a decimal comma: write points";
+                    let what = "a comma within a field, as in numbers with a decimal comma: write \
+                                decimal points";
                     return Err(lines.error(what));
                 }
                 // The words of a comment may be names by chance.
@@ -398,7 +399,7 @@ impl Start {
                 }
                 if start.layout.is_none() && matches!(columns, Some(Columns::Names(_))) {
                     return Err(lines
-                        .error("no line before has the column names of --columns")
+                        .error("no earlier line has the column names that --columns gives")
                         .of_kind(ErrorKind::Undecided));
                 }
                 (start.data, start.data_line) = (lines.offset, lines.number);
@@ -578,7 +579,7 @@ impl TextDecoder {
     fn refusal(&self, bad: &Bad) -> event_types::stream::Error {
         let what = match bad {
             Bad::Fields(count) => format!("{count} fields instead of {}", self.layout.columns),
-            Bad::NoTime => "the time is no number".to_owned(),
+            Bad::NoTime => "the time is not a number".to_owned(),
             Bad::Fraction => "a time with a fraction after whole microseconds: give --time-unit, or name the column \
                               t_s or t_us"
                 .to_owned(),
@@ -588,12 +589,13 @@ impl TextDecoder {
             Bad::NoPixel => "x and y must be whole numbers that are not negative".to_owned(),
             Bad::NoPolarity => "the polarity is not one of 0, 1, -1, true, false".to_owned(),
             Bad::ThirdPolarity => {
-                "the polarities are 0 as well as -1: more than two; --leave-out-bad-events leaves the third out"
+                "the polarities include both 0 and -1: more than two; --leave-out-bad-events \
+                 leaves the third out"
                     .to_owned()
             }
             Bad::Outside(x, y) => {
                 let Sensor { width, height } = self.sensor;
-                format!("x = {x}, y = {y} is outside of the sensor ({width}x{height})")
+                format!("x = {x}, y = {y} is outside the sensor ({width}x{height})")
             }
         };
         self.lines.error(format!("event {}: {what}", self.events))

@@ -104,7 +104,7 @@ impl Entries {
                 CompressionMethod::Deflated => (true, None),
                 other => (
                     false,
-                    Some(format!("packed with {other}: pack it with deflate")),
+                    Some(format!("packed with {other}: pack it with deflate instead")),
                 ),
             };
             let start = file

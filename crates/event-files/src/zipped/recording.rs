@@ -71,7 +71,7 @@ pub fn open(
         what: "recording",
         taken: entry.name.clone(),
         why: format!(
-            "it is called events or is the only one that is no text; {name}/NAME names another"
+            "it is called events or is the only one that is not text; {name}/NAME chooses another"
         ),
     });
     let assumptions = With::new(reader.as_ref(), chosen);
@@ -89,7 +89,7 @@ fn find<'a>(entries: &'a Entries, name: &str, place: Option<&str>) -> Result<&'a
         let found = entries.iter().find(|entry| entry.name == place);
         return found.with_context(|| {
             format!(
-                "{name}: byte 0: no {place} in it, but {}",
+                "{name}: byte 0: the zip file holds no {place}, only {}",
                 list(entries.iter())
             )
         });
@@ -115,7 +115,7 @@ fn find<'a>(entries: &'a Entries, name: &str, place: Option<&str>) -> Result<&'a
         ([only], _) | ([], [only]) => Ok(only),
         _ if found.is_empty() => bail!(
             Unsupported,
-            "{name}: byte 0: neither arrays nor a recording in the zip file, but {}",
+            "{name}: byte 0: neither arrays nor a recording in the zip file, only {}",
             list(entries.iter())
         ),
         _ => bail!(

@@ -857,7 +857,7 @@ fn an_offset_is_added_in_every_format_and_no_option_is_ignored() {
                 },
             ] {
                 assert!(
-                    read(&path, reading).err().unwrap().contains("leave --"),
+                    read(&path, reading).err().unwrap().contains("omit --"),
                     "{ending}"
                 );
             }

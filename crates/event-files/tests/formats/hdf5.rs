@@ -164,8 +164,8 @@ fn a_place_is_named_behind_the_file() {
     // A path into a file that is not HDF5.
     std::fs::write(folder.path().join("a.txt"), "1 2 3 1\n").expect("a file");
     let error = event_files::open(&folder.path().join("a.txt/davis"), None).err();
-    let error = format!("{:#}", error.expect("a text has no places"));
-    assert!(error.contains("has no places"), "{error}");
+    let error = format!("{:#}", error.expect("a text has no parts"));
+    assert!(error.contains("has no parts to name"), "{error}");
 }
 
 #[test]
@@ -533,7 +533,7 @@ fn what_is_wrong_is_named() {
         (
             file(vec![("events", bytes(&[1, 2]))]),
             0,
-            "events: the events must be of shape (N, 4)",
+            "events: the events must be numbers of shape (N, 4)",
         ),
     ] {
         let size = Some(Sensor {

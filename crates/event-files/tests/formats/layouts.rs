@@ -355,7 +355,7 @@ fn zip_files_of_one_recording() {
     // A zip file inside a zip file, which might be itself, is not opened.
     let inner = zip(&[("events.txt", b"0.5 1 2 1\n".to_vec())]);
     let what = error(zip(&[("events.txt", inner)]), &none);
-    assert!(what.contains("no npy array"), "{what}");
+    assert!(what.contains("not an npy array"), "{what}");
 }
 
 #[test]
@@ -427,7 +427,7 @@ fn what_a_file_does_not_say_is_asked() {
     check("offset", with("<i8", &before, &p), &later, &events);
     // A pickled object.
     let objects = npy("'|O'", false, "()", b"pickled");
-    assert!(error(objects, &none).contains("objects of Python"));
+    assert!(error(objects, &none).contains("pickled Python objects"));
 }
 
 /// Reads a file of `layouts/`, whose name a place may follow; returns the size, the events and how many were left

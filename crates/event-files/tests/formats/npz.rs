@@ -263,7 +263,7 @@ fn what_is_wrong_is_named() {
             "x.npy: 2 values, but 3 times",
         ),
         (file(&complex, &good, &good), 0, "t.npy: the type must be"),
-        (file(&objects, &good, &good), 0, "objects of Python"),
+        (file(&objects, &good, &good), 0, "pickled Python objects"),
         (
             file(&nan, &good, &good),
             0,

@@ -124,8 +124,8 @@ fn events_before_a_damage_are_read() {
 #[test]
 fn what_is_no_such_file_is_named() {
     for (bytes, want) in [
-        (&b"FEA1\0\0\0\0"[..], "Feather 1 is not read"),
-        (b"ARROW1\0\0", "no schema comes first"),
+        (&b"FEA1\0\0\0\0"[..], "Feather 1 is not supported"),
+        (b"ARROW1\0\0", "no schema at the start"),
         (
             b"ARROW1\0\0\xff\xff\xff\xff\x10\0\0\0",
             "truncated or damaged",

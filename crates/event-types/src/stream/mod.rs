@@ -152,7 +152,7 @@ impl Assumption {
         Self {
             what: SIZE_TAKEN,
             taken: format!("{}x{}", sensor.width, sensor.height),
-            why: "the largest x and y; --width and --height say otherwise".to_owned(),
+            why: "the largest x and y; --width and --height override this".to_owned(),
         }
     }
 }
@@ -164,7 +164,7 @@ impl Assumption {
         Self {
             what: "times",
             taken: "whole microseconds".to_owned(),
-            why: format!("the file has finer ones, which are rounded {how}"),
+            why: format!("the file has finer times, which are rounded {how}"),
         }
     }
 }

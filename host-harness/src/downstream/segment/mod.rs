@@ -55,7 +55,7 @@ pub fn open_model(path: &Path) -> Result<Box<dyn Segmenter>> {
 #[cfg(not(feature = "onnx"))]
 pub fn open_model(path: &Path) -> Result<Box<dyn Segmenter>> {
     anyhow::bail!(
-        "{}: this build runs no ONNX models; build with `cargo build --release --features onnx`",
+        "{}: this build cannot run ONNX models; build with `cargo build --release --features onnx`",
         path.display()
     )
 }

@@ -99,7 +99,8 @@ impl OnnxModel {
         });
         opened.with_context(|| {
             format!(
-                "{}: not a segmentation model that can be run; docs/segmentation.md tells how to export one",
+                "{}: not a segmentation model that can be run; docs/segmentation.md says how to \
+                 export one",
                 path.display()
             )
         })
@@ -115,7 +116,7 @@ impl OnnxModel {
         let model = guarded(|| Ok(Model::load_file(path)?))?;
         let [input] = *model.input_ids() else {
             bail!(
-                "the model has {} inputs, and there is one frame; make the others constants",
+                "the model has {} inputs, but only the frame is given; make the others constants",
                 model.input_ids().len()
             );
         };
@@ -129,7 +130,7 @@ impl OnnxModel {
         let shape = info.shape().unwrap_or_default();
         let [batch, channels, height, width] = shape.as_slice() else {
             bail!(
-                "the input must have the shape 1 x C x H x W, and has {} dimensions",
+                "the input must have the shape 1 x C x H x W, but has {} dimensions",
                 shape.len()
             );
         };
@@ -141,7 +142,9 @@ impl OnnxModel {
             Dimension::Fixed(1) => Channels::Signed,
             Dimension::Fixed(2) => Channels::Polarities,
             Dimension::Fixed(3) => Channels::Picture,
-            Dimension::Fixed(other) => bail!("the input has {other} channels; 1, 2 or 3 are known"),
+            Dimension::Fixed(other) => {
+                bail!("the input has {other} channels; 1, 2 or 3 are supported")
+            }
             Dimension::Symbolic(name) => {
                 bail!("the number of the input's channels, {name:?}, must be fixed: 1, 2 or 3")
             }
@@ -204,8 +207,9 @@ impl OnnxModel {
         if self.has_probabilities {
             ensure!(
                 output.fits_unit(),
-                "the output `{}` was of probabilities in [0, 1] when the model was tried, and has other values for this \
-                 frame: export logits, which are negative outside segments, or probabilities",
+                "the output `{}` held probabilities in [0, 1] when the model was tried, but has \
+                 other values for this frame: export logits, which are negative outside segments, \
+                 or probabilities",
                 self.output_name
             );
         }
@@ -275,7 +279,7 @@ impl Segmenter for OnnxModel {
     fn segment(&self, frame: &Frame) -> Result<Masks> {
         self.run(frame).with_context(|| {
             format!(
-                "{}: the model cannot be run; docs/segmentation.md tells how to export one",
+                "{}: the model cannot be run; docs/segmentation.md says how to export one",
                 self.path.display()
             )
         })
@@ -287,7 +291,7 @@ fn side(dimension: &Dimension) -> Result<Option<usize>> {
     match dimension {
         Dimension::Fixed(size @ 1..=SIDE_MAX) => Ok(Some(*size)),
         Dimension::Fixed(size) => {
-            bail!("the input is {size} pixels wide or high; 1 to {SIDE_MAX} are possible")
+            bail!("the input is {size} pixels wide or high; 1 to {SIDE_MAX} are supported")
         }
         Dimension::Symbolic(_) => Ok(None),
     }
@@ -297,7 +301,7 @@ fn side(dimension: &Dimension) -> Result<Option<usize>> {
 fn guarded<T>(run: impl FnOnce() -> Result<T>) -> Result<T> {
     // After a failure only the model is used again, and a run does not change it.
     catch_unwind(AssertUnwindSafe(run))
-        .unwrap_or_else(|_| Err(anyhow!("the ONNX runtime fails on the model")))
+        .unwrap_or_else(|_| Err(anyhow!("the ONNX runtime failed on the model")))
 }
 
 impl Channels {
@@ -442,7 +446,7 @@ impl Output {
         known.insert(0);
         ensure!(
             known.len() <= LABELS_MAX + 1,
-            "has {} labels, and at most {LABELS_MAX} are possible; logits must be float32",
+            "has {} labels, but at most {LABELS_MAX} are supported; logits must be float32",
             known.len() - 1
         );
         Ok(Self {
@@ -540,7 +544,7 @@ impl Shape {
                 width,
                 has_background: true,
             },
-            _ => bail!("must have the shape 1 x K x h x w or N x h x w, and has {shape:?}"),
+            _ => bail!("must have the shape 1 x K x h x w or N x h x w, but has {shape:?}"),
         };
         ensure!(
             found.height > 0 && found.width > 0 || found.layers == 0,

@@ -94,15 +94,15 @@ pub fn charts(results: &Results) -> Result<Vec<Figure>> {
         Figure::chart(
             Section::Rate,
             "rate-distortion".to_owned(),
-            "Bits per event against the error of event times; what is exact stands at the foot. Down and \
-             left is better.",
+            "Bits per event against the error of event times; exact results are at the foot. Down \
+             and left is better.",
             Sheet::new(&Whole(RateDistortion(results)))?,
         ),
         Figure::chart(
             Section::Rate,
             "rate-times".to_owned(),
-            "Share of events within an error of their own time. What does not reach 100 % came back as \
-             another number of events. Up and left is better.",
+            "Share of events within a given error of their own time. A curve that does not reach \
+             100 % came back with a different number of events. Up and left is better.",
             Sheet::new(&Whole(TimeErrors(results)))?,
         ),
     ];
@@ -116,14 +116,15 @@ pub fn charts(results: &Results) -> Result<Vec<Figure>> {
         figures.push(Figure::chart(
             Section::Density,
             format!("density-histogram-{}", set.set),
-            "Densities of all windows of a set, empty ones included, with the two thresholds that part the \
-             regimes: its 25th and 75th percentile.",
+            "Densities of all windows of a set, empty ones included, with the two thresholds that \
+             separate the regimes: its 25th and 75th percentile.",
             chart::density_histogram(&title, &densities, thresholds(set))?,
         ));
         figures.push(Figure::chart(
             Section::Density,
             format!("density-over-time-{}", set.set),
-            "Density and regime of one window after the other, source by source in the order of the table.",
+            "Density and regime of every window in turn, source by source in the order of the \
+             table.",
             over_time(set)?,
         ));
     }
@@ -183,8 +184,8 @@ pub fn of_slices(sets: &[Set]) -> Result<Vec<Figure>> {
             section: Section::TableOne,
             name: format!("table-one-strips-{}", set.name),
             caption: format!(
-                "{} ms out of a window of {} ({} events), {part}{}: the original, and for each representation \
-                 at M = {M} what came back above its difference to the original.",
+                "{} ms out of a window of {} ({} events), {part}{}: the original, and for each \
+                 representation at M = {M} what came back, above its difference from the original.",
                 figure_ms(SLICE_US),
                 source.name,
                 window.events.len(),

@@ -84,10 +84,11 @@ fn content(section: Section, results: &Results) -> String {
     let all = |tables: Vec<Table>| tables.iter().map(Table::html).collect::<String>();
     match section {
         Section::Rate => String::from(
-            "<p>A point is a setting of a representation: M of coefficients, channels of an array, the \
-             tolerance of events. Bits are those of what packs each best: the codec's dense coder, and \
-             for arrays 8 or 32 bits a number of the active pixels alone, compressed by xz. An event that \
-             is missing or too many counts as a window, 32,768 us.</p>\n",
+            "<p>A point is a setting of a representation: the M of coefficients, the channels of \
+             an array, the tolerance of events. The bits are those of the best packing of each: \
+             the codec's dense coder, and for arrays 8 or 32 bits per number, of the active pixels \
+             alone, compressed by xz. A missing or surplus event counts as a window, 32,768 \
+             us.</p>\n",
         ),
         Section::Claims => claims(results),
         Section::TableOne => {
@@ -106,8 +107,9 @@ fn content(section: Section, results: &Results) -> String {
 fn claims(results: &Results) -> String {
     let mut html = String::from(
         "<p>The paper (arXiv 2603.14738) measures on EHPT-XC and MVSEC, which are not shipped with \
-         anything; here are emulated scenes of the same kinds, and recordings where there are any. \
-         Which event-time distance its EMD is, we do not know: two are given here.</p>\n<dl>\n",
+         this program; the results here are of emulated scenes of the same kinds, and of \
+         recordings where there are any. We do not know which event-time distance its EMD is: two \
+         are given here.</p>\n<dl>\n",
     );
     for claim in results.claims() {
         let (class, verdict) = match claim.verdict {
@@ -140,12 +142,13 @@ pub fn text(answer: &Answer) -> String {
         list(answer, &answer.at_lossless),
         list(answer, &answer.at_half),
     );
-    let no_more = "does not come back from so few bits";
+    let no_more = "do not come back from so few bits";
     format!(
-        "On the {sources} {set}, the default (events, by the fast coder) gives every event back exactly, at \
-         {default_bits:.1} bits per event, the median; the dense coder does so at {dense_bits:.1}. At no more \
-         bits than these exact events take, the best setting of every representation leaves an event off by, \
-         in the median (emd_pixel): {lossless}. At half of these bits: {half}. What is not named {no_more}."
+        "On the {sources} {set}, the default (events, by the fast coder) returns every event \
+         exactly, at {default_bits:.1} bits per event in the median; the dense coder does so at \
+         {dense_bits:.1}. At no more bits than the dense coder takes, the best setting of each \
+         representation leaves an event off by this much in the median (emd_pixel): {lossless}. At \
+         half of these bits: {half}. Representations that are not named {no_more}."
     )
 }
 

@@ -49,13 +49,13 @@ enum Better {
 const METRICS: [Metric; 6] = [
     (
         "emd_pixel, us",
-        "Mean way of an event to its own time",
+        "Mean distance of an event from its own time",
         Better::Less,
         |row| row.emd_pixel_us,
     ),
     (
         "emd_time, ms",
-        "Distance of the times of a window's events, places ignored",
+        "Distance of the times of a window's events, positions ignored",
         Better::Less,
         |row| row.emd_time_ms,
     ),
@@ -79,7 +79,7 @@ const METRICS: [Metric; 6] = [
     ),
     (
         "bits per event, packed",
-        "By what packs each best: the dense coder, or xz of the active pixels' numbers",
+        "With the best packing of each: the dense coder, or xz of the active pixels' numbers",
         Better::Neither,
         |row| row.packed_bits_per_event,
     ),
@@ -160,8 +160,8 @@ fn cell(value: Option<f64>, metric: &str, is_best: bool) -> String {
 pub fn other_arrays(results: &Results) -> Table {
     let mut table = Table::new(
         "Event frames and time surfaces",
-        "Medians over each set; two channels of f32. An event frame tells nothing of times: its events \
-         are laid evenly over the window.",
+        "Medians over each set; two channels of f32. An event frame holds no times: its events are \
+         spread evenly over the window.",
         &[
             "set",
             "array",
@@ -200,8 +200,8 @@ pub fn other_arrays(results: &Results) -> Table {
 pub fn table_two(results: &Results) -> Table {
     let mut table = Table::new(
         "Table II: over M",
-        "Medians over each set. Solved: event times by the codec's decoder; peaks: by the peaks of the \
-         summed atoms, which is nearer to the paper's decoder.",
+        "Medians over each set. Solved: event times by the codec's decoder; peaks: by the peaks of \
+         the summed atoms, which is closer to the paper's decoder.",
         &[
             "set, M",
             "representation",
@@ -250,10 +250,11 @@ pub fn table_two(results: &Results) -> Table {
 pub fn table_three(results: &Results) -> Table {
     let mut table = Table::new(
         "Table III: speed",
-        "Windows of 3,200 events, M = 8, from events to frames. Relative: over the slowest of the three \
-         transforms. The host is one thread of the machine named at the foot, median of the runs; the \
-         microcontroller's figures are counted instructions, at 168 million of them per second. The \
-         paper's are of a desktop computer, its relative efficiency taken from its events per second.",
+        "Windows of 3,200 events, M = 8, from events to frames. Relative: to the slowest of the \
+         three transforms. The host is one thread of the machine named at the foot, median of the \
+         runs; the microcontroller's figures are counted instructions, at 168 million of them per \
+         second. The paper's figures are from a desktop computer; its relative efficiency is \
+         computed from its events per second.",
         &[
             "target",
             "method",
@@ -310,7 +311,7 @@ pub fn tables_four_and_five(results: &Results) -> Vec<Table> {
                 if m == 24 {
                     "The paper: mean IoU 0.87 by its codec and 0.44 by voxel grids, on MVSEC with EventSAM."
                 } else {
-                    "The paper's own cells are of EHPT-XC and MVSEC, segmented with EventSAM."
+                    "The paper's own figures are for EHPT-XC and MVSEC, segmented with EventSAM."
                 }
             ),
             &[
@@ -415,8 +416,8 @@ fn lost<'r>(rows: impl Iterator<Item = &'r Perception>) -> String {
 pub fn regimes(results: &Results) -> Table {
     let mut table = Table::new(
         "Regimes",
-        "Windows of each source by the thresholds of its set, the 25th and 75th percentile of all its \
-         windows' densities.",
+        "Windows of each source in each regime, by the thresholds of its set: the 25th and 75th \
+         percentile of the densities of all its windows.",
         &[
             "source",
             "windows",
@@ -463,8 +464,8 @@ pub fn sources(results: &Results) -> Table {
     let mut table = Table::new(
         "Sources",
         &format!(
-            "What is measured of each: scenes are emulated, recordings are cut after the last whole window \
-             that keeps them within a number of events. {}",
+            "What is measured: scenes are emulated; recordings are cut after the last whole window \
+             that keeps them within a limit of events. {}",
             left_out.unwrap_or_default()
         ),
         &[

@@ -113,7 +113,8 @@ impl Maker {
                 ensure!(
                     !split,
                     Refused,
-                    "the window at {} us is of coefficients, which hold ON minus OFF: polarities cannot be told apart",
+                    "the window at {} us holds coefficients, which encode ON minus OFF: the \
+                     polarities cannot be separated",
                     window.header.t0_us
                 );
                 let (transform, grid) = (window.header.transform, window.header.grid);
