@@ -408,7 +408,7 @@ fn files_of_forward_are_refused_before_anything_is_done() {
                 "--to",
                 "file:b.stream",
             ],
-            "no .stream",
+            "a .stream file",
         ),
         (
             &[

@@ -101,7 +101,7 @@ fn other_files_and_later_versions_are_refused_in_one_line() {
     let file = write(&[]);
     let mut later = file.clone();
     later[8] = 2;
-    assert!(told(&later).starts_with("byte 8: version 2"));
+    assert!(told(&later).starts_with("byte 8: the stream file has version 2"));
     let mut damaged = file.clone();
     damaged[30] ^= 1;
     assert!(told(&damaged).contains("the header is damaged"));
