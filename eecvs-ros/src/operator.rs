@@ -203,7 +203,7 @@ impl Frames<'_> {
 impl Write for Frames<'_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let put = eecvs_nostd::Frame::parse(bytes)
-            .map_err(|error| anyhow::anyhow!("a frame made here: {error}"))
+            .map_err(|error| anyhow::anyhow!("a frame from this operator cannot be read: {error}"))
             .and_then(|frame| {
                 (self.put)(Encoded {
                     span: Span {

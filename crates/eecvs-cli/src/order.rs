@@ -78,7 +78,7 @@ impl OrderOptions {
             warn(&message);
             return Ok(());
         }
-        bail!("{message}; --allow-loss makes it no error")
+        bail!("{message}; with --allow-loss this is not an error")
     }
 }
 
@@ -115,7 +115,7 @@ mod tests {
         let message = "door: 4 of 20 events came too late and are in no frame: give time";
         assert_eq!(
             refused,
-            format!("{message}; --allow-loss makes it no error")
+            format!("{message}; with --allow-loss this is not an error")
         );
         order.allow_loss = true;
         let mut warned = String::new();

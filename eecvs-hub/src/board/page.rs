@@ -131,7 +131,7 @@ async fn guard(request: Request, next: Next) -> Response {
     let mut response = if is_own(request.headers(), request.uri()) {
         next.run(request).await
     } else {
-        let text = "by an address or localhost only\n";
+        let text = "use an IP address or localhost to open this page\n";
         (StatusCode::MISDIRECTED_REQUEST, text).into_response()
     };
     let headers = response.headers_mut();

@@ -127,7 +127,7 @@ fn losses_end_every_node_with_a_status() {
                 }
                 let status = if allows { 0 } else { 1 };
                 let (out, said) = program.ends_with(status, PATIENCE);
-                let told = format!("{lost}; --allow-loss makes it no error");
+                let told = format!("{lost}; with --allow-loss this is not an error");
                 assert_eq!(said.contains(&told), !allows, "{line}: {said}");
                 if line.starts_with("delay") {
                     assert!(out.contains("\"frames_lost\":1"), "{out}");
