@@ -9,7 +9,7 @@
 listen  {"ready"}, a line for each message: {"received": i, "time_ns", "bytes", "cdr_sha256", "seq", "message"},
         and {"summary": {"received", "first", "last", "lost", "disordered"}}. `cdr_sha256` is of the message that
         was read, serialised again; `time_ns` is the host's time. Arrays of numbers are told by their
-        length and sha256 in little endian. `lost` are the numbers, `seq`, that have not come though others
+        length and sha256 in little endian. `lost` are the numbers, `seq`, that have not arrived though others
         before and behind them have.
 talk    {"ready"}, {"matched"} once a subscriber is there (status 1 if none comes), {"sent": i, ...} as above,
         and {"summary": {"sent"}}. No field of a message is left at its default. `--set width=640` sets one, and
