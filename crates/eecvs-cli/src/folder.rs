@@ -27,7 +27,7 @@ impl RunFolder {
         let is_used = fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some());
         ensure!(
             overwrite || !is_used,
-            "{name}: already has files: choose another folder or --overwrite"
+            "{name}: already has files: choose another folder or use --overwrite"
         );
         Ok(Self {
             path: path.to_owned(),

@@ -177,8 +177,8 @@ impl Packets {
             ensure!(
                 t_us <= t_max_us,
                 Damaged,
-                "{}: event {}: time {t_us} us is above {t_max_us} us, the largest time that a \
-                 message's stamp can represent: write .aedat4",
+                "{}: event {}: time {t_us} us is above {t_max_us} us, the largest time of a stamp: \
+                 write .aedat4",
                 self.name,
                 self.events
             );
