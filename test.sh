@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Every check of the project, headless. `./test.sh` runs all of them but the long ones, two at a time,
-# `./test.sh STAGE...` some, one after the other:
+# Every check of the project, headless. `./test.sh` runs all stages except the long ones, two at a time;
+# `./test.sh STAGE...` runs the named ones, one after the other:
 #
 #   lint      formatting, clippy, documentation
 #   unit      unit, property, golden, format, end-to-end tests; shared recordings where present;
@@ -94,7 +94,7 @@ emulator() {
 
 unit() {
     umockdev
-    # The firmware stage tells where there is none.
+    # The firmware stage reports a missing one.
     emulator || true
     target thumbv7em-none-eabihf || true
     # The dev profile checks arithmetic overflow and debug assertions.
@@ -114,7 +114,7 @@ host_instructions() {
         fi
     fi
     cargo xtask host-instructions --check || status=$?
-    [ "$status" != 77 ] || skip "unit: instructions: the saved ones are of another compiler"
+    [ "$status" != 77 ] || skip "unit: instructions: the saved counts are from another compiler or target"
     [ "$status" = 0 ] || [ "$status" = 77 ]
 }
 
@@ -135,7 +135,7 @@ metrics() {
 peers() {
     local folder=target/python package
     if ! [ -x "$folder/bin/pip" ] && ! python3 -m venv "$folder"; then
-        skip "peers: python3 cannot make an environment"
+        skip "peers: python3 cannot create a virtual environment"
         return
     fi
     umockdev
@@ -214,7 +214,7 @@ firmware() {
         return
     fi
     if ! firmware/build.sh netduinoplus2; then
-        skip "firmware: no core library for the target"
+        skip "firmware: there is no core library for the target"
         return
     fi
     # For boards alone: QEMU has no such USB controller. What is in the image is checked below.
@@ -237,7 +237,7 @@ firmware() {
     # Its only good end is the report of a fault.
     status=0
     qemu netduinoplus2 overflow >/dev/null || status=$?
-    [ "$status" = 1 ] || { echo "a stack overflow ended with status $status"; return 1; }
+    [ "$status" = 1 ] || { echo "the stack overflow ended with status $status, not 1"; return 1; }
     # Last: until the unit stage is built, it waits.
     ran unit || cargo test "${TESTS[@]}" -- mcu::
     cargo test "${TESTS[@]}" -- --nocapture firmware_image::
@@ -253,7 +253,7 @@ usb() {
         cargo test -p usb-bridge
     fi
     usb-bridge/guest/check.sh || status=$?
-    [ "$status" != 77 ] || skip "usb: the guest: see above what is missing"
+    [ "$status" != 77 ] || skip "usb: the guest: something is missing, see above"
     [ "$status" = 0 ] || [ "$status" = 77 ]
 }
 
@@ -263,7 +263,7 @@ ros() {
     for peer in setup.sh fastdds/build.sh cyclone/build.sh; do
         status=0
         eecvs-ros/peers/$peer "$folder" || status=$?
-        [ "$status" != 77 ] || skip "ros: $peer: see above what is missing"
+        [ "$status" != 77 ] || skip "ros: $peer: something is missing, see above"
         [ "$status" = 0 ] || [ "$status" = 77 ] || return 1
     done
     [ -e "$folder/stamp" ] || return 0
@@ -277,7 +277,7 @@ usb-recordings() {
     cargo test -p usb-bridge --no-run
     cargo test -p usb-bridge --test libusb -- --ignored --nocapture
     usb-bridge/guest/recordings.sh || status=$?
-    [ "$status" != 77 ] || skip "usb-recordings: see above what is missing"
+    [ "$status" != 77 ] || skip "usb-recordings: something is missing, see above"
     [ "$status" = 0 ] || [ "$status" = 77 ]
 }
 
@@ -293,7 +293,7 @@ fuzz() {
             return
         fi
     fi
-    # A panic tells its line without.
+    # A panic reports its line without it.
     CARGO_PROFILE_RELEASE_DEBUG=0 cargo xtask fuzz "${FUZZ_SECONDS:-2}"
 }
 
@@ -307,7 +307,7 @@ demo() {
     cargo run --release --quiet -- demo -o "$folder/demo" --save "$folder/README.md"
     test -s "$folder/demo/report.html" -a -s "$folder/demo/dense.png"
     if ! diff <(demo_table README.md) <(demo_table "$folder/README.md"); then
-        echo "README.md has another table than the demo: run 'eecvs demo --save README.md'"
+        echo "the table in README.md differs from that of the demo: run 'eecvs demo --save README.md'"
         return 1
     fi
     rm -r "$folder"
@@ -328,7 +328,7 @@ fi
 for stage in "${stages[@]}"; do
     case $stage in
         lint | unit | metrics | peers | page | ros | nostd | firmware | usb | usb-recordings | fuzz | demo) ;;
-        *) echo "test.sh: no stage '$stage'; see the head of this file" >&2; exit 2 ;;
+        *) echo "test.sh: unknown stage '$stage'; the head of this file lists the stages" >&2; exit 2 ;;
     esac
 done
 
@@ -341,7 +341,7 @@ second=
 trap '[ -z "$second" ] || kill -- "-$second" 2>/dev/null || true; rm -rf "$STATE"' EXIT
 
 run() {
-    local TIMEFORMAT="=== $1 took %0R s, %0U s of the processors"
+    local TIMEFORMAT="=== $1 took %0R s, %0U s of processor time"
     echo "=== $1"
     time "$0" --stage "$1" || echo "$1" >>"$FAILED"
 }

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # A hub that is killed again and again under load: kills.sh [SECONDS]
 #
-# 8 sensors send 1.5 million events a second each to a hub, 3 receivers take all, as in load.sh, for 240 s unless told; the
-# hub is killed (SIGKILL) every 2.5 s and started again after 0.3 s. Ends with status 1 where a program ends otherwise than
-# it should, or a frame is missing. Every link fails with each kill: so are the faults found that one failure in a hundred
-# shows.
+# 8 sensors send 1.5 million events a second each to a hub, 3 receivers take all, as in load.sh, for 240 s by default;
+# the hub is killed (SIGKILL) every 2.5 s and started again after 0.3 s. Ends with status 1 if a program does not end
+# as it should, or a frame is missing. Every link fails with each kill, which finds faults that only one failure in a
+# hundred shows.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 seconds=${1:-240}
@@ -50,7 +50,7 @@ for process in "${programs[@]}"; do
     wait "$process" || failed=$((failed + 1))
 done
 echo "the hub was killed $kills times"
-[ "$failed" = 0 ] || { cat ./*.log >&2; echo "kills.sh: $failed programs ended otherwise" >&2; exit 1; }
+[ "$failed" = 0 ] || { cat ./*.log >&2; echo "kills.sh: $failed programs did not end as they should" >&2; exit 1; }
 python3 - <<'PYTHON'
 import glob
 import json

@@ -2,14 +2,14 @@
 # Sensors at full load through one hub: load.sh [SECONDS] [--kill] [--json], or load.sh --record FILE
 #
 # 8 sensors send the events of a scene at 2 million a second each, in mode hybrid, to a hub, and 3 receivers take all of
-# them: each a program of its own on this computer, over encrypted links. With --kill the hub is killed (SIGKILL) halfway,
-# and started again after 5 s; sensors keep frames on disk meanwhile. Prints what was sent and received, and ends with
-# status 1 where a frame is missing, or sensors or receivers say that they lost one.
+# them: each a program of its own on this computer, over encrypted links. With --kill the hub is killed (SIGKILL)
+# halfway, and started again after 5 s; sensors keep frames on disk meanwhile. Prints what was sent and received, and
+# ends with status 1 if a frame is missing, or if sensors or receivers report that they lost one.
 #
 # SENSORS, RATE, RECEIVERS and WINDOW_US of the environment replace these numbers.
 #
-# With --record, it does so without and with --kill, has eecvs-hub simulate its 1,000 sensors, and writes the record of
-# which README.md's table is made. That wants a machine that does nothing else.
+# With --record, it does so without and with --kill, has eecvs-hub simulate its 1,000 sensors, and writes the record
+# from which README.md's table is made. Run that on a machine that does nothing else.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 seconds=20 kill='' json='' record=''
@@ -78,7 +78,7 @@ if [ -n "$kill" ]; then
     start_hub
 fi
 for process in "${sends[@]}" "${takes[@]}"; do
-    wait "$process" || { cat ./*.log >&2; echo "load.sh: a program has failed" >&2; exit 1; }
+    wait "$process" || { cat ./*.log >&2; echo "load.sh: a program failed" >&2; exit 1; }
 done
 cat ./hub.log ./receiver-*.log >&2
 python3 - "$json" "$kill" sent-* -- received-* <<'PYTHON'

@@ -2,16 +2,16 @@
 # How long after their windows' end frames arrive, and what is lost: delay.sh [--record FILE] [--seconds N] [--window-us T]
 #
 # Plays a recording of 5.45 million events per second at its own speed, again and again: emulate, encode with its
-# default coder, and delay, which takes the frames, each a process of its own, for N seconds (20 unless told) of every
-# transport and every window (4000, 8000 and 32768 us unless told):
+# default coder, and delay, which takes the frames, each a process of its own, for N seconds (20 by default) with
+# every transport and every window (4000, 8000 and 32768 us by default):
 #
 #   dds    over the loopback
 #   zenoh  by two routers in a chain: emulate and delay are at the first one, encode at the second, so that events as
 #          well as frames pass both
 #
-#   --record FILE  also writes the rows as a record, of which a document's table is made
+#   --record FILE  also writes the rows as a record, from which a document's table is made
 #
-# Wants a machine that does nothing else.
+# Run it on a machine that does nothing else.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -25,7 +25,7 @@ while [ $# -gt 0 ]; do
     esac
 done
 recording=../shared/data/gen3_vga_dense_evt2/evt2.raw
-[ -e "$recording" ] || { echo "eecvs-ros/delay.sh: $recording is not there: put the shared recordings beside the project" >&2; exit 1; }
+[ -e "$recording" ] || { echo "eecvs-ros/delay.sh: $recording is missing: put the shared recordings beside the project" >&2; exit 1; }
 cargo build --release --quiet -p eecvs-ros
 program=${CARGO_TARGET_DIR:-target}/release/eecvs-ros
 export ROS_DOMAIN_ID=${ROS_DOMAIN_ID:-92} ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST
@@ -37,7 +37,7 @@ trap 'kill $(jobs -p) 2>/dev/null; wait 2>/dev/null; rm -rf "$work"' EXIT
 lost() {
     local said
     said=$(sed -n 's/.* events of [0-9]* messages (\([0-9]*\) lost, .*/\1/p' "$1")
-    [ -n "$said" ] || { echo "eecvs-ros/delay.sh: encode has not said what it has lost:" >&2; cat "$1" >&2; exit 1; }
+    [ -n "$said" ] || { echo "eecvs-ros/delay.sh: encode did not report what it lost:" >&2; cat "$1" >&2; exit 1; }
     echo "$said"
 }
 

@@ -3,7 +3,7 @@
 # stopped.sh [dds|zenoh] [SECONDS]
 #
 # Runs emulate, encode and decode in a domain of their own, stops decode after 10 s, and prints the resident memory of
-# emulate and encode every tenth of the time, and what they say at their end. Ends with status 1 where either has grown
+# emulate and encode every tenth of the time, and what they say at their end. Ends with status 1 if either has grown
 # by more than 8 MB from a fifth of the time to the end, or a message from emulate to encode was lost.
 set -euo pipefail
 cd "$(dirname "$0")/.."

@@ -10,8 +10,8 @@
 #
 # The images are firmware/target/MACHINE/TARGET/release/{encoder,golden}; the last line printed is
 # their folder. BINARY `instructions` needs its cuts: cargo xtask instructions makes them and calls this.
-# BINARY `kernels` is for `cargo xtask kernels`, on netduinoplus2 and mps2-an500. With `portable` the core's
-# assembly is left out.
+# BINARY `kernels` is for `cargo xtask kernels`, on netduinoplus2 and mps2-an500. With `portable`, the core's assembly
+# is left out.
 set -euo pipefail
 cd "$(dirname "$0")"
 
@@ -67,7 +67,7 @@ if ! has_library; then
         lld=$(find "$(rustc --print sysroot)" /usr/lib -name rust-lld -print -quit 2>/dev/null || true)
         [ -z "$lld" ] || PATH=$(dirname "$lld"):$PATH
     else
-        echo "firmware/build.sh: the core library for $target is missing. Either of these brings it:" >&2
+        echo "firmware/build.sh: the core library for $target is missing. Either of these installs it:" >&2
         echo "  rustup target add $target" >&2
         echo "  apt-get install rustc-web rust-web-src lld    (Debian)" >&2
         exit 1

@@ -138,7 +138,8 @@ impl Access {
     pub fn write(&self, folder: &Path) -> Result<()> {
         let path = file(folder);
         let text = format!(
-            "# Who may connect; a hub reads it when it starts. Who is taken out of it may nothing any more.\n{}",
+            "# Who may connect. A hub reads this file when it starts; whoever has been removed \
+             from it has no access.\n{}",
             toml::to_string(self)?
         );
         std::fs::write(&path, text).with_context(|| path.display().to_string())

@@ -43,7 +43,7 @@ impl Authority {
         let there = [AUTHORITY_KEY, AUTHORITY].map(|name| folder.join(name).exists());
         ensure!(
             there[0] == there[1],
-            "{}: {AUTHORITY_KEY} and {AUTHORITY} belong together, and one is missing",
+            "{}: {AUTHORITY_KEY} and {AUTHORITY} belong together, but one of them is missing",
             folder.display()
         );
         if !there[0] {
@@ -74,7 +74,7 @@ impl Authority {
         let folder = self.folder.join(folder_of(role));
         ensure!(
             !folder.exists(),
-            "{} is there already: remove it to make new keys",
+            "{} already exists: remove it to make new keys",
             folder.display()
         );
         let read = |name: &str| {

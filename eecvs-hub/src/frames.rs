@@ -38,7 +38,7 @@ impl<'u> FrameSink<'u> {
 impl Write for FrameSink<'_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let sent = Frame::parse(bytes)
-            .map_err(|error| anyhow::anyhow!("a frame made here: {error}"))
+            .map_err(|error| anyhow::anyhow!("a frame from this encoder cannot be read: {error}"))
             .and_then(|frame| {
                 let header = frame.header;
                 let end_us = header.t0_us.saturating_add(header.duration_us.into());

@@ -182,7 +182,7 @@ fn spawn(
     run: impl FnOnce() -> Result<()> + Send + 'static,
 ) -> Result<JoinHandle<Result<()>>> {
     let builder = thread::Builder::new().name(name.to_owned());
-    builder.spawn(run).context("a thread of the hub")
+    builder.spawn(run).context("starting a thread of the hub")
 }
 
 /// Subscribes to what the sensors publish, and passes it to the board.

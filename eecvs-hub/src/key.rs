@@ -30,7 +30,7 @@ pub struct Name(String);
 /// Error: a text is not a valid name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{0:?} is no name: letters, digits, - and _, in parts between single slashes, 128 bytes at the most"
+    "{0:?} is not a valid name: use letters, digits, - and _ in parts between single slashes, at most 128 bytes"
 )]
 pub struct BadName(String);
 

@@ -113,7 +113,7 @@ impl Links {
                 for endpoint in endpoints {
                     ensure!(
                         !is_tls(endpoint),
-                        "{endpoint}: give --keys with the folder of its certificate: eecvs-hub keys makes one"
+                        "{endpoint}: give --keys with the folder of the certificate, which eecvs-hub keys makes"
                     );
                 }
             }
@@ -132,11 +132,11 @@ fn authenticate(config: &mut Config, folder: &Path) -> Result<()> {
         let path = folder.join(name);
         ensure!(
             path.is_file(),
-            "{} is not there: eecvs-hub keys makes it",
+            "{}: no such file: eecvs-hub keys makes it",
             path.display()
         );
         let text = path.to_str();
-        let text = text.with_context(|| format!("{}: not a path in UTF-8", path.display()))?;
+        let text = text.with_context(|| format!("{}: the path is not UTF-8", path.display()))?;
         Ok(serde_json::to_string(text)?)
     };
     let (root, certificate, key) = (path("ca.pem")?, path("cert.pem")?, path("key.pem")?);
@@ -174,7 +174,10 @@ impl Router {
             set(&mut config, "access_control", &rules)?;
         }
         let opened = zenoh::open(config).wait();
-        let session = opened.map_err(said(format_args!("a hub at {}", links.listen.join(", "))))?;
+        let session = opened.map_err(said(format_args!(
+            "cannot start a hub at {}",
+            links.listen.join(", ")
+        )))?;
         Ok(Self { session })
     }
 
@@ -273,7 +276,7 @@ impl Client {
                 }
                 let _ = own.session.set(session);
             })
-            .context("a thread that connects")?;
+            .context("starting the thread that connects")?;
         Ok(Self(opening))
     }
 

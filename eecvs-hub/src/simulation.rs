@@ -151,7 +151,7 @@ pub fn simulate(
 ) -> Result<Outcome> {
     ensure!(
         options.hubs >= 1 && options.sensors >= options.hubs,
-        "a sensor for each hub at the least"
+        "give at least one hub, and at least one sensor for each hub"
     );
     let played = scenes(options)?;
     let fleet = Fleet::new(options, folder)?;
@@ -314,7 +314,8 @@ fn wait(who: &str, is_so: impl Fn() -> bool) -> Result<()> {
     while !is_so() {
         ensure!(
             started.elapsed() < PATIENCE,
-            "{who} do not get a link: a process may have too few sockets (ulimit -n), or the machine is too slow"
+            "{who} get no link: a process may be allowed too few sockets (ulimit -n), or the \
+             machine is too slow"
         );
         thread::sleep(Duration::from_millis(10));
     }
@@ -347,7 +348,7 @@ fn scenes(options: Options) -> Result<Vec<Arc<Played>>> {
         let frames = frames.0;
         ensure!(
             !frames.is_empty(),
-            "a scene without events: give a larger sensor"
+            "the scene has no events: give a larger sensor"
         );
         scenes.push(Arc::new(frames));
     }

@@ -95,7 +95,8 @@ impl Live {
                 while reader.read(&mut events)? > 0 {
                     ensure!(
                         events.len() <= REPEATED_MAX,
-                        "a recording of more than {REPEATED_MAX} events cannot be repeated: cut it by eecvs convert"
+                        "a recording of more than {REPEATED_MAX} events cannot be repeated: cut it \
+                         with eecvs convert"
                     );
                 }
                 ensure!(

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # Whether the peers understand each other: check.sh FOLDER
 #
-# Makes them in FOLDER, then 200 messages of 50 kB pass between pairs of them, each pair in a domain of its own
-# from ROS_DOMAIN_ID (150 unless set) on. All must come, in order and with the same content. Exit status 77:
-# something is missing that cannot be had here. Cyclone DDS is on its own: see cyclone/peer.c; Fast DDS of
-# fastdds/ and it do not find each other.
+# Builds them in FOLDER, then sends 200 messages of 50 kB between pairs of them, each pair in a domain of its own from
+# ROS_DOMAIN_ID (150 by default) on. All must arrive, in order and with the same content. Exit status 77: something is
+# missing that cannot be installed here. Cyclone DDS is on its own: see cyclone/peer.c; Fast DDS of fastdds/ and it do
+# not find each other.
 set -euo pipefail
 [ $# = 1 ] || { sed -n '2,8s/^# \{0,1\}//p' "$0" >&2; exit 2; }
 here=$(cd "$(dirname "$0")" && pwd)

@@ -9,7 +9,7 @@
 listen  {"ready"}, a line for each message: {"received": i, "time_ns", "bytes", "cdr_sha256", "seq", "message"},
         and {"summary": {"received", "first", "last", "lost", "disordered"}}. `cdr_sha256` is of the message that
         was read, serialised again; `time_ns` is the host's time. Arrays of numbers are told by their
-        length and sha256 in little endian. `lost` are the numbers, `seq`, that have not come though others
+        length and sha256 in little endian. `lost` are the numbers, `seq`, that have not arrived though others
         before and behind them have.
 talk    {"ready"}, {"matched"} once a subscriber is there (status 1 if none comes), {"sent": i, ...} as above,
         and {"summary": {"sent"}}. No field of a message is left at its default. `--set width=640` sets one, and
@@ -237,7 +237,7 @@ def talk(options, node, spin):
     say(ready=True, type=options.type, topic=publisher.topic_name)
     spin(options.seconds, lambda: publisher.get_subscription_count() > 0)
     if not publisher.get_subscription_count():
-        sys.exit("no subscriber has come")
+        sys.exit("no subscriber appeared")
     say(matched=publisher.get_subscription_count())
     # The subscriber may learn of this publisher a little later than this publisher of it.
     spin(options.settle, lambda: False)
@@ -313,12 +313,12 @@ def parameters(options, node, spin):
     client = AsyncParameterClient(node, options.node)
     spin(options.seconds, client.services_are_ready)
     if not client.services_are_ready():
-        sys.exit(f"no parameters of {options.node} are there")
+        sys.exit(f"the parameters of {options.node} did not appear")
 
     def result(future):
         spin(options.seconds, future.done)
         if not future.done():
-            sys.exit("no answer has come")
+            sys.exit("no answer arrived")
         return future.result()
 
     def parsed(text):
@@ -365,7 +365,7 @@ def cdr(options):
     for message in [kind()] + [Filler(index, options.bytes, options.seed).message(kind()) for index in range(4, 8)]:
         data = serialised(message)
         if deserialize_message(data, type(message)) != message:
-            sys.exit(f"{options.type} is not read as it was written")
+            sys.exit(f"{options.type} does not read back as it was written")
         messages.append({"cdr": data.hex(), "values": plain(message, True)})
     say(type=options.type, hash=type_hash(options.type), messages=messages)
 
@@ -378,7 +378,7 @@ def main():
         command.add_argument("type")
         command.add_argument("topic")
         command.add_argument("--count", type=int, default=100)
-        command.add_argument("--seconds", type=float, default=20, help="listen for that long; wait so long for a subscriber")
+        command.add_argument("--seconds", type=float, default=20, help="how long to listen or wait for a subscriber")
         command.add_argument("--reliable", action="store_true")
         command.add_argument("--best-effort", dest="reliable", action="store_false", help="the default")
         command.add_argument("--transient-local", action="store_true")
@@ -392,7 +392,7 @@ def main():
             command.add_argument("--of", type=int, default=1, metavar="N")
     command = commands.add_parser("graph")
     command.add_argument("--seconds", type=float, default=5)
-    command.add_argument("--until", nargs="*", metavar="TOPIC", help="no longer than until these are seen, and a second")
+    command.add_argument("--until", nargs="*", metavar="TOPIC", help="end one second after these are seen")
     command = commands.add_parser("parameters")
     command.add_argument("node")
     command.add_argument("--seconds", type=float, default=20)
@@ -401,7 +401,7 @@ def main():
     command = commands.add_parser("cdr")
     command.add_argument("type")
     for command, size in ((commands.choices["talk"], 50_000), (command, 13)):
-        command.add_argument("--bytes", type=int, default=size, help="of each array of numbers")
+        command.add_argument("--bytes", type=int, default=size, help="size of each array of numbers")
         command.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
 

@@ -5,8 +5,8 @@
 #                       of bags; built here with Kilted's rosidl: event_camera_msgs and eecvs_msgs
 #   FOLDER/hashes.txt   `hash TYPE HASH` of every message and service, as type descriptions have them
 #
-# env.sh runs a command in it. The wheels are third-party builds, for Python 3.10 to 3.13. Ends at once where
-# FOLDER is complete. Exit status 77: something is missing that cannot be had here. Log: FOLDER/log.
+# env.sh runs a command in it. The wheels are third-party builds, for Python 3.10 to 3.13. Ends at once if FOLDER is
+# complete. Exit status 77: something is missing that cannot be installed here. Log: FOLDER/log.
 set -euo pipefail
 [ $# = 1 ] || { sed -n '2,9s/^# \{0,1\}//p' "$0" >&2; exit 2; }
 caller=$PWD
@@ -38,7 +38,7 @@ expected="hash event_camera_msgs/msg/EventPacket RIHS01_d6fa176260b1f37e5a408453
 
 have python3 || packages python3 || missing "there is no python3 and apt-get cannot install it"
 python3 -c 'import sys; sys.exit(not (3, 10) <= sys.version_info < (3, 14))' ||
-    missing "$(python3 --version) is not of 3.10 to 3.13, which rclpy's wheels are for"
+    missing "rclpy's wheels need Python 3.10 to 3.13, and this is $(python3 --version)"
 
 alone "$folder"
 stamp=$(checksum setup.sh common.sh "${messages[@]}" <<<"$folder $(python3 -c 'import sys; print(sys.version, sys.base_prefix)')")
@@ -47,13 +47,13 @@ rm -rf "${folder:?}/stamp" "${folder:?}/venv" "${folder:?}/build"
 
 python3 -m venv "$venv" >"$folder/log" 2>&1 ||
     { packages python3-venv && python3 -m venv --clear "$venv" >"$folder/log" 2>&1; } ||
-    missing "python3 cannot make an environment: see $folder/log"
+    missing "python3 cannot create a virtual environment: see $folder/log"
 "$venv/bin/pip" install --disable-pip-version-check "${wheels[@]}" >>"$folder/log" 2>&1 ||
-    missing "pip cannot install the packages of ROS 2: see $folder/log"
+    missing "pip cannot install the ROS 2 packages: see $folder/log"
 
 headers=$("$venv/bin/python" -c 'import sysconfig; print(sysconfig.get_path("include"))')
 [ -e "$headers/Python.h" ] || { packages python3-dev && [ -e "$headers/Python.h" ]; } ||
-    missing "there are no headers of Python in $headers"
+    missing "the headers of Python are missing in $headers"
 for tool in cmake make g++; do
     have "$tool" || packages "$tool" || missing "there is no $tool and apt-get cannot install it"
 done
@@ -87,6 +87,6 @@ for name in sorted(hashes):
     print("hash", name, hashes[name])
 PYTHON
 grep -qx "$expected" "$folder/hashes.txt" ||
-    failed "EventPacket has another hash: see $folder/hashes.txt"
+    failed "the hash of EventPacket differs from the expected one: see $folder/hashes.txt"
 rm -rf "${folder:?}/build"
 echo "$stamp" >"$folder/stamp"

@@ -85,7 +85,7 @@ impl RosArguments {
             let argument = text(&argument)?;
             let mut value = || {
                 let value = arguments.next();
-                value.with_context(|| format!("--ros-args: {argument} wants something behind it"))
+                value.with_context(|| format!("--ros-args: {argument} needs a value after it"))
             };
             match argument {
                 "--" => break,
@@ -97,7 +97,8 @@ impl RosArguments {
                 }
                 _ if is_of_logs(argument) => {}
                 other => bail!(
-                    "--ros-args: {other} is not known: -r FROM:=TO, -p NAME:=VALUE, --params-file FILE"
+                    "--ros-args: unknown argument {other}: use -r FROM:=TO, -p NAME:=VALUE or \
+                     --params-file FILE"
                 ),
             }
         }
@@ -244,14 +245,14 @@ fn text(argument: &OsStr) -> Result<&str> {
 fn rule(text: &str) -> Result<(Option<String>, String, String)> {
     let (left, right) = text
         .split_once(":=")
-        .with_context(|| format!("{text:?} is no rule: NAME:=VALUE"))?;
+        .with_context(|| format!("{text:?}: expected NAME:=VALUE"))?;
     let (node, left) = match left.split_once(':') {
         Some((node, left)) => (Some(node.to_owned()), left),
         None => (None, left),
     };
     ensure!(
         !left.is_empty() && !right.is_empty(),
-        "{text:?} is no rule: NAME:=VALUE"
+        "{text:?}: expected NAME:=VALUE"
     );
     Ok((node, left.to_owned(), right.to_owned()))
 }
@@ -328,13 +329,13 @@ fn file(path: &Path) -> Result<Vec<Assignment>> {
     let length = length.with_context(|| format!("{name}: cannot be read"))?;
     ensure!(
         length <= FILE_BYTES_MAX,
-        "{name}: {length} bytes are no file of parameters"
+        "{name}: {length} bytes are too many for a parameter file"
     );
     let text = std::fs::read_to_string(path).with_context(|| format!("{name}: cannot be read"))?;
     // Some editors put a byte-order mark in front.
     let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
     let nodes: BTreeMap<String, Yaml> = serde_saphyr::from_str(text)
-        .map_err(|error| anyhow::anyhow!("{name}: not YAML of parameters: {error}"))?;
+        .map_err(|error| anyhow::anyhow!("{name}: not a YAML file of parameters: {error}"))?;
     let mut assignments = Vec::new();
     for (node, value) in nodes {
         node_of_file(&node, value, &mut assignments).with_context(|| name.to_string())?;
@@ -344,12 +345,12 @@ fn file(path: &Path) -> Result<Vec<Assignment>> {
 
 fn node_of_file(node: &str, value: Yaml, assignments: &mut Vec<Assignment>) -> Result<()> {
     let Yaml::Map(map) = value else {
-        bail!("{node}: wants ros__parameters below it");
+        bail!("{node}: expected ros__parameters below it");
     };
     for (key, value) in map {
         if key == "ros__parameters" {
             let Yaml::Map(parameters) = value else {
-                bail!("{node}: ros__parameters: wants NAME: VALUE below it");
+                bail!("{node}: ros__parameters: expected NAME: VALUE below it");
             };
             for (name, value) in parameters {
                 parameter_of_file(node, name, value, assignments)?;
@@ -393,7 +394,7 @@ fn value_of(yaml: Yaml) -> Result<Option<Value>> {
         Yaml::Float(float) => Value::Double(float),
         Yaml::Text(text) => Value::Text(text),
         Yaml::List(values) => list_of(&values)?,
-        Yaml::Map(_) => bail!("a map is not a value of a parameter"),
+        Yaml::Map(_) => bail!("a map is not a possible value of a parameter"),
     }))
 }
 
@@ -419,7 +420,10 @@ fn list_of(yaml: &[Yaml]) -> Result<Value> {
         return Ok(Value::Integers(values));
     }
     let values = all!(Float);
-    let values = values.context("a list of values of several types, or of lists, is no value")?;
+    let values = values.context(
+        "a list of values of several types, or of lists, is not a possible \
+                                 value of a parameter",
+    )?;
     Ok(Value::Doubles(values))
 }
 

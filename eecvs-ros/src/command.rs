@@ -306,14 +306,14 @@ fn composed(
         let thread = thread::Builder::new()
             .name(name.clone())
             .spawn(move || command.run(context, &operators))
-            .context("a thread of a node")?;
+            .context("starting the thread of a node")?;
         threads.push((name, thread));
     }
     let mut result = Ok(());
     for (name, thread) in threads {
         let ended = match thread.join() {
             Ok(ended) => ended.context(name),
-            Err(_) => bail!("{name}: panicked: please report this"),
+            Err(_) => bail!("{name}: the node panicked: please report this"),
         };
         if ended.as_ref().is_err_and(|error| !error.is::<Lost>()) {
             // The other nodes do not go on without it; one that has lost messages has come to its end.
@@ -332,7 +332,7 @@ fn route(options: &LinkOptions, stop: &Stop) -> Result<()> {
     } else {
         links.listen.join(", ")
     };
-    eprintln!("eecvs-ros: a router listens at {listens}");
+    eprintln!("eecvs-ros: a router listens on {listens}");
     let mut told = (0, 0);
     while !stop.is_asked() {
         let (routers, others) = router.connected();
@@ -356,7 +356,8 @@ impl NetworkOptions {
             (None, None) => 0,
             (None, Some(text)) => {
                 let domain_id = text.parse().ok().filter(|id| (0..=232).contains(id));
-                domain_id.with_context(|| format!("ROS_DOMAIN_ID is {text:?}: give 0 to 232"))?
+                domain_id
+                    .with_context(|| format!("ROS_DOMAIN_ID is {text:?}: it must be 0 to 232"))?
             }
         };
         let loopback = self.loopback

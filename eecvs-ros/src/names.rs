@@ -70,7 +70,7 @@ fn check_token(token: &str) -> Result<()> {
     let is_digit_first = token.starts_with(|c: char| c.is_ascii_digit());
     ensure!(
         !token.is_empty() && token.chars().all(is_good) && !is_digit_first,
-        "{token:?} is no part of a name of ROS 2: letters, digits and _, no digit first"
+        "{token:?} is not a valid part of a ROS 2 name: use letters, digits and _, with no digit first"
     );
     Ok(())
 }

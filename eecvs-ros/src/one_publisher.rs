@@ -150,7 +150,7 @@ impl OnePublisher {
             return None;
         }
         let line = format!(
-            "{}: {} {}: {} is the publisher from here on",
+            "{}: {} {}: {} is the publisher from now on",
             self.topic,
             named(kept.node.as_deref()),
             if is_gone { "has gone" } else { "is silent" },
@@ -182,7 +182,8 @@ impl OnePublisher {
         self.looked_for_unheard = nodes.is_empty().then(Instant::now);
         if !nodes.is_empty() {
             (self.say)(&format!(
-                "{} is published in this program, which is kept to; the messages of {} do not come here",
+                "{} is published in this program, whose messages are used; the messages of {} do \
+                 not arrive here",
                 self.topic,
                 nodes.join(", ")
             ));
@@ -210,8 +211,8 @@ impl OnePublisher {
             if node.is_some() && other.node.is_some() || is_late {
                 other.is_reported = true;
                 lines.push(format!(
-                    "{} has two publishers: {} is kept to, and the messages of {} are left out; give one of them \
-                     another topic, with -r {}:=OTHER",
+                    "{} has two publishers: {} is used, and the messages of {} are left out; give \
+                     one of them another topic, with -r {}:=OTHER",
                     self.topic,
                     named(node.as_deref()),
                     named(other.node.as_deref()),
@@ -321,7 +322,7 @@ mod tests {
         let lines = said.lock().unwrap().clone();
         assert_eq!(lines.len(), 1, "{lines:?}");
         assert!(
-            lines[0].contains("/x has two publishers: /a/first is kept to"),
+            lines[0].contains("/x has two publishers: /a/first is used"),
             "{lines:?}"
         );
         assert!(
@@ -380,7 +381,7 @@ mod tests {
         let lines = said.lock().unwrap().clone();
         assert_eq!(lines.len(), 1, "{lines:?}");
         assert!(
-            lines[0].contains("messages of /elsewhere/driver do not come here"),
+            lines[0].contains("messages of /elsewhere/driver do not arrive here"),
             "{lines:?}"
         );
     }
@@ -392,6 +393,6 @@ mod tests {
         assert_eq!(taken(&mut one), [(10, false)]);
         assert!(said.lock().unwrap().is_empty());
         drop(one);
-        assert!(said.lock().unwrap()[0].contains("a publisher without a node is kept to"));
+        assert!(said.lock().unwrap()[0].contains("a publisher without a node is used"));
     }
 }

@@ -203,7 +203,7 @@ impl Frames<'_> {
 impl Write for Frames<'_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let put = eecvs_nostd::Frame::parse(bytes)
-            .map_err(|error| anyhow::anyhow!("a frame made here: {error}"))
+            .map_err(|error| anyhow::anyhow!("a frame from this operator cannot be read: {error}"))
             .and_then(|frame| {
                 (self.put)(Encoded {
                     span: Span {
@@ -391,7 +391,7 @@ impl<C: WindowCoder> WindowCut<'_, C> {
         };
         self.data.clear();
         self.coder.encode(span, &self.events, &mut self.data);
-        let events = u32::try_from(self.events.len()).context("events of a window")?;
+        let events = u32::try_from(self.events.len()).context("a window has too many events")?;
         self.events.clear();
         self.summary.windows += 1;
         self.summary.frames += 1;
@@ -418,7 +418,12 @@ impl<C: WindowCoder> Decoder for WindowDecoder<C> {
         let sensor = side(frame.width)
             .zip(side(frame.height))
             .and_then(|(width, height)| Sensor::new(width, height))
-            .with_context(|| format!("a sensor of {}x{}", frame.width, frame.height))?;
+            .with_context(|| {
+                format!(
+                    "{}x{} is not a valid sensor size",
+                    frame.width, frame.height
+                )
+            })?;
         let span = Span {
             sensor,
             t0_us: frame.t0_us,
@@ -427,14 +432,14 @@ impl<C: WindowCoder> Decoder for WindowDecoder<C> {
         let events = self.coder.decode(span, &frame.data)?;
         anyhow::ensure!(
             events.len() == frame.events as usize,
-            "{} events where {} are told",
+            "{} events were decoded, but the message states {}",
             events.len(),
             frame.events
         );
         let outside = events
             .iter()
             .find(|event| !sensor.contains(event.x, event.y));
-        anyhow::ensure!(outside.is_none(), "an event is outside of the sensor");
+        anyhow::ensure!(outside.is_none(), "an event is outside the sensor");
         self.counts.events_exact += events.len() as u64;
         ready(Decoded::Events(span, events));
         Ok(())

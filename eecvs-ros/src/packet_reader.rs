@@ -58,11 +58,11 @@ impl Received {
     #[must_use]
     pub const fn losses(&self) -> [(u64, &'static str); 3] {
         [
-            (self.sequence.lost, "messages of events have not come"),
-            (self.refused, "messages of events were left out"),
+            (self.sequence.lost, "event messages have not arrived"),
+            (self.refused, "event messages were left out"),
             (
                 self.others,
-                "messages of another publisher of events were left out",
+                "event messages of another publisher were left out",
             ),
         ]
     }
@@ -188,8 +188,10 @@ impl PacketReader {
                 Ok((Some(sensor), head)) => (head, sensor),
                 Ok((None, head)) => {
                     received.refused += 1;
-                    received.why_refused =
-                        Some(format!("a sensor of {}x{}", head.width, head.height));
+                    received.why_refused = Some(format!(
+                        "{}x{} is not a valid sensor size",
+                        head.width, head.height
+                    ));
                     continue;
                 }
                 Err(why) => {
@@ -262,7 +264,7 @@ impl PacketReader {
             Ok(head) if (head.width, head.height) != self.told => {
                 let (width, height) = self.told;
                 self.refuse(format!(
-                    "a sensor of {}x{}, and of {width}x{height} before",
+                    "the sensor has {}x{} pixels, but had {width}x{height} before",
                     head.width, head.height
                 ));
             }

@@ -154,7 +154,7 @@ impl Packer {
                 Encoding::Libcaer | Encoding::Mono => {
                     let base_ns = first.t_us.checked_mul(1000);
                     let Some(base_ns) = base_ns else {
-                        anyhow::bail!("time {} us is beyond 2^64 ns", first.t_us);
+                        anyhow::bail!("the time {} us is 2^64 ns or more", first.t_us);
                     };
                     base_ns
                 }
@@ -168,7 +168,7 @@ impl Packer {
             for event in events {
                 ensure!(
                     self.sensor.contains(event.x, event.y),
-                    "event at x = {}, y = {} is outside of the sensor ({}x{})",
+                    "event at x = {}, y = {} is outside the sensor ({}x{})",
                     event.x,
                     event.y,
                     self.sensor.width,

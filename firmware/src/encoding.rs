@@ -177,13 +177,13 @@ impl Encoding {
         self.refusal = windows.as_ref().err().copied();
         match windows {
             Ok(windows) => {
-                defmt::info!("{}: {=usize} events a window", setup, self.window_events);
+                defmt::info!("{}: {=usize} events per window", setup, self.window_events);
                 receiving::set_up(setup, WINDOWS);
                 windows.into_iter().flatten().for_each(receiving::free);
             }
             Err(refusal) => {
                 self.window_events = 0;
-                defmt::error!("refused for {}: {}", refusal, setup);
+                defmt::error!("setup refused, reason {}: {}", refusal, setup);
                 receiving::set_up(setup, 0);
             }
         }

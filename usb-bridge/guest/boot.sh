@@ -37,7 +37,7 @@ load=4
 kernel() {
     [ ! -e "$cache/kernel/complete" ] || return 0
     local package folder
-    command -v apt-get >/dev/null 2>&1 || missing "no apt-get, which fetches the guest's kernel"
+    command -v apt-get >/dev/null 2>&1 || missing "apt-get is missing, which fetches the guest's kernel"
     folder=$(mktemp -d)
     fetch() {
         package=$(apt-cache depends linux-image-amd64 2>/dev/null |
@@ -144,8 +144,8 @@ timeout --foreground "$GUEST_SECONDS" qemu-system-x86_64 \
     -append "console=ttyS0 quiet loglevel=4 panic=-1" </dev/null || status=$?
 # Twice what the guest wrote, plus one.
 case $status in
-    124) echo "guest: no end within $GUEST_SECONDS s" >&2; exit 1 ;;
+    124) echo "guest: it did not end within $GUEST_SECONDS s" >&2; exit 1 ;;
     *) [ $((status % 2)) = 1 ] && [ "$status" -ge 33 ] ||
-        { echo "guest: died (QEMU's exit status is $status)" >&2; exit 1; } ;;
+        { echo "guest: it crashed (QEMU's exit status is $status)" >&2; exit 1; } ;;
 esac
 exit $(((status - 33) / 2))

@@ -230,7 +230,7 @@ impl<'c> Guest<'c> {
         let found = named.find(|one| one.product_name.as_deref() == Some(case.name));
         let id = found.context("the director has gone")?.id();
         let watch = Watch::new()?;
-        ensure!(watch.is_told(), "libusb does not tell of devices here");
+        ensure!(watch.is_told(), "libusb does not report devices here");
         // The device may leave before the request completes.
         let _ = vendor_out(&director, sequence::NOTE, b"camera");
         drop(director);
@@ -244,7 +244,7 @@ impl<'c> Guest<'c> {
         let mut command = program(arguments);
         command.args(["--wait", "--json", "--device", &self.id]);
         command.stdout(Stdio::piped()).stderr(Stdio::piped());
-        command.spawn().context("starting it")
+        command.spawn().context("starting eecvs-usb")
     }
 
     fn await_change(&mut self, wanted: &dyn Fn(&Told) -> bool) -> Result<()> {
@@ -256,7 +256,7 @@ impl<'c> Guest<'c> {
                 return Ok(());
             }
         }
-        bail!("is not told")
+        bail!("was not reported")
     }
 
     fn await_removal(&mut self) -> Result<()> {
@@ -286,7 +286,7 @@ fn one_line(output: &Output, status: i32, what: &str) -> Result<()> {
     let text = String::from_utf8_lossy(&output.stderr);
     ensure!(
         output.status.code() == Some(status) && text.lines().count() == 1 && text.contains(what),
-        "{}, not {status} and a line with \"{what}\": {text}",
+        "{}; expected status {status} and one line with \"{what}\": {text}",
         output.status
     );
     Ok(())
@@ -314,10 +314,14 @@ fn pulled(guest: &mut Guest<'_>) -> Result<String> {
     let sent = guest.case.scene();
     ensure!(
         !found.is_empty() && sent.starts_with(&found),
-        "{} events, which are not the first ones",
+        "the {} events in the file are not the first ones that were sent",
         found.len()
     );
-    Ok(format!("{} of {} events before", found.len(), sent.len()))
+    Ok(format!(
+        "{} of {} events before the removal",
+        found.len(),
+        sent.len()
+    ))
 }
 
 /// Checks that `capture` continues after a halt: only the frame that the halt cut is missing, and counted.
@@ -339,7 +343,10 @@ fn halts(guest: &mut Guest<'_>) -> Result<String> {
         .iter()
         .filter(|event| of_found.next_if_eq(event).is_none())
         .collect();
-    ensure!(of_found.next().is_none(), "events that were never sent");
+    ensure!(
+        of_found.next().is_none(),
+        "the file has events that were never sent"
+    );
     let span_us = match missing[..] {
         [first, .., latest] => latest.t_us - first.t_us,
         _ => 0,
@@ -352,7 +359,7 @@ fn halts(guest: &mut Guest<'_>) -> Result<String> {
     let frames = lost["frames lost"].as_u64().unwrap_or(0);
     ensure!(
         missing.is_empty() || frames == 1,
-        "{} events are missing and not told: {lost}",
+        "{} events are missing and were not reported: {lost}",
         missing.len()
     );
     guest.next()?;
@@ -386,23 +393,26 @@ fn stuck(guest: &mut Guest<'_>) -> Result<String> {
     let lost = count(0, "lost")?;
     ensure!(
         count(1, "sent")? == events && count(1, "lost")? == 0,
-        "the file has not all of {events}: {said}"
+        "the file does not have all {events} events: {said}"
     );
     ensure!(
         lost > 0 && count(0, "sent")? + lost == events,
-        "not accounted for: {said}"
+        "events are not accounted for: {said}"
     );
     let bytes = said["consumers"][1]["sent"]["bytes"].as_u64();
     ensure!(
         bytes == Some(std::fs::metadata("/tmp/all")?.len()),
-        "the file is shorter than what it was sent: {said}"
+        "the file does not have as many bytes as were sent to it: {said}"
     );
     let memory = said["memory_peak_bytes"].as_u64().context("memory")?;
-    ensure!(memory < MEMORY_MAX, "{memory} bytes of memory");
+    ensure!(
+        memory < MEMORY_MAX,
+        "it used {memory} bytes of memory, which is too much"
+    );
     std::fs::remove_file("/tmp/all")?;
     guest.next()?;
     let megabytes = memory as f64 / 1e6;
     Ok(format!(
-        "{lost} of {events} events lost for it alone, {megabytes:.1} MB of memory"
+        "only it lost events, {lost} of {events}; {megabytes:.1} MB of memory"
     ))
 }

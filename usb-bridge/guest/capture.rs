@@ -65,7 +65,7 @@ pub fn all(wanted: &[&str]) -> Result<()> {
                         told.with_context(|| format!("{model}, {name}"))?
                     );
                 }
-                Some(other) => bail!("{other:?}: not PORT MODEL NAME DIGEST"),
+                Some(other) => bail!("{other:?}: expected PORT MODEL NAME DIGEST"),
                 None => return Ok(()),
             }
         }
@@ -114,7 +114,7 @@ fn attached(port: u8) -> Result<Attached> {
         if let Some(found) = devices.into_iter().find(|one| one.ports == [port]) {
             return Ok(found);
         }
-        ensure!(Instant::now() < until, "nothing appears at port {port}");
+        ensure!(Instant::now() < until, "no device appears at port {port}");
         thread::sleep(Duration::from_millis(100));
     }
 }

@@ -133,7 +133,7 @@ fn serve(path: &str) -> Result<()> {
     println!("{report:?}");
     ensure!(
         report.packets_odd == 0 && !report.is_rejected,
-        "odd packets"
+        "the host sent packets that are not understood, or refused the device"
     );
     ensure!(report.traffic.bytes_overflown == 0, "bytes were lost");
     Ok(())
@@ -191,7 +191,7 @@ fn open(name: &str) -> Result<Device> {
         }
         std::thread::sleep(Duration::from_millis(100));
     }
-    bail!("does not appear")
+    bail!("the device does not appear")
 }
 
 fn vendor_out(device: &Device, request: u8, data: &[u8]) -> Result<(), LinkError> {
@@ -227,7 +227,10 @@ fn stream(device: &Device, bytes: u64, stalls: u32, pause: Duration) -> Result<(
         }
         std::thread::sleep(pause);
     }
-    ensure!(stalls_found == stalls, "{stalls_found} stalls");
+    ensure!(
+        stalls_found == stalls,
+        "{stalls_found} stalls, expected {stalls}"
+    );
     // What was in flight when the stream was stopped still arrives, to the last byte.
     vendor_out(device, sequence::STOP, &[])?;
     while let Received::Bytes { bytes, .. } = link.receive(Duration::from_millis(200))? {
@@ -245,7 +248,7 @@ fn stream(device: &Device, bytes: u64, stalls: u32, pause: Duration) -> Result<(
     let sent = u64::from_le_bytes(sent);
     ensure!(
         sent == check.bytes(),
-        "{} of {sent} bytes came",
+        "{} of {sent} bytes arrived",
         check.bytes()
     );
     drop(link);
@@ -260,15 +263,15 @@ fn commands(device: &Device) -> Result<()> {
     vendor_out(device, sequence::NOTE, &note)?;
     let mut back = [0; 100];
     let length = control.control_in(Request::vendor_in(sequence::NOTE, 0, 0), &mut back)?;
-    ensure!(back[..length] == note[..], "the note came back otherwise");
+    ensure!(back[..length] == note[..], "the note came back changed");
     ensure!(
         vendor_out(device, 0x01, &[]).is_err(),
-        "nothing was refused"
+        "an unknown request was not refused"
     );
     let mut echo = |control: &mut dyn Control, bytes: &[u8]| -> Result<()> {
         control.bulk_out(sequence::COMMANDS, bytes)?;
         let come = control.bulk_in(sequence::ANSWERS, &mut back)?;
-        ensure!(back[..come] == *bytes, "an answer differs");
+        ensure!(back[..come] == *bytes, "an answer differs from the command");
         Ok(())
     };
     for length in [1, 63, 64] {
@@ -310,7 +313,7 @@ fn unplugged(device: &Device) -> Result<()> {
     }
     ensure!(
         is_asked && check.is_good(),
-        "wrong: {:?}",
+        "the first wrong byte: {:?}",
         check.first_wrong()
     );
     Ok(())

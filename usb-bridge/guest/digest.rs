@@ -55,15 +55,15 @@ impl Digest {
     pub fn require(&self, sent: &Self, keeps_order: bool) -> Result<()> {
         ensure!(
             self.events == sent.events,
-            "{} events came, {} were sent",
+            "{} events arrived, {} were sent",
             self.events,
             sent.events
         );
-        ensure!(self.sum == sent.sum, "events came changed");
-        ensure!(!self.runs_back, "the times run back");
+        ensure!(self.sum == sent.sum, "events arrived changed");
+        ensure!(!self.runs_back, "times run backwards");
         ensure!(
             !keeps_order || self.chain == sent.chain,
-            "events came in another order"
+            "events arrived in another order"
         );
         Ok(())
     }
@@ -76,7 +76,7 @@ impl FromStr for Digest {
         let numbers: Result<Vec<u64>, _> = text.split(',').map(str::parse).collect();
         let numbers = numbers.with_context(|| text.to_owned())?;
         let [events, sum, chain] = numbers[..] else {
-            anyhow::bail!("{text}: not EVENTS,SUM,CHAIN");
+            anyhow::bail!("{text}: expected EVENTS,SUM,CHAIN");
         };
         Ok(Self {
             events,

@@ -45,7 +45,7 @@ pub fn scenes(folder: &str) -> Result<()> {
             .filter_map(|&(width, height)| Sensor::new(width, height))
             .find(|sensor| model.writer(*sensor).is_some());
         let Some(sensor) = sensor else {
-            eprintln!("{}: no sensor of the list fits", model.name());
+            eprintln!("{}: no sensor in the list fits this model", model.name());
             continue;
         };
         let path = Path::new(folder).join(format!("{}.npz", model.name()));

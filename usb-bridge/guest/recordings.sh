@@ -17,7 +17,7 @@ if [ ! -e "$data/REFERENCE.json" ]; then
     exit 77
 fi
 "$check" recordings "$data" "$@" | sort -s -k 1,1 >"$work/plan"
-[ -s "$work/plan" ] || { echo "nothing fits: $*" >&2; exit 2; }
+[ -s "$work/plan" ] || { echo "no recording fits: $*" >&2; exit 2; }
 split -l "$PORTS" "$work/plan" "$work/part-"
 for part in "$work"/part-*; do
     cameras <"$part"

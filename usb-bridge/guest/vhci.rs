@@ -113,9 +113,9 @@ fn camera() -> Result<String> {
     let taken_back = imported.end()?.traffic.cancelled;
     ensure!(
         taken_back > 10,
-        "only {taken_back} transfers were taken back"
+        "only {taken_back} transfers were cancelled"
     );
-    Ok(format!("{told}, {taken_back} transfers taken back"))
+    Ok(format!("{told}, {taken_back} transfers cancelled"))
 }
 
 /// Waits for the device on vhci-hcd's USB 2 or USB 3 bus and returns its name.
@@ -134,7 +134,7 @@ fn attached_name() -> Result<String> {
         if let Some(name) = found {
             return Ok(format!("usb:{name}"));
         }
-        ensure!(Instant::now() < until, "does not appear");
+        ensure!(Instant::now() < until, "the device does not appear");
         thread::sleep(Duration::from_millis(50));
     }
 }

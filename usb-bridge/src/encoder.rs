@@ -41,11 +41,11 @@ impl Encoder {
         let name = source.link.name().to_owned();
         ensure!(
             source.model.name() == NAME,
-            "{name}: is a {} and no encoder that could be set up",
+            "{name}: is a {}, not an encoder that can be set up",
             source.info.name
         );
         if let Some(control) = &mut source.control {
-            restart(control.as_mut()).with_context(|| format!("{name}: the begin of a session"))?;
+            restart(control.as_mut()).with_context(|| format!("{name}: beginning a session"))?;
         }
         let link = std::mem::replace(&mut source.link, Box::new(Nowhere));
         Ok(Self {
@@ -88,7 +88,7 @@ impl Encoder {
             .with_context(|| name)?;
         let rest = connection.incoming().take_rest();
         drop(connection);
-        let link = Arc::into_inner(self.link).context("the link is in use")?;
+        let link = Arc::into_inner(self.link).context("the link is still in use")?;
         let inner = link.into_inner().unwrap_or_else(PoisonError::into_inner);
         Ok(Source {
             link: Box::new(Begun {

@@ -229,7 +229,7 @@ pub fn start(mut link: Box<dyn Link>, queue_bytes: usize) -> Result<(Arc<Pumped>
             shared.run(link.as_mut());
             link
         })
-        .context("starting the thread of the link")?;
+        .context("starting the link's thread")?;
     Ok((pumped, thread))
 }
 

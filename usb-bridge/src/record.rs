@@ -59,8 +59,8 @@ pub fn kind_of(path: &Path) -> Result<Kind> {
         Some("stream") => Ok(Kind::Stream),
         Some("eecvs") => Ok(Kind::Frames),
         Some("npz") => anyhow::bail!(
-            "{name}: an .npz cannot be read before it is complete, and a capture may be cut short: \
-             record .raw or .aedat4 and convert it with eecvs convert"
+            "{name}: an .npz file cannot be read unless it is complete, and a capture may be cut \
+             short: record .raw or .aedat4 and convert that with eecvs convert"
         ),
         _ => Ok(Kind::Events),
     }

@@ -52,10 +52,10 @@ impl FromStr for Name {
         };
         let (model, file) = rest
             .split_once(':')
-            .ok_or_else(|| format!("{text}: a recording is missing: sim:MODEL:FILE"))?;
+            .ok_or_else(|| format!("{text}: the recording is missing: expected sim:MODEL:FILE"))?;
         let model = find(model).ok_or_else(|| {
             let known: Vec<_> = device::MODELS.iter().map(|model| model.name()).collect();
-            format!("{text}: no such model; there are: {}", known.join(", "))
+            format!("{text}: unknown model; known models: {}", known.join(", "))
         })?;
         Ok(Self::Simulated(model.name(), file.into()))
     }
@@ -91,13 +91,13 @@ pub fn open(name: Option<&Name>, options: &Options, stop: &Stop) -> Result<Sourc
 fn usb(id: Option<&str>, options: &Options, stop: &Stop) -> Result<Source> {
     let attached = if options.wait {
         let found = wait_for(id, &|| stop.is_asked())?;
-        found.context("nothing was attached until the end")?
+        found.context("no device was attached before the end")?
     } else {
         Bus::new()?.find(id)?
     };
     let model = attached
         .model
-        .with_context(|| format!("{}: is no known camera or MCU", attached.name()))?;
+        .with_context(|| format!("{}: is not a known camera or MCU", attached.name()))?;
     if model.needs_super_speed() {
         attached.require_super_speed()?;
     }
@@ -187,7 +187,7 @@ fn replay(path: &Path, options: &Options) -> Result<Source> {
         Pace::Recorded(times) => ReplayPace::Times(times),
         Pace::Max => ReplayPace::Max,
         Pace::Rate(_) => bail!(
-            "{name}: a stream file has bytes and no events: replay it at real, max or a factor such as 2x"
+            "{name}: a stream file holds bytes, not events: replay it at real, max or a factor such as 2x"
         ),
     };
     let link = ReplayLink::open(path, pace).with_context(|| name.to_string())?;
@@ -198,7 +198,7 @@ fn replay(path: &Path, options: &Options) -> Result<Source> {
     });
     let (model, mut info) = found.ok_or_else(|| {
         anyhow!(
-            "{name}: a stream of {} of a {}, which this version does not know",
+            "{name}: this version does not know the stream {} of model {}",
             header.stream,
             header.model
         )
@@ -216,12 +216,12 @@ fn replay(path: &Path, options: &Options) -> Result<Source> {
 
 fn simulated(model: &str, path: &Path, options: &Options) -> Result<Source> {
     let name = path.display();
-    let model = find(model).context("no such model")?;
+    let model = find(model).context("unknown model")?;
     let sensor = event_files::open(path, None)?.sensor();
     let unfit = || {
         format!(
-            "{name}: no {} has a sensor of {}x{}: convert it with eecvs convert --crop, or choose \
-             another model",
+            "{name}: no {} has a sensor of {}x{}: crop the recording with eecvs convert --crop, or \
+             choose another model",
             model.name(),
             sensor.width,
             sensor.height

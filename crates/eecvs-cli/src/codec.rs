@@ -200,7 +200,7 @@ fn region(text: &str) -> Result<Region, String> {
             width,
             height,
         }),
-        _ => Err("four numbers: first column, first row, columns, rows".to_owned()),
+        _ => Err("expected four numbers: first column, first row, columns, rows".to_owned()),
     }
 }
 
@@ -268,7 +268,7 @@ impl CodecOptions {
                 |from: u16, side: u16, of: u16| u32::from(from) + u32::from(side) <= u32::from(of);
             ensure!(
                 is_inside(x, width, sensor.width) && is_inside(y, height, sensor.height),
-                "--region {x},{y},{width},{height}: reaches outside of the sensor of {} x {}",
+                "--region {x},{y},{width},{height}: reaches outside the sensor of {} x {}",
                 sensor.width,
                 sensor.height
             );
@@ -289,10 +289,10 @@ impl CodecOptions {
             m: self.m,
             grid: self.grid,
             quantiser: match self.max_error {
-                None => Quantiser::new(self.step_log2).context("the step is out of range")?,
+                None => Quantiser::new(self.step_log2).context("the quantiser step is out of range")?,
                 Some(error) => quantiser_within(error).with_context(|| {
                     format!(
-                        "--max-error {error}: no step keeps it: ask for 2^-16, 0.0000153, or more"
+                        "--max-error {error}: no quantiser step meets it: give 2^-16 (0.0000153) or more"
                     )
                 })?,
             },

@@ -22,12 +22,12 @@ impl RunFolder {
         let name = path.display();
         ensure!(
             !path.exists() || path.is_dir(),
-            "{name}: is not a folder: name one"
+            "{name}: is not a folder: name a folder"
         );
         let is_used = fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some());
         ensure!(
             overwrite || !is_used,
-            "{name}: has files already: choose another folder or --overwrite"
+            "{name}: already has files: choose another folder or use --overwrite"
         );
         Ok(Self {
             path: path.to_owned(),
@@ -46,7 +46,7 @@ impl RunFolder {
     /// # Errors
     /// Fails if the folder cannot be made.
     pub fn make(&self) -> Result<()> {
-        let context = || format!("{}: cannot make the folder", self.path.display());
+        let context = || format!("{}: cannot create the folder", self.path.display());
         fs::create_dir_all(&self.path).with_context(context)
     }
 

@@ -50,7 +50,7 @@ pub struct ReadingOptions {
     pub columns: Option<Columns>,
 
     /// Leave out and count invalid events (outside the sensor, values missing) instead of ending with an error at the
-    /// first
+    /// first one
     #[arg(long)]
     pub leave_out_bad_events: bool,
 }
@@ -102,7 +102,7 @@ fn written_format(name: &str) -> Result<&'static Format, String> {
     let format = format.or_else(by_ending);
     format.ok_or_else(|| {
         let names: Vec<&str> = written().map(|format| format.name).collect();
-        format!("one of {}", names.join(", "))
+        format!("expected one of {}", names.join(", "))
     })
 }
 
@@ -147,7 +147,7 @@ impl FormatOptions {
 fn time_unit(text: &str) -> Result<TimeUnit, String> {
     let units = [TimeUnit::S, TimeUnit::Ms, TimeUnit::Us, TimeUnit::Ns];
     let unit = units.into_iter().find(|unit| unit.name() == text);
-    unit.ok_or_else(|| "one of s, ms, us, ns".to_owned())
+    unit.ok_or_else(|| "expected one of s, ms, us, ns".to_owned())
 }
 
 impl ReadingOptions {
@@ -223,10 +223,10 @@ pub fn tell_damage(
     };
     let kept = match output {
         Some(output) if output == wanted => {
-            format!(" ({} has everything before)", output.display())
+            format!(" ({} has everything before the damage)", output.display())
         }
         Some(output) => format!(
-            " ({} has everything before; {} is as it was)",
+            " ({} has everything before the damage; {} is unchanged)",
             output.display(),
             wanted.display()
         ),

@@ -45,7 +45,7 @@ impl SortOptions {
 #[derive(Debug, Clone, Copy, Default, Args)]
 pub struct OrderOptions {
     /// Reorder events that arrive up to N microseconds after later ones; a clock that falls back further begins a new
-    /// run of windows, and with 0 any fall back does [default: 5000, for a live source 1000]
+    /// run of windows, and with 0 any step back does [default: 5000, for a live source 1000]
     #[arg(long, value_name = "N")]
     pub reorder_us: Option<u32>,
 
@@ -78,7 +78,7 @@ impl OrderOptions {
             warn(&message);
             return Ok(());
         }
-        bail!("{message}; --allow-loss makes it no error")
+        bail!("{message}; with --allow-loss this is not an error")
     }
 }
 
@@ -90,8 +90,9 @@ pub fn tell_disorder(input: &Path, summary: &EncodeSummary, order: OrderOptions)
     let name = input.display().to_string();
     if summary.runs > 1 {
         eprintln!(
-            "eecvs: {name}: times run back further than is put in order: the frames are of {} runs, and hold all \
-             events; where it is one recording out of order, --sort or a longer --reorder-us takes fewer bytes",
+            "eecvs: {name}: times run backwards further than --reorder-us puts in order: the \
+             frames form {} runs and hold all events; if this is one recording out of order, \
+             --sort or a longer --reorder-us needs fewer bytes",
             summary.runs
         );
     }
@@ -115,7 +116,7 @@ mod tests {
         let message = "door: 4 of 20 events came too late and are in no frame: give time";
         assert_eq!(
             refused,
-            format!("{message}; --allow-loss makes it no error")
+            format!("{message}; with --allow-loss this is not an error")
         );
         order.allow_loss = true;
         let mut warned = String::new();

@@ -130,7 +130,7 @@ pub fn keep_or_mark<T>(output: Output, outcome: Result<T>) -> Result<T> {
         Ok(done) => Ok(output.keep().map(|()| done)?),
         Err(error) => match output.leave() {
             Some(part) => {
-                Err(error.context(format!("incomplete: what came is in {}", part.display())))
+                Err(error.context(format!("incomplete: what arrived is in {}", part.display())))
             }
             None => Err(error),
         },

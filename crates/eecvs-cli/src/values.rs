@@ -28,5 +28,5 @@ fn named<T: Clone + Send + Sync + 'static, const N: usize>(
     values: [PossibleValue; N],
     from_name: fn(&str) -> Option<T>,
 ) -> impl TypedValueParser<Value = T> {
-    PossibleValuesParser::new(values).try_map(move |name| from_name(&name).ok_or("no such name"))
+    PossibleValuesParser::new(values).try_map(move |name| from_name(&name).ok_or("unknown name"))
 }

@@ -91,7 +91,7 @@ const METRICS: &[Metric] = &[
     ),
     counter(
         "received_frames",
-        "Frames that came to this hub, each once",
+        "Frames that arrived at this hub, without repetitions",
         "",
         |row| one(row.frames_received as f64),
     ),
@@ -103,7 +103,7 @@ const METRICS: &[Metric] = &[
     }),
     counter(
         "received_windows",
-        "Windows that came to this hub",
+        "Windows that arrived at this hub",
         "regime",
         |row| {
             let windows = REGIMES.into_iter().zip(row.windows);
@@ -114,13 +114,13 @@ const METRICS: &[Metric] = &[
     ),
     gauge(
         "frame_age_seconds",
-        "Time since the last frame came",
+        "Time since the last frame arrived",
         "",
         |row| row.frame_age_s.into_iter().flat_map(one).collect(),
     ),
     gauge(
         "latency_seconds",
-        "From a window's end to its arrival, without the difference between the clocks",
+        "Time from a window's end to its arrival, corrected for the difference between the clocks",
         "quantile",
         |row| {
             let latency = row.latency.map(|latency| {
@@ -141,19 +141,19 @@ const METRICS: &[Metric] = &[
     ),
     gauge(
         "clock_error_seconds",
-        "Bound of the error of that difference, and of latencies",
+        "Bound on the error of the difference between the clocks, and of latencies",
         "",
         |row| known(row.clock.map(|clock| clock.error_us as f64 / 1e6)),
     ),
     gauge(
         "sensors_at_once",
-        "Sensors that send under this name now: more than one mix their figures",
+        "Sensors that send under this name now; the figures of several sensors are mixed",
         "",
         |row| one(row.at_once as f64),
     ),
     counter(
         "lost_events",
-        "Events that are in no frame, as the sensor says",
+        "Events that are in no frame, as reported by the sensor",
         "cause",
         |row| {
             let losses = &row.losses;
@@ -167,7 +167,7 @@ const METRICS: &[Metric] = &[
     ),
     gauge(
         "missing_frames",
-        "Frames that exist and have not come to this hub",
+        "Frames that exist and have not arrived at this hub",
         "run",
         |row| {
             let losses = &row.losses;
@@ -188,7 +188,7 @@ const METRICS: &[Metric] = &[
             ]
         },
     ),
-    counter("repeated_frames", "Frames that came again", "", |row| {
+    counter("repeated_frames", "Frames that arrived again", "", |row| {
         one(row.losses.frames_repeated as f64)
     }),
     counter(
@@ -211,7 +211,7 @@ const METRICS: &[Metric] = &[
     }),
     gauge(
         "budget_bytes_per_second",
-        "Bytes that the sensor is held to",
+        "Bytes per second to which the sensor is limited",
         "",
         |row| {
             row.budget
@@ -222,13 +222,13 @@ const METRICS: &[Metric] = &[
     ),
     gauge(
         "congested",
-        "Whether the sensor lowers its rate for its link",
+        "Whether the sensor lowers its rate because of its link",
         "",
         |row| one(f64::from(u8::from(row.is_congested))),
     ),
     gauge(
         "store_bytes",
-        "Frames that the sensor holds",
+        "Bytes of the frames that the sensor holds",
         "place",
         |row| {
             vec![
@@ -266,7 +266,7 @@ impl Collector for Overview {
         let own = [
             (
                 "hub_routers",
-                "Other hubs with a link",
+                "Other hubs linked to this hub",
                 self.figures.routers as f64,
             ),
             (
@@ -274,11 +274,7 @@ impl Collector for Overview {
                 "Receivers with a link to any hub",
                 self.figures.receivers as f64,
             ),
-            (
-                "hub_sensors",
-                "Sensors that are known",
-                self.sensors.len() as f64,
-            ),
+            ("hub_sensors", "Known sensors", self.sensors.len() as f64),
         ];
         let labels = [("hub", self.hub.as_str())];
         for (name, help, value) in own {
@@ -288,12 +284,12 @@ impl Collector for Overview {
         let own = [
             (
                 "hub_refused_messages",
-                "Messages of sensors beyond what the hub has room for",
+                "Messages from sensors that the hub has no room for",
                 self.refused,
             ),
             (
                 "hub_malformed_messages",
-                "Messages of no known sensor that could not be read",
+                "Messages that could not be read and are from no known sensor",
                 self.malformed,
             ),
         ];

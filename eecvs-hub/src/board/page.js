@@ -36,7 +36,7 @@ const losses = ({ losses: l }) => l.frames_missing + l.frames_missing_before + l
 const age = row => Math.min(row.frame_age_s ?? Infinity, row.status_age_s ?? Infinity);
 
 const state = row => {
-  if (row.at_once > 1) return [`▲ ${row.at_once} sensors of this name`, "state bad"];
+  if (row.at_once > 1) return [`▲ ${row.at_once} sensors with this name`, "state bad"];
   if (!row.is_connected) return ["○ not connected", "state off"];
   const frame = row.frame_age_s;
   if (frame === null) return ["◐ no frames yet", "state quiet"];
@@ -52,7 +52,7 @@ const times = ({ window: w, rate }) => {
 };
 // The difference between the clocks is taken off; while it is not known, there is no latency.
 const latency = ({ latency: l, clock: c, frame_age_s: age }) => {
-  if (!c) return [age === null ? "–" : "not known: its clock has not answered", ""];
+  if (!c) return [age === null ? "–" : "unknown: its clock has not answered", ""];
   const took = l ? `${micros(Math.max(0, l.p50_us))}, p99 ${micros(Math.max(0, l.p99_us))}, ± ${micros(c.error_us)}` : "–";
   if (!c.is_different) return [took, ""];
   return [`${took}; its clock is ${time(Math.abs(c.ahead_us) / 1e6)} ${c.ahead_us > 0 ? "ahead" : "behind"}`, "warn"];
@@ -109,22 +109,22 @@ const draw = (card, row) => {
   const [took, how] = latency(row);
   write(parts.latency, took);
   mark(parts.latency, how);
-  const frames = named([["missing", l.frames_missing], ["missing of earlier runs", l.frames_missing_before], ["damaged", l.frames_damaged],
-    ["let go by its store", l.frames_let_go], ["not written to disk", l.disk_failures], ["messages not readable", l.malformed]]);
+  const frames = named([["missing", l.frames_missing], ["missing from earlier runs", l.frames_missing_before], ["damaged", l.frames_damaged],
+    ["dropped by its store", l.frames_let_go], ["not written to disk", l.disk_failures], ["unreadable messages", l.malformed]]);
   write(parts.frames, frames || "all here");
   mark(parts.frames, frames ? "bad" : "");
   const lost = named([["late", l.events_late], ["dropped", l.events_dropped], ["thinned", l.events_thinned]]);
   const filtered = l.events_filtered > 0 ? `${count(l.events_filtered)} filtered` : "";
-  write(parts.lost, row.status_age_s === null ? "not told" : [lost, filtered].filter(text => text).join(", ") || "none");
+  write(parts.lost, row.status_age_s === null ? "unknown" : [lost, filtered].filter(text => text).join(", ") || "none");
   mark(parts.lost, lost ? "bad" : "");
   write(parts.outages, l.outages > 0 ? `${count(l.outages)}, ${time(l.outages_s)} in all` : "none");
   const budget = row.budget === null ? "none" : `${size(row.budget)}/s`;
   write(parts.budget, row.is_congested ? `${budget}, link congested` : budget);
   mark(parts.budget, row.is_congested ? "warn" : "");
-  write(parts.store, row.status_age_s === null ? "not told" : `${size(row.store_memory_bytes)}, disk ${size(row.store_disk_bytes)}`);
+  write(parts.store, row.status_age_s === null ? "unknown" : `${size(row.store_memory_bytes)}, disk ${size(row.store_disk_bytes)}`);
   const heard = age(row);
-  write(parts.sensor, [row.columns > 0 ? `${row.columns} × ${row.rows}` : "size not told", row.up_s === null ? "" : `up ${time(row.up_s)}`,
-    row.at_once < 2 && row.at_once_most > 1 ? `name was that of ${row.at_once_most} at once` : "",
+  write(parts.sensor, [row.columns > 0 ? `${row.columns} × ${row.rows}` : "size unknown", row.up_s === null ? "" : `up ${time(row.up_s)}`,
+    row.at_once < 2 && row.at_once_most > 1 ? `${row.at_once_most} sensors had this name at once` : "",
     heard === Infinity ? "never heard" : heard > 1.5 ? `heard ${time(heard)} ago` : ""].filter(text => text).join(", "));
   const isFed = row.is_connected && row.frame_age_s !== null && row.frame_age_s <= QUIET_S;
   write(parts.blank, isFed ? "waiting for a picture" : "no frames, no picture");
@@ -205,7 +205,7 @@ const arrange = () => {
     else list.insertBefore(card.item, place);
   }
   write(at("count"), shown === cards.size ? "" : `${count(shown)} of ${count(cards.size)} shown`);
-  write(at("none"), cards.size === 0 ? "No sensor has been heard of yet." : `No name has “${wanted}” in it.`);
+  write(at("none"), cards.size === 0 ? "No sensor has been heard of yet." : `No name contains “${wanted}”.`);
   at("none").hidden = shown > 0;
   orderedAt = performance.now();
 };
@@ -228,7 +228,7 @@ const update = board => {
   write(at("missing"), count(missing));
   mark(at("missing"), missing > 0 ? "bad" : "");
   const damaged = sum(row => row.losses.frames_damaged), malformed = board.malformed + sum(row => row.losses.malformed);
-  write(at("damaged"), named([["damaged", damaged], ["not readable", malformed]]) || "none damaged");
+  write(at("damaged"), named([["damaged", damaged], ["unreadable", malformed]]) || "none damaged");
   write(at("routers"), count(board.routers));
   write(at("receivers"), `receivers linked: ${count(board.receivers)}`);
   let isNew = cards.size === 0;
@@ -264,8 +264,8 @@ const poll = async () => {
     heardAt = performance.now();
     said("● live", false);
   } catch {
-    const since = heardAt > 0 ? ` since ${time((performance.now() - heardAt) / 1000)}: what is shown is older` : "";
-    said(`The hub does not answer${since}`, true);
+    const since = heardAt > 0 ? ` for ${time((performance.now() - heardAt) / 1000)}: the figures shown are older` : "";
+    said(`The hub has not answered${since}`, true);
   }
   const pause = hurried > 0 ? SOON_MS : POLL_MS;
   if (hurried > 0) hurried--;

@@ -66,17 +66,17 @@ struct Shared {
 pub fn serve(board: Arc<Board>, listener: std::net::TcpListener, stop: Stop) -> Result<()> {
     listener
         .set_nonblocking(true)
-        .context("the page's listener")?;
+        .context("starting the page's listener")?;
     // Pictures are decoded in a separate thread, one at a time: a page full of them uses at most one core.
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
         .enable_time()
         .max_blocking_threads(1)
         .build()
-        .context("the page's runtime")?;
+        .context("starting the page's runtime")?;
     let served = runtime.block_on(async move {
         let listener =
-            tokio::net::TcpListener::from_std(listener).context("the page's listener")?;
+            tokio::net::TcpListener::from_std(listener).context("starting the page's listener")?;
         let router = router(board);
         tokio::spawn(async move {
             // The server never ends, and so returns no error.
@@ -131,7 +131,7 @@ async fn guard(request: Request, next: Next) -> Response {
     let mut response = if is_own(request.headers(), request.uri()) {
         next.run(request).await
     } else {
-        let text = "by an address or localhost only\n";
+        let text = "use an IP address or localhost to open this page\n";
         (StatusCode::MISDIRECTED_REQUEST, text).into_response()
     };
     let headers = response.headers_mut();

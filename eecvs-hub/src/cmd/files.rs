@@ -99,14 +99,15 @@ impl Files {
                     let file = append(&path, false)?;
                     if file.metadata().is_ok_and(|data| data.len() > 0) {
                         eprintln!(
-                            "eecvs-hub: {} is there: frames are appended",
+                            "eecvs-hub: {} exists: frames are appended to it",
                             path.display()
                         );
                     }
                     return Ok((path, file));
                 }
                 Some(other) => eprintln!(
-                    "eecvs-hub: {} and {other} are one file to this file system: the file of {name} has a number",
+                    "eecvs-hub: {} and {other} are the same file on this file system: the file of \
+                     {name} gets a number",
                     path.display()
                 ),
             }
@@ -120,7 +121,7 @@ impl Files {
             }
         }
         bail!(
-            "{}: too many files of {name}: give another folder",
+            "{}: too many files for {name}: give another folder",
             self.folder.display()
         )
     }

@@ -31,11 +31,11 @@ pub struct Hub {
     #[arg(long, value_name = "ENDPOINT")]
     connect: Vec<String>,
 
-    /// The folder that eecvs-hub keys has made for this hub: links are encrypted, and both sides authenticate
+    /// The folder that eecvs-hub keys made for this hub; with it, links are encrypted and both sides authenticate
     #[arg(long, value_name = "FOLDER")]
     keys: Option<PathBuf>,
 
-    /// The folder of access.toml, which lists who may do what [default: the parent folder of --keys]
+    /// The folder that holds access.toml, which lists who may do what [default: the parent folder of --keys]
     #[arg(long, value_name = "FOLDER", requires = "keys")]
     access: Option<PathBuf>,
 
@@ -47,7 +47,7 @@ pub struct Hub {
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:8447")]
     page: String,
 
-    /// Serve no page
+    /// Do not serve a page
     #[arg(long, conflicts_with = "page")]
     no_page: bool,
 
@@ -71,12 +71,14 @@ pub struct Hub {
 fn budget(text: &str) -> Result<(String, u32), String> {
     let (of, bytes) = text
         .split_once('=')
-        .ok_or("not NAMES=B, such as hall-1/**=1000000")?;
+        .ok_or("expected NAMES=B, such as hall-1/**=1000000")?;
     let bytes: u32 = bytes
         .parse()
-        .map_err(|_| format!("{bytes:?}: not bytes a second"))?;
+        .map_err(|_| format!("{bytes:?}: expected a number of bytes per second"))?;
     if bytes == 0 {
-        return Err("a budget of 0: take the sensor out of access.toml".to_owned());
+        return Err(
+            "a budget cannot be 0: to shut a sensor out, remove it from access.toml".to_owned(),
+        );
     }
     let names = names(of).map_err(|error| error.to_string())?;
     Ok((names, bytes))
@@ -101,7 +103,7 @@ impl Hub {
                 let is_own = ["tcp/127.", "tcp/localhost:", "tcp/[::1]:"];
                 ensure!(
                     is_own.iter().any(|own| endpoint.starts_with(own)),
-                    "{endpoint}: without --keys anyone may speak and listen there: give --keys, or --anyone"
+                    "{endpoint}: without --keys anyone may send and receive there: give --keys or --anyone"
                 );
             }
         }
@@ -109,16 +111,18 @@ impl Hub {
             None => None,
             Some(keys) => Some(self.access(keys)?),
         };
-        let page =
-            match self.no_page {
-                true => None,
-                false => {
-                    let bound = TcpListener::bind(&self.page);
-                    Some(bound.with_context(|| {
-                        format!("--page {}: give another, or --no-page", self.page)
-                    })?)
-                }
-            };
+        let page = match self.no_page {
+            true => None,
+            false => {
+                let bound = TcpListener::bind(&self.page);
+                Some(bound.with_context(|| {
+                    format!(
+                        "--page {}: cannot listen there: give another address, or --no-page",
+                        self.page
+                    )
+                })?)
+            }
+        };
         let address = page.as_ref().and_then(|page| page.local_addr().ok());
         let links = Links {
             connect: self.connect.clone(),
@@ -133,7 +137,7 @@ impl Hub {
             access,
         };
         let hub = hub::Hub::start(options, &links, page)?;
-        eprintln!("eecvs-hub: {} listens at {}", self.name, listen.join(", "));
+        eprintln!("eecvs-hub: {} listens on {}", self.name, listen.join(", "));
         if let Some(address) = address {
             eprintln!("eecvs-hub: its page is http://{address}/");
         }
@@ -165,7 +169,7 @@ impl Hub {
         let path = folder.join(FILE);
         ensure!(
             path.is_file(),
-            "{} is not there: eecvs-hub keys writes it; give its folder by --access",
+            "{}: no such file: eecvs-hub keys writes it; give its folder with --access",
             path.display()
         );
         Access::read(&folder)

@@ -10,11 +10,11 @@ use crate::access::Role;
 use crate::certificate::Authority;
 use crate::key::{Name, names};
 
-/// Make the keys of a hub, a sensor or a receiver, and add it to the list of who may do what; an authority is
-/// created in the folder first, whose own key no other machine needs
+/// Make the keys of a hub, a sensor or a receiver, and add it to the list of who may do what; if the folder has no
+/// authority yet, one is created, whose own key no other machine needs
 #[derive(Debug, Clone, Args)]
 pub struct Keys {
-    /// The folder of the authority, of the list access.toml, and of a folder for each member's keys
+    /// The folder that holds the authority, the list access.toml, and a folder with each member's keys
     #[arg(value_name = "FOLDER")]
     folder: PathBuf,
 

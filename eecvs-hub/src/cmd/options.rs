@@ -13,7 +13,7 @@ pub struct ClientOptions {
     #[arg(long, value_name = "ENDPOINT", default_value = HUB)]
     connect: Vec<String>,
 
-    /// The folder that eecvs-hub keys has made for this client: links are encrypted, and both sides authenticate
+    /// The folder that eecvs-hub keys made for this client; with it, links are encrypted and both sides authenticate
     #[arg(long, value_name = "FOLDER")]
     keys: Option<PathBuf>,
 }

@@ -34,7 +34,7 @@ pub struct Receive {
     #[arg(long, value_name = "FOLDER")]
     to: Option<PathBuf>,
 
-    /// Take frames as they arrive: those that were missing come after later ones
+    /// Take frames as they arrive: frames that were missing then come after later ones
     #[arg(long)]
     as_they_come: bool,
 
@@ -42,7 +42,7 @@ pub struct Receive {
     #[arg(long)]
     from_start: bool,
 
-    /// Seconds for which a missing frame may fail to arrive, while its sensor is heard, before it is lost
+    /// Seconds after which a missing frame is lost if it has not arrived while its sensor is heard
     #[arg(long, value_name = "S", default_value_t = 60)]
     patience_s: u32,
 
@@ -55,7 +55,7 @@ pub struct Receive {
     #[arg(long, value_name = "S")]
     seconds: Option<u32>,
 
-    /// End after this many seconds without frames, once there was one; if frames are missing, --patience-s later
+    /// End after this many seconds without frames, once one has arrived; if frames are missing, --patience-s later
     #[arg(long, value_name = "S")]
     idle_s: Option<u32>,
 
@@ -153,7 +153,7 @@ impl Receive {
         }
         let wrong = wrong.join("; ");
         if !self.allow_loss {
-            bail!("{wrong}; --allow-loss makes it no error");
+            bail!("{wrong}; with --allow-loss this is not an error");
         }
         eprintln!("eecvs-hub: {wrong}");
         Ok(())
@@ -189,7 +189,7 @@ impl Watched {
     fn tell(&mut self, report: &Report) {
         self.tell_names(report);
         if report.outages > self.outages {
-            eprintln!("eecvs-hub: the hub does not answer; it is tried again");
+            eprintln!("eecvs-hub: the hub does not answer; trying again");
             self.outages = report.outages;
         }
         if self.told.is_some_and(|told| told.elapsed() < TELL) {
@@ -198,7 +198,9 @@ impl Watched {
         let lost = report.sum(|sensor| sensor.lost);
         let missing = report.sum(|sensor| sensor.missing);
         if (lost, missing) != (self.lost, self.missing) {
-            eprintln!("eecvs-hub: {missing} frames are missing and asked for, {lost} are lost");
+            eprintln!(
+                "eecvs-hub: {missing} frames are missing and have been requested, {lost} are lost"
+            );
             (self.lost, self.missing) = (lost, missing);
             self.told = Some(Instant::now());
         }
@@ -225,7 +227,7 @@ impl Report {
         }
         if self.refused > 0 {
             wrong.push(format!(
-                "{} messages are of no sensor that there is room for",
+                "{} messages are from sensors that there is no room for",
                 self.refused
             ));
         }
@@ -285,7 +287,8 @@ impl Report {
         }
         table
             + &format!(
-                "without a link {} times; {} frames found no room at first; {} messages of no sensor\n",
+                "without a link {} times; {} frames found no room at first; {} messages from \
+                 sensors that there is no room for\n",
                 self.outages, self.no_room, self.refused
             )
     }
@@ -304,7 +307,8 @@ impl SensorReport {
                     "behind"
                 };
                 remarks += &format!(
-                    "{name}: its clock is {:.3} s {side} this computer's, within {:.1} ms: the delays are without that\n",
+                    "{name}: its clock is {:.3} s {side} this computer's, within {:.1} ms: the \
+                     delays are corrected for this\n",
                     clock.ahead_us.unsigned_abs() as f64 * 1e-6,
                     clock.error_us as f64 * 1e-3,
                 );
@@ -365,8 +369,10 @@ mod tests {
         };
         let table = report.table();
         for line in [
-            "ahead: its clock is 3600.000 s ahead of this computer's, within 0.2 ms: the delays are without that",
-            "behind: its clock is 1.500 s behind this computer's, within 0.2 ms: the delays are without that",
+            "ahead: its clock is 3600.000 s ahead of this computer's, within 0.2 ms: the delays \
+             are corrected for this",
+            "behind: its clock is 1.500 s behind this computer's, within 0.2 ms: the delays are \
+             corrected for this",
             "silent: its clock did not answer, so the delays are unknown",
         ] {
             assert!(table.lines().any(|other| other == line), "{line}: {table}");
@@ -395,7 +401,7 @@ mod tests {
             report.wrong(),
             [
                 "3 frames are lost",
-                "4 messages are of no sensor that there is room for",
+                "4 messages are from sensors that there is no room for",
                 "door: 2 sensors sent under this name at once"
             ]
         );

@@ -81,7 +81,7 @@ pub struct Sensor {
           value_parser = clap::value_parser!(u16).range(1..=16_384))]
     memory_mib: u16,
 
-    /// Folder for frames that leave the memory and were made while there was no link, or just before
+    /// Folder for frames that no longer fit in memory, if they were made while there was no link or just before
     #[arg(long, value_name = "FOLDER")]
     store: Option<PathBuf>,
 
@@ -100,8 +100,8 @@ pub struct Sensor {
     #[arg(long, value_name = "S", default_value_t = 10)]
     linger_s: u32,
 
-    /// Seconds by which the times in what is sent are ahead of this computer's clock: for a computer whose clock is
-    /// known to be wrong and cannot be set, and for tests
+    /// Seconds by which the times that are sent are ahead of this computer's clock: for a computer whose clock is known
+    /// to be wrong and cannot be set, and for tests
     #[arg(
         long,
         value_name = "S",
@@ -311,7 +311,7 @@ impl Sent {
             ("frames", encoding.frames.to_string()),
             ("  sent again", self.frames_again.to_string()),
             ("  not sent", self.frames_unsent.to_string()),
-            ("  let go of", self.frames_let_go.to_string()),
+            ("  dropped by the store", self.frames_let_go.to_string()),
             ("  on disk", self.frames_on_disk.to_string()),
             ("  not written to disk", self.disk_failures.to_string()),
             ("bytes", encoding.bytes_out.to_string()),

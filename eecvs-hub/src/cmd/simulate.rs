@@ -59,7 +59,7 @@ impl Simulate {
     pub fn run(self, stop: &Stop) -> Result<()> {
         let sensor = Sensor::new(self.width, self.height);
         let Some(sensor) = sensor else {
-            anyhow::bail!("{} x {}: no size of a sensor", self.width, self.height);
+            anyhow::bail!("{} x {}: not a valid sensor size", self.width, self.height);
         };
         let options = Options {
             sensors: self.sensors as usize,
@@ -72,7 +72,7 @@ impl Simulate {
         };
         ensure!(
             self.outage_s == 0 || self.seconds / 3 + self.outage_s < self.seconds,
-            "an outage of {} s from a third of {} s on does not end in time: give more --seconds",
+            "an outage of {} s that begins after a third of {} s does not end in time: give more --seconds",
             self.outage_s,
             self.seconds
         );
@@ -84,7 +84,7 @@ impl Simulate {
         let removed = std::fs::remove_dir_all(&folder);
         let outcome = outcome?;
         if removed.is_err() {
-            eprintln!("eecvs-hub: {} is left behind", folder.display());
+            eprintln!("eecvs-hub: {}: cannot be removed", folder.display());
         }
         match self.json {
             true => print_json(&outcome)?,
@@ -92,7 +92,7 @@ impl Simulate {
         }
         ensure!(
             stop.is_asked() || outcome.is_whole(),
-            "of {} frames {} were received as they were sent, {} were wrong",
+            "of {} frames, {} were received as they were sent and {} were wrong",
             outcome.expected,
             outcome.delivered,
             outcome.wrong
@@ -118,13 +118,13 @@ impl Outcome {
             ("connected in, s", format!("{:.1}", self.connecting_s)),
             ("seconds", format!("{:.1}", self.seconds)),
             ("frames sent", self.frames.to_string()),
-            ("  a second", format!("{:.0}", self.frames_per_s)),
+            ("  per second", format!("{:.0}", self.frames_per_s)),
             ("events", self.events.to_string()),
             ("bytes", self.bytes.to_string()),
-            ("  a second", format!("{:.0}", self.bytes_per_s)),
-            ("frames to be received", self.expected.to_string()),
+            ("  per second", format!("{:.0}", self.bytes_per_s)),
+            ("frames expected", self.expected.to_string()),
             ("  received as they were sent", self.delivered.to_string()),
-            ("  of these asked for again", self.again.to_string()),
+            ("  of these, requested again", self.again.to_string()),
             ("  wrong", self.wrong.to_string()),
             ("  lost", self.lost.to_string()),
             ("links that failed", self.outages.to_string()),

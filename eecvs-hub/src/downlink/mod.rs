@@ -192,7 +192,10 @@ impl Downlink {
     /// # Errors
     /// Settings, keys or names are invalid.
     pub fn start(options: Options, links: &Links, deliver: Deliver) -> Result<Self> {
-        ensure!(!options.names.is_empty(), "no sensors: give names");
+        ensure!(
+            !options.names.is_empty(),
+            "no sensors are named: give their names"
+        );
         for pattern in &options.names {
             names(pattern)?;
         }
@@ -220,7 +223,7 @@ impl Downlink {
         let thread = thread::Builder::new()
             .name("downlink".to_owned())
             .spawn(move || taking.run())
-            .context("a thread that takes frames")?;
+            .context("starting the thread that takes frames")?;
         Ok(Self {
             shared,
             client,

@@ -39,7 +39,7 @@ impl Claim {
                 .with_context(at)?,
             owner if owner == name.as_str() => {}
             owner => bail!(
-                "{}: the frames in it are those of the sensor {owner}: give {name} a folder of its own",
+                "{}: it holds the frames of the sensor {owner}: give {name} a folder of its own",
                 folder.display()
             ),
         }
@@ -57,7 +57,7 @@ pub(crate) fn lock(file: &File, path: &Path) -> Result<()> {
         Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported => Ok(()),
         Err(TryLockError::Error(error)) => Err(error).with_context(|| path.display().to_string()),
         Err(TryLockError::WouldBlock) => bail!(
-            "{}: another process uses it at this moment: end that one, or give another folder",
+            "{}: another process uses it: end that process, or give another folder",
             path.display()
         ),
     }
@@ -77,7 +77,10 @@ mod tests {
         assert!(said.contains("another process uses it"), "{said}");
         drop(first);
         let said = Claim::new(&folder, &gate).unwrap_err().to_string();
-        assert!(said.contains("those of the sensor hall/door"), "{said}");
+        assert!(
+            said.contains("the frames of the sensor hall/door"),
+            "{said}"
+        );
         assert!(Claim::new(&folder, &door).is_ok());
         fs::write(folder.join(FILE), [0xff, 0xfe]).unwrap();
         assert!(Claim::new(&folder, &door).is_err());

@@ -78,7 +78,7 @@ impl Disk {
     pub fn open(folder: &Path, bytes_max: u64) -> Result<Self> {
         ensure!(
             bytes_max >= BYTES_LEAST,
-            "a store of {bytes_max} bytes: give {BYTES_LEAST} at the least"
+            "a store of {bytes_max} bytes is too small: give at least {BYTES_LEAST}"
         );
         fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
         let mut paths = Vec::new();

@@ -186,7 +186,7 @@ impl Uplink {
         let thread = thread::Builder::new()
             .name("uplink".to_owned())
             .spawn(move || Link::new(&own).run())
-            .context("a thread for the link")?;
+            .context("starting the link's thread")?;
         Ok(Self {
             shared,
             thread: Some(thread),

@@ -307,7 +307,7 @@ fn check_cards(cards: &[Value]) {
             What::Gone => has("state", "not connected"),
             What::Quiet => has("state", "quiet for"),
             What::Silent => has("state", "no frames yet"),
-            What::Double => has("state", "2 sensors of this name"),
+            What::Double => has("state", "2 sensors with this name"),
             _ => has("state", "● connected"),
         }
         if is_live {
@@ -352,13 +352,13 @@ fn check_cards(cards: &[Value]) {
         match cast.what {
             What::Missing => has("frames", " missing"),
             What::Damaged => has("frames", "1 damaged"),
-            What::LetGo => has("frames", "21 let go by its store"),
+            What::LetGo => has("frames", "21 dropped by its store"),
             _ => has("frames", "all here"),
         }
         match cast.what {
             What::Late => has("lost", "1,234 late, 17 dropped, 99 filtered"),
             What::Thinned => has("lost", "400,000 thinned"),
-            What::Silent => has("lost", "not told"),
+            What::Silent => has("lost", "unknown"),
             _ => has("lost", "none"),
         }
         has(
@@ -376,7 +376,7 @@ fn check_cards(cards: &[Value]) {
         }
         match cast.what {
             What::LetGo => has("store", "3.20 MB, disk 1.25 GB"),
-            What::Silent => has("store", "not told"),
+            What::Silent => has("store", "unknown"),
             _ => has("store", "3.20 MB, disk 0 B"),
         }
     }
@@ -453,7 +453,7 @@ fn the_page_is_whole_at_both_widths() {
     assert_eq!(browser.console, [""; 0]);
     served.stop();
     browser.wait(
-        "document.getElementById('said').textContent.startsWith('The hub does not answer since')",
+        "document.getElementById('said').textContent.startsWith('The hub has not answered for')",
     );
     keep(&mut browser, "hub-stopped.png");
 }
@@ -486,7 +486,7 @@ fn filters_and_orders(browser: &mut Browser) {
     assert_eq!(names(browser), [""; 0]);
     assert_eq!(
         browser.run("document.getElementById('none').textContent"),
-        json!("No name has “door<i>” in it.")
+        json!("No name contains “door<i>”.")
     );
     browser.run("document.getElementById('filter').value = ''; document.getElementById('filter').dispatchEvent(new Event('input'))");
     assert_eq!(names(browser).len(), 12);

@@ -287,7 +287,8 @@ fn a_name_given_twice_and_a_wrong_clock_are_said() {
     let output = as_json.end();
     let told = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(1), "{told}");
-    let all = "door: 2 sensors sent under this name at once; --allow-loss makes it no error";
+    let all =
+        "door: 2 sensors sent under this name at once; with --allow-loss this is not an error";
     assert!(told.contains(all), "{told}");
     assert!(
         told.contains("door: 2 sensors send under this name at once, and each is kept apart"),
@@ -339,7 +340,7 @@ fn what_is_wrong_is_said() {
         (
             &["hub", "--no-page", "--listen", "tcp/0.0.0.0:0"][..],
             1,
-            "give --keys, or --anyone",
+            "give --keys or --anyone",
         ),
         (
             &[
@@ -350,11 +351,11 @@ fn what_is_wrong_is_said() {
                 "--anyone",
             ],
             1,
-            "eecvs-hub keys makes one",
+            "which eecvs-hub keys makes",
         ),
         (&["hub", "--page", "nowhere"], 1, "--page nowhere"),
-        (&["hub", "--budget", "a=0"], 2, "a budget of 0"),
-        (&["hub", "--keys", folder], 1, "access.toml is not there"),
+        (&["hub", "--budget", "a=0"], 2, "a budget cannot be 0"),
+        (&["hub", "--keys", folder], 1, "access.toml: no such file"),
         (&["sensor", "a b"], 2, "is no name"),
         (&["receive", "a//b"], 2, "is no name"),
         (

@@ -3,8 +3,8 @@
 #
 #   ROS_DOMAIN_ID=42 FOLDER/cyclone_peer listen event_camera_msgs/msg/EventPacket /events --count 200 --seconds 20
 #
-# ../peer.h has the arguments. Ends at once where it is built. Exit status 77: something is missing that cannot
-# be had here.
+# ../peer.h has the arguments. Ends at once if it is already built. Exit status 77: something is missing that cannot
+# be installed here.
 set -euo pipefail
 [ $# = 1 ] || { sed -n '2,7s/^# \{0,1\}//p' "$0" >&2; exit 2; }
 caller=$PWD
@@ -32,5 +32,5 @@ trap 'rm -rf "$work"' EXIT
     idl=$PWD/../messages.idl &&
         (cd "$work" && idlc -x final "$idl") &&
         gcc -O1 -std=c11 -Wall -Wextra -I"$work" peer.c "$work/messages.c" -lddsc -o "$folder/cyclone_peer"
-} >"$folder/cyclone_peer.log" 2>&1 || failed "the peer of Cyclone DDS cannot be built: see $folder/cyclone_peer.log"
+} >"$folder/cyclone_peer.log" 2>&1 || failed "the Cyclone DDS peer cannot be built: see $folder/cyclone_peer.log"
 echo "$stamp" >"$folder/cyclone_peer.stamp"

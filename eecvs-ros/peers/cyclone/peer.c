@@ -69,7 +69,7 @@ static int talk(const struct options *o, dds_entity_t participant, dds_entity_t 
     dds_publication_matched_status_t status = {0};
     for (double waited = 0; dds_get_publication_matched_status(writer, &status), !status.current_count; waited += 0.05) {
         if (waited > o->seconds) {
-            fprintf(stderr, "cyclone: no subscriber has come\n");
+            fprintf(stderr, "cyclone: no subscriber appeared\n");
             return 1;
         }
         nap(0.05);

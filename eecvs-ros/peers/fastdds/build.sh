@@ -3,8 +3,8 @@
 #
 #   ROS_DOMAIN_ID=42 FOLDER/fastdds_peer listen event_camera_msgs/msg/EventPacket /events --count 200 --seconds 20
 #
-# ../peer.h has the arguments. Ends at once where it is built. Exit status 77: something is missing that cannot
-# be had here.
+# ../peer.h has the arguments. Ends at once if it is already built. Exit status 77: something is missing that cannot
+# be installed here.
 set -euo pipefail
 [ $# = 1 ] || { sed -n '2,7s/^# \{0,1\}//p' "$0" >&2; exit 2; }
 caller=$PWD
@@ -31,5 +31,5 @@ trap 'rm -rf "$work"' EXIT
 {
     fastddsgen -replace -d "$work" ../messages.idl &&
         g++ -O1 -std=c++17 -Wall -Wextra -Wno-unused-parameter -I"$work" peer.cpp "$work"/*.cxx -lfastrtps -lfastcdr -o "$folder/fastdds_peer"
-} >"$folder/fastdds_peer.log" 2>&1 || failed "the peer of Fast DDS cannot be built: see $folder/fastdds_peer.log"
+} >"$folder/fastdds_peer.log" 2>&1 || failed "the Fast DDS peer cannot be built: see $folder/fastdds_peer.log"
 echo "$stamp" >"$folder/fastdds_peer.stamp"

@@ -78,7 +78,7 @@ static int talk(const options &o, DomainParticipant *participant, Topic *topic) 
     say_ready(&o);
     PublicationMatchedStatus status;
     for (double waited = 0; writer->get_publication_matched_status(status), !status.current_count; waited += 0.05) {
-        if (waited > o.seconds) return failed("no subscriber has come");
+        if (waited > o.seconds) return failed("no subscriber appeared");
         nap(0.05);
     }
     printf("{\"matched\": %d}\n", status.current_count);

@@ -73,7 +73,7 @@ impl Packets {
         let behind = fields.left();
         if count > 0 && behind > 3 {
             // CDR pads a message to 4 bytes.
-            let what = format!("{behind} bytes are left behind the events: another layout");
+            let what = format!("{behind} bytes follow the events: the message has another layout");
             return Err(damaged(fields.cursor.at, what));
         }
         put(packet)?;

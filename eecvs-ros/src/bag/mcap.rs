@@ -78,7 +78,11 @@ fn failed(name: &str, error: &mcap::McapError) -> anyhow::Error {
 impl WriteFile for McapWriter {
     fn message(&mut self, topic: usize, sequence: u64, time_ns: u64, cdr: &[u8]) -> Result<()> {
         let header = MessageHeader {
-            channel_id: self.channels.get(topic).copied().context("a topic")?,
+            channel_id: self
+                .channels
+                .get(topic)
+                .copied()
+                .context("the topic is unknown")?,
             // MCAP's sequence number has 32 bits and may wrap.
             sequence: sequence as u32,
             log_time: time_ns,
@@ -221,7 +225,7 @@ impl McapReader {
                 let longest = longest.max().unwrap_or(0);
                 ensure!(
                     longest <= RECORD_MAX as u64,
-                    "{name}: a chunk of {longest} bytes: it is damaged"
+                    "{name}: a chunk of {longest} bytes is too long: the file is damaged"
                 );
                 channels.add_all(&summary);
                 let options = IndexedReaderOptions::new()
@@ -277,7 +281,7 @@ impl ReadFile for McapReader {
         let stored = |channels: &Channels, header: &MessageHeader, data: &[u8]| {
             let topic = channels.numbers.get(&header.channel_id).copied();
             Ok(Some(Stored {
-                topic: topic.with_context(|| format!("{name}: an unknown channel"))?,
+                topic: topic.with_context(|| format!("{name}: a message of an unknown channel"))?,
                 time_ns: header.log_time,
                 cdr: data.to_vec(),
             }))
@@ -293,7 +297,10 @@ impl ReadFile for McapReader {
                     }
                     IndexedReadEvent::ReadChunkRequest { offset, length } => {
                         let mut read = || {
-                            ensure!(length <= RECORD_MAX, "a chunk of {length} bytes");
+                            ensure!(
+                                length <= RECORD_MAX,
+                                "a chunk of {length} bytes is too long"
+                            );
                             chunk.resize(length, 0);
                             file.seek(SeekFrom::Start(offset))?;
                             file.read_exact(chunk)?;

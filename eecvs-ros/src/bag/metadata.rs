@@ -137,14 +137,18 @@ impl Metadata {
         let path = folder.join(METADATA);
         let name = path.display();
         let length = std::fs::metadata(&path).map(|data| data.len());
-        let length = length.with_context(|| format!("{name}: cannot be read: no bag of ROS 2"))?;
-        ensure!(length <= BYTES_MAX, "{name}: longer than metadata are");
+        let length = length
+            .with_context(|| format!("{name}: cannot be read: the folder is not a ROS 2 bag"))?;
+        ensure!(
+            length <= BYTES_MAX,
+            "{name}: too long for the metadata of a bag"
+        );
         let text = std::fs::read_to_string(&path);
         let text = text.with_context(|| format!("{name}: cannot be read as text"))?;
         // Some editors put a byte-order mark in front.
         let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
         let document: Document = serde_saphyr::from_str(text)
-            .map_err(|error| anyhow::anyhow!("{name}: no metadata of a bag: {error}"))?;
+            .map_err(|error| anyhow::anyhow!("{name}: not the metadata of a bag: {error}"))?;
         Ok(document.rosbag2_bagfile_information)
     }
 }

@@ -112,7 +112,7 @@ impl Writer {
     pub fn create(folder: &Path, storage: Storage, topics: Vec<(Topic, Type)>) -> Result<Self> {
         let name = folder.display();
         std::fs::create_dir(folder)
-            .with_context(|| format!("{name}: the bag's folder cannot be made"))?;
+            .with_context(|| format!("{name}: the bag's folder cannot be created"))?;
         let base = folder.file_name().unwrap_or_default().to_string_lossy();
         let file_name = format!("{base}_0.{}", storage.ending());
         let path = folder.join(&file_name);
@@ -189,7 +189,7 @@ impl Reader {
             let files = Metadata::read(path)?.relative_file_paths;
             ensure!(
                 !files.is_empty(),
-                "{}: {METADATA} names no file: write it anew with `ros2 bag reindex`",
+                "{}: {METADATA} lists no files: rewrite it with `ros2 bag reindex`",
                 path.display()
             );
             files.iter().map(|file| path.join(file)).collect()
@@ -281,13 +281,13 @@ fn open_file(path: &Path, from_ns: u64) -> Result<Opened> {
         Box::new(SqliteReader::open(content, &name, from_ns)?)
     } else if start.starts_with(event_files::ros::bag::MAGIC) {
         bail!(
-            "{name}: a bag of ROS 1: `eecvs convert {name} NAME.mcap` makes one of ROS 2 of its events; `eecvs-ros \
-             emulate --recording {name}` publishes them"
+            "{name}: this is a ROS 1 bag: `eecvs convert {name} NAME.mcap` writes its events to a \
+             ROS 2 bag; `eecvs-ros emulate --recording {name}` publishes them"
         );
     } else {
         bail!(
-            "{name}: not a bag of ROS 2 (a folder with {METADATA}, MCAP or SQLite): `eecvs-ros emulate --recording \
-             FILE` publishes recordings of other formats"
+            "{name}: not a ROS 2 bag (a folder with {METADATA}, MCAP or SQLite): `eecvs-ros \
+             emulate --recording FILE` publishes recordings of other formats"
         );
     };
     Ok(Opened {

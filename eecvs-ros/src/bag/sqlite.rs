@@ -91,7 +91,7 @@ impl WriteFile for SqliteWriter {
     fn message(&mut self, topic: usize, _: u64, time_ns: u64, cdr: &[u8]) -> Result<()> {
         ensure!(
             i64::try_from(time_ns).is_ok(),
-            "{}: a time of {time_ns} ns is beyond 2^63",
+            "{}: the time {time_ns} ns is above 2^63 - 1 ns",
             self.name
         );
         let put = self.put(topic, time_ns, cdr);
@@ -163,7 +163,7 @@ impl SqliteReader {
         let (connection, ids, topics, whole) = begin().map_err(|error| failed(&name, error))?;
         ensure!(
             i64::try_from(length).is_ok_and(|length| length >= whole),
-            "{name}: byte {length}: cut off, {whole} bytes are told"
+            "{name}: byte {length}: the file is cut off; by its header it has {whole} bytes"
         );
         Ok(Self {
             name,
@@ -214,7 +214,7 @@ impl ReadFile for SqliteReader {
             let has_gone_on = self.waiting.is_empty() || self.behind > before;
             ensure!(
                 has_gone_on,
-                "{}: messages do not ascend: it is damaged",
+                "{}: messages are not in ascending order: the file is damaged",
                 self.name
             );
         }

@@ -146,7 +146,7 @@ pub enum Malformed {
     #[error("not little-endian CDR of version 1")]
     Representation,
     /// The message has other fields, or is damaged.
-    #[error("other fields, or a damage: {0}")]
+    #[error("the message has other fields, or is damaged: {0}")]
     Fields(String),
 }
 

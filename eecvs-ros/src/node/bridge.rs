@@ -84,7 +84,7 @@ impl Bridge {
         let ended = encoders_frames(session, &mut out, &mut order);
         out.finish(ended)?;
         let line = format!(
-            "{} frames of {} runs of the clock; at the encoder {} events late",
+            "{} frames in {} runs of the clock; {} events late at the encoder",
             sender.sent(),
             order.runs,
             order.events_late

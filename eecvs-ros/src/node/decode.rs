@@ -24,8 +24,8 @@ pub const PUBLISHES: &[&str] = &["decoded/events", "volume", "image"];
 /// Parameters that can be set while the node runs.
 pub const CHANGEABLE: &[&str] = &["image", "image_hz"];
 
-/// Decode frames: events on `decoded/events`, volumes on `volume`, pictures on `image`; topics without subscribers
-/// are not computed
+/// Decode frames: events on `decoded/events`, volumes on `volume`, pictures on `image`; nothing is computed for topics
+/// without subscribers
 #[derive(Debug, Clone, Args)]
 pub struct Decode {
     /// How event times are found in the coefficients of the DCT and the DTFT (mode transform)
@@ -47,7 +47,7 @@ pub struct Decode {
     #[arg(long, value_name = "HZ", default_value_t = 30.0, value_parser = hertz)]
     image_hz: f32,
 
-    /// End after this many seconds without frames, once there was one
+    /// End after this many seconds without frames, once one has arrived
     #[arg(long, value_name = "S")]
     idle_s: Option<u32>,
 
@@ -136,8 +136,9 @@ impl Decode {
 impl Totals {
     fn line(&self, account: &Account, counts: &FrameCounts, outputs: &Outputs) -> String {
         format!(
-            "{} events in {} windows of {} frames ({} lost, {} left out, {} of another publisher); at the encoder {} \
-             late, {} filtered, {} dropped, {} thinned; sent {} messages of events, {} of volumes, {} pictures",
+            "{} events in {} windows of {} frames ({} lost, {} left out, {} of another publisher); \
+             at the encoder {} late, {} filtered, {} dropped, {} thinned; sent {} event messages, \
+             {} volume messages, {} pictures",
             self.events,
             self.windows,
             account.frames,

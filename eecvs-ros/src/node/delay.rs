@@ -113,7 +113,7 @@ impl Delay {
             delay_max_ms: delay(1.0),
         };
         let losses = [
-            (measured.frames_lost, "frames have not come"),
+            (measured.frames_lost, "frames have not arrived"),
             (measured.frames_malformed, "frames were malformed"),
             (
                 measured.frames_of_others,

@@ -19,8 +19,8 @@ use crate::packet_reader::{PacketReader, Received, Watch, look};
 /// Topics that the node publishes.
 pub const PUBLISHES: &[&str] = &["density", "/diagnostics"];
 
-/// Publish the density, rate and regime of every window of `events`: eecvs_msgs/msg/Density on `density`, and a
-/// summary every second on `/diagnostics`
+/// Publish the density, rate and regime of every window of the events on `events`: eecvs_msgs/msg/Density on `density`,
+/// and a summary every second on `/diagnostics`
 #[derive(Debug, Clone, Args)]
 pub struct Monitor {
     /// Duration of a window in microseconds
@@ -31,7 +31,7 @@ pub struct Monitor {
     #[arg(long, value_name = "NAME", default_value = "event_camera")]
     frame_id: String,
 
-    /// End after this many seconds without events, once there was one
+    /// End after this many seconds without events, once one has arrived
     #[arg(long, value_name = "S")]
     idle_s: Option<u32>,
 
@@ -212,8 +212,8 @@ impl Outputs<'_> {
             || received.others > self.told.others;
         let (level, message) = match (has_new, has_lost) {
             (false, _) => (Level::Stale, "no events"),
-            (true, true) => (Level::Warn, "messages of events were lost"),
-            (true, false) => (Level::Ok, "events come"),
+            (true, true) => (Level::Warn, "event messages were lost"),
+            (true, false) => (Level::Ok, "events arrive"),
         };
         let figure = |key: &str, value: String| KeyValue {
             key: key.to_owned(),

@@ -145,7 +145,7 @@ impl Emulate {
         packer.flush(&mut |packet: &EventPacket, _| sender.send(packet))?;
         let sent = sender.sent();
         context.say(&format!(
-            "{} events in {} messages of {} bytes, {} us late at the most",
+            "{} events in {} messages of {} bytes, at most {} us late",
             published.events, sent.messages, sent.bytes, published.late_us
         ));
         Ok(())

@@ -18,7 +18,7 @@ use crate::packet_reader::{PacketReader, Received, look};
 /// Topics that the node publishes.
 pub const PUBLISHES: &[&str] = &["frames"];
 
-/// Encode the events of `events` into frames: eecvs_msgs/msg/Frame on `frames`
+/// Encode the events on `events` into frames: eecvs_msgs/msg/Frame on `frames`
 #[derive(Debug, Clone, Args)]
 pub struct Encode {
     /// Operator that encodes
@@ -36,7 +36,7 @@ pub struct Encode {
     #[arg(long, value_name = "NAME", default_value = "event_camera")]
     frame_id: String,
 
-    /// End after this many seconds without events, once there was one
+    /// End after this many seconds without events, once one has arrived
     #[arg(long, value_name = "S")]
     idle_s: Option<u32>,
 
@@ -66,7 +66,10 @@ impl Encode {
     pub fn run(self, mut context: Context, operators: &Operators) -> Result<()> {
         let operator = operators.find(&self.operator).with_context(|| {
             let names = operators.names();
-            format!("operator {:?} is not known: {names}", self.operator)
+            format!(
+                "unknown operator {:?}; known operators: {names}",
+                self.operator
+            )
         })?;
         let qos = self.qos.qos();
         let subscription = context.one_publisher::<EventPacket>("events", qos)?;
@@ -143,8 +146,8 @@ impl Disorder {
         let Self { resets, late } = std::mem::take(self);
         if resets > 0 {
             context.say(&format!(
-                "the clock began anew, times that it did: {resets}; frames hold all events; where the clock is one and \
-                 events came late, a longer --reorder-us puts them in order"
+                "clock restarts: {resets}; frames hold all events; if the clock did not restart \
+                 and events only arrived late, a longer --reorder-us puts them in order"
             ));
         }
         if late > 0 {
@@ -156,12 +159,12 @@ impl Disorder {
 fn tell_losses(context: &Context, received: &Received, told: &mut Received) {
     let lost = received.sequence.lost;
     if lost > told.sequence.lost {
-        context.say(&format!("{lost} messages of events have not come"));
+        context.say(&format!("{lost} event messages have not arrived"));
     }
     if received.refused > told.refused {
         let why = received.why_refused.as_deref().unwrap_or_default();
         context.say(&format!(
-            "{} messages of events were left out: {why}",
+            "{} event messages were left out: {why}",
             received.refused
         ));
     }

@@ -38,7 +38,7 @@ impl Account {
     #[must_use]
     pub const fn losses(&self) -> [(u64, &'static str); 3] {
         [
-            (self.sequence.lost, "frames have not come"),
+            (self.sequence.lost, "frames have not arrived"),
             (self.refused, "frames were left out"),
             (self.others, "frames of another publisher were left out"),
         ]
@@ -51,7 +51,7 @@ impl Account {
 
     fn tell(&self, context: &Context, told: &mut (u64, u64)) {
         if self.sequence.lost > told.0 {
-            context.say(&format!("{} frames have not come", self.sequence.lost));
+            context.say(&format!("{} frames have not arrived", self.sequence.lost));
         }
         if self.refused > told.1 {
             let why = self.why_refused.as_deref().unwrap_or_default();
@@ -153,7 +153,7 @@ impl<'o> FrameReader<'o> {
         if is_other {
             let Some(operator) = self.operators.find(&frame.operator_name) else {
                 bail!(
-                    "operator {:?} is not known: {}",
+                    "unknown operator {:?}; known operators: {}",
                     frame.operator_name,
                     self.operators.names()
                 );

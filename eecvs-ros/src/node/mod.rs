@@ -72,7 +72,7 @@ pub struct LossOptions {
 
 /// Error: something was lost. The node has come to its end all the same, and has used everything else.
 #[derive(Debug, thiserror::Error)]
-#[error("{0}; --allow-loss makes it no error")]
+#[error("{0}; with --allow-loss this is not an error")]
 pub struct Lost(String);
 
 /// Ends a node: fails if any of the counts, each with what it counts, is not 0, unless loss is allowed.

@@ -81,10 +81,10 @@ impl Played {
         };
         let refusal = if encoding != CDR {
             Some(format!(
-                "is serialised as {encoding:?}: `eecvs convert` makes a bag of ROS 2 of its events"
+                "is serialised as {encoding:?}: `eecvs convert` writes its events to a ROS 2 bag"
             ))
         } else if !kind.contains("/msg/") {
-            Some(format!("has no type of ROS 2 ({kind:?})"))
+            Some(format!("has no ROS 2 type ({kind:?})"))
         } else {
             None
         };
@@ -174,7 +174,7 @@ impl Play {
         let is_empty = messages == 0 && left_out == 0 && !context.stop.is_asked();
         ensure!(
             !is_empty,
-            "{}: there is no message to play{}",
+            "{}: there are no messages to play{}",
             self.bag.display(),
             if self.start_s > 0.0 {
                 format!(" from {} s on", self.start_s)

@@ -34,7 +34,7 @@ pub struct Record {
     #[arg(long, value_name = "S")]
     duration_s: Option<u32>,
 
-    /// End after this many seconds without messages, once there was one
+    /// End after this many seconds without messages, once one has arrived
     #[arg(long, value_name = "S")]
     idle_s: Option<u32>,
 
@@ -51,11 +51,11 @@ const WAIT: Duration = Duration::from_millis(5);
 fn topic(text: &str) -> Result<(String, Type), String> {
     let (name, kind) = text
         .split_once(':')
-        .ok_or_else(|| "a name, a colon, a type".to_owned())?;
+        .ok_or_else(|| "expected NAME:TYPE".to_owned())?;
     let known = Type::of(kind);
     let known = known.ok_or_else(|| {
         let names: Vec<&str> = TYPES.iter().map(|known| known.name).collect();
-        format!("type {kind} is not known here: {}", names.join(", "))
+        format!("unknown type {kind}; known types: {}", names.join(", "))
     })?;
     Ok((name.to_owned(), known))
 }
@@ -124,7 +124,7 @@ impl Recorded {
         if names.len() > 1 {
             names.sort();
             context.say(&format!(
-                "{} has several publishers, and the bag all their messages: {}",
+                "{} has several publishers, and the bag holds the messages of all of them: {}",
                 self.name,
                 names.join(", ")
             ));
@@ -185,7 +185,7 @@ impl Record {
         let losses = [
             (
                 recorded.iter().map(Recorded::lost).sum(),
-                "messages have not come",
+                "messages have not arrived",
             ),
             (
                 recorded.iter().map(|topic| topic.unreadable).sum(),
@@ -226,7 +226,10 @@ impl Record {
                         continue;
                     }
                     topic.count(&cdr, publisher);
-                    let now_ns = u64::try_from(Time::now().ns()).context("a time before 1970")?;
+                    let now_ns = u64::try_from(Time::now().ns()).context(
+                        "the computer's clock is \
+                                                                          before 1970",
+                    )?;
                     writer.message(number, now_ns, &cdr)?;
                 }
                 topic.tell(context, false);
@@ -234,7 +237,7 @@ impl Record {
             if tell.is_due() {
                 let lost = recorded.iter().map(Recorded::lost).sum();
                 if lost > told {
-                    context.say(&format!("{lost} messages have not come"));
+                    context.say(&format!("{lost} messages have not arrived"));
                     told = lost;
                 }
             }

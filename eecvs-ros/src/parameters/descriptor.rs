@@ -174,7 +174,9 @@ impl Descriptor {
             value => {
                 let texts = value.texts();
                 if texts.is_empty() {
-                    return Err(format!("{name}: an empty list: leave it out"));
+                    return Err(format!(
+                        "{name}: the list is empty: leave the parameter out"
+                    ));
                 }
                 line.extend(texts.iter().map(|text| format!("{flag}={text}").into()));
             }

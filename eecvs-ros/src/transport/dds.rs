@@ -92,7 +92,7 @@ impl Transport for Dds {
                 let _ = futures_executor::block_on(spinner.spin());
             });
         let (serves, end) = services.serve(&node, parameters)?;
-        let threads = [spins.context("a thread of a node")?, serves];
+        let threads = [spins.context("starting the thread of a node")?, serves];
         lock(&self.threads).extend(threads);
         Ok(Box::new(DdsNode {
             _end: end,
@@ -213,7 +213,7 @@ impl Publisher for DdsPublisher {
         // The other two bytes of the encapsulation are options, which are not needed here.
         let Some(([0, 1, _, _], fields)) = cdr.split_first_chunk() else {
             bail!(
-                "{}: a message that is not little-endian CDR of version 1",
+                "{}: the message is not little-endian CDR of version 1",
                 self.topic
             );
         };

@@ -97,18 +97,18 @@ impl Services {
         node: &Shared,
         parameters: &Arc<Parameters>,
     ) -> Result<(JoinHandle<()>, End)> {
-        let mut poll = Poll::new().context("parameter services")?;
+        let mut poll = Poll::new().context("starting the parameter services")?;
         let waker = Waker::new(poll.registry(), Token(usize::MAX));
         let end = End {
             is_over: Arc::default(),
-            waker: waker.context("parameter services")?,
+            waker: waker.context("starting the parameter services")?,
         };
         let is_over = Arc::clone(&end.is_over);
         for (number, service) in self.0.iter_mut().enumerate() {
             let source = service.source();
             let registry = poll.registry();
             let registered = registry.register(source, Token(number), Interest::READABLE);
-            registered.context("parameter services")?;
+            registered.context("starting the parameter services")?;
         }
         let (node, parameters) = (Arc::downgrade(node), Arc::clone(parameters));
         let serve = move || {
@@ -130,7 +130,9 @@ impl Services {
             }
         };
         let thread = thread::Builder::new().name("parameters".to_owned());
-        let thread = thread.spawn(serve).context("a thread of a node")?;
+        let thread = thread
+            .spawn(serve)
+            .context("starting the thread of a node")?;
         Ok((thread, end))
     }
 }

@@ -95,7 +95,7 @@ impl Links {
     fn others(&self) -> String {
         match &self.config {
             _ if !self.connect.is_empty() => self.connect.join(", "),
-            Some(path) => format!("what {} names", path.display()),
+            Some(path) => format!("the endpoints in {}", path.display()),
             None => ROUTER.to_owned(),
         }
     }
@@ -120,7 +120,7 @@ impl Router {
         let config = links.config("router", &[("listen/endpoints", listen.as_str())])?;
         let opened = zenoh::open(config).wait();
         Ok(Self {
-            session: opened.map_err(said("the router"))?,
+            session: opened.map_err(said("cannot start the router"))?,
         })
     }
 
@@ -174,7 +174,7 @@ impl Zenoh {
             })
             .background()
             .wait();
-        declared.map_err(said("Zenoh: who else is there"))?;
+        declared.map_err(said("Zenoh: cannot watch for other nodes"))?;
         let zenoh = Self {
             shared: Arc::new(Shared {
                 domain,
@@ -185,7 +185,7 @@ impl Zenoh {
         };
         if !zenoh.connects(CONNECTS) {
             eprintln!(
-                "eecvs-ros: nobody at {} yet; it goes on trying (eecvs-ros router is one)",
+                "eecvs-ros: no router answers at {} yet; trying again (eecvs-ros router starts one)",
                 links.others()
             );
         }
@@ -259,7 +259,7 @@ impl Node for ZenohNode {
     ) -> Result<Box<dyn Publisher>> {
         ensure!(
             !kind.hash.is_empty(),
-            "{topic}: the hash of {} is not known, without which rmw_zenoh does not receive its messages",
+            "{topic}: the type hash of {} is unknown, and rmw_zenoh receives no messages without it",
             kind.name
         );
         let key = key_of(self.shared.domain, topic, kind);

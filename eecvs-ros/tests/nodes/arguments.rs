@@ -46,7 +46,7 @@ fn parameters_have_types_and_ranges() {
             "'window' was not declared by /event_camera/encode",
         ),
         ("-p time_tolerance_us:=5 -p bins:=5", "cannot be used with"),
-        ("-p window_us", "no rule"),
+        ("-p window_us", "expected NAME:=VALUE"),
     ] {
         for command in ["encode", "compose encode"] {
             let said = refused(&words(&format!("{command} --ros-args {line}")));

@@ -323,7 +323,7 @@ fn losses_leave_the_rest_as_it_is() {
     let path = folder.path().join("f.csv");
     let flags = ["--features", text(&path)];
     let refused = try_log(&messages, &operators, &flags, &Stop::default()).unwrap_err();
-    let want = format!("{missing} frames have not come, 3 frames were left out");
+    let want = format!("{missing} frames have not arrived, 3 frames were left out");
     assert!(refused.to_string().contains(&want), "{refused}");
     assert!(csv(&path) == features);
 }
@@ -452,7 +452,7 @@ fn no_frames_are_empty_tables_and_no_file_is_written_over() {
         ];
         let error = run(&flags).unwrap_err();
         assert!(
-            error.contains("c.csv") && error.contains("written over"),
+            error.contains("c.csv") && error.contains("not overwritten"),
             "{error}"
         );
         assert!(!new.exists());

@@ -66,8 +66,8 @@ fn losses_end_every_node_with_a_status() {
     let events = node.publisher("/event_camera/events", EventPacket::TYPE, QOS);
     let sent = node.publisher("/event_camera/frames", Frame::TYPE, QOS);
     let (mut events, mut sent) = (events.unwrap(), sent.unwrap());
-    let packets_lost = "1 messages of events have not come, 1 messages of events were left out";
-    let frames_lost = "1 frames have not come, 4 frames were left out";
+    let packets_lost = "1 event messages have not arrived, 1 event messages were left out";
+    let frames_lost = "1 frames have not arrived, 4 frames were left out";
     let of_events = [
         (
             "encode --ros-args -r frames:=unused".to_owned(),
@@ -79,7 +79,7 @@ fn losses_end_every_node_with_a_status() {
                 "record -o {} --topic events:event_camera_msgs/msg/EventPacket",
                 path("bag")
             ),
-            "1 messages have not come",
+            "1 messages have not arrived",
         ),
         (
             "compose encode density --ros-args -r frames:=unused".to_owned(),
@@ -91,7 +91,7 @@ fn losses_end_every_node_with_a_status() {
         (format!("log --features {}", path("a.csv")), frames_lost),
         (
             "delay --seconds 2 --json".to_owned(),
-            "1 frames have not come",
+            "1 frames have not arrived",
         ),
     ];
     for allows in [false, true] {
@@ -127,7 +127,7 @@ fn losses_end_every_node_with_a_status() {
                 }
                 let status = if allows { 0 } else { 1 };
                 let (out, said) = program.ends_with(status, PATIENCE);
-                let told = format!("{lost}; --allow-loss makes it no error");
+                let told = format!("{lost}; with --allow-loss this is not an error");
                 assert_eq!(said.contains(&told), !allows, "{line}: {said}");
                 if line.starts_with("delay") {
                     assert!(out.contains("\"frames_lost\":1"), "{out}");

@@ -323,12 +323,12 @@ fn what_cannot_be_played_is_an_error() {
         played(&empty, "")
             .1
             .unwrap_err()
-            .contains("no message to play")
+            .contains("no messages to play")
     );
     let late = played(&known, "--start-s 100").1.unwrap_err();
-    assert!(late.contains("no message to play from 100 s on"), "{late}");
+    assert!(late.contains("no messages to play from 100 s on"), "{late}");
     for (name, why) in [
-        ("a.bag", "a bag of ROS 1"),
+        ("a.bag", "a ROS 1 bag"),
         ("a.raw", "emulate --recording"),
         ("a.aedat4", "emulate --recording"),
     ] {

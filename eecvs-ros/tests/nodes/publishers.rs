@@ -80,8 +80,8 @@ fn two_publishers(meeting: &Meeting) {
     first.terminate();
     first.finish(PATIENCE);
     thread::sleep(Duration::from_secs(1));
-    let told = "/event_camera/events has two publishers: /event_camera/first is kept to, and the messages of \
-                /event_camera/second are left out";
+    let told = "/event_camera/events has two publishers: /event_camera/first is used, and the \
+                messages of /event_camera/second are left out";
     for (name, program, status) in [
         ("encode", encode, 1),
         ("lenient", lenient, 0),
@@ -99,12 +99,13 @@ fn two_publishers(meeting: &Meeting) {
             said.contains(" 0 late") || said.contains(" 0 events late"),
             "{name}: {said}"
         );
-        let error = "messages of another publisher of events were left out";
+        let error = "event messages of another publisher were left out";
         assert_eq!(said.contains(error), status == 1, "{name}: {said}");
     }
     record.terminate();
     let (_, said) = record.finish(PATIENCE);
-    let both = "has several publishers, and the bag all their messages: /event_camera/first, /event_camera/second";
+    let both = "has several publishers, and the bag holds the messages of all of them: \
+                /event_camera/first, /event_camera/second";
     assert!(said.contains(both), "{said}");
     assert!(said.contains(", 0 lost"), "{said}");
 }
@@ -129,8 +130,7 @@ fn another_publisher_follows_the_first() {
         said.contains(" messages (0 lost, 0 left out, 0 of another publisher)"),
         "{said}"
     );
-    let follows =
-        "/event_camera/driver has gone: /event_camera/other is the publisher from here on";
+    let follows = "/event_camera/driver has gone: /event_camera/other is the publisher from now on";
     assert!(said.contains(follows), "{said}");
 }
 

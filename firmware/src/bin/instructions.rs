@@ -289,7 +289,9 @@ fn main() -> ! {
     }
     let counted = known_loop();
     if !(2000..2010).contains(&counted) {
-        hprintln!("TIM2 counted {counted} for 2,000 instructions: QEMU with -icount shift=0?");
+        hprintln!(
+            "TIM2 counted {counted} for 2,000 instructions: does QEMU run with -icount shift=0?"
+        );
         debug::exit(EXIT_FAILURE);
     }
     let cost = Probe::cost();

@@ -462,14 +462,14 @@ fn run() -> Option<()> {
     let counted = known_loop(&mut counter)?;
     if !(199_900..200_100).contains(&counted) {
         hprintln!(
-            "the timer counted {counted} for 200,000 instructions: QEMU with -icount shift=0?"
+            "the timer counted {counted} for 200,000 instructions: does QEMU run with -icount shift=0?"
         );
         return None;
     }
     let cut = CUT.take();
     let mut lists = Lists::new(SLOTS.take());
     if cut.read(&mut lists).is_none() {
-        hprintln!("cut.words: not there, or no cut that has room");
+        hprintln!("cut.words: the file is missing, or does not hold a cut that fits in memory");
         return None;
     }
     let mut bench = Bench {

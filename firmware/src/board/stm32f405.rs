@@ -28,7 +28,7 @@ const fn crystal(text: Option<&str>) -> u8 {
     };
     assert!(
         mhz >= 4 && mhz <= 26,
-        "EECVS_CRYSTAL_MHZ is a whole number from 4 to 26"
+        "EECVS_CRYSTAL_MHZ must be a whole number from 4 to 26"
     );
     mhz
 }
@@ -78,7 +78,7 @@ pub(super) fn start_clock(device: &Peripherals) {
     } else {
         start(device, INTERNAL);
         defmt::error!(
-            "no crystal: USB may fail; the image was built for one of {=u8} MHz",
+            "no crystal found: USB may fail; the image was built for a crystal of {=u8} MHz",
             CRYSTAL_MHZ
         );
     }

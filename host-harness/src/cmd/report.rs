@@ -332,6 +332,6 @@ mod tests {
         // A folder of other files is refused at once.
         let line = folder.path().display().to_string();
         let error = report(&["--quick", "-o", &line]).run().unwrap_err();
-        assert!(error.to_string().contains("has files already"), "{error}");
+        assert!(error.to_string().contains("already has files"), "{error}");
     }
 }

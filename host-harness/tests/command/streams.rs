@@ -449,7 +449,7 @@ fn frames_of_two_sensors_are_never_mixed_and_can_be_taken_apart() {
         assert!(folder.bytes(&format!("{name}/2-{two}.eecvs")) == of(two));
         folder
             .as_is(&format!("split {file} -o {name}"))
-            .fails(&["has files already", "--overwrite"]);
+            .fails(&["already has files", "--overwrite"]);
     }
     // Two recordings of one sensor, one behind the other.
     folder

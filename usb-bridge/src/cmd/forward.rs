@@ -104,7 +104,7 @@ impl Forward {
         for absent in fan_out.reports() {
             if let Some(failure) = absent.failure {
                 warn(&format!(
-                    "{}: {failure}: it is looked for until the end",
+                    "{}: {failure}: trying again until the end",
                     absent.to
                 ));
             }
@@ -170,7 +170,7 @@ impl Forward {
         let inputs: Vec<&Path> = self.codec.files().chain(place.files()).collect();
         let mut files: Vec<&Path> = Vec::new();
         for (i, to) in self.to.iter().enumerate() {
-            ensure!(!self.to[..i].contains(to), "--to {to}: is given twice");
+            ensure!(!self.to[..i].contains(to), "--to {to}: given twice");
             let path = match to {
                 Address::File(path) => path.as_path(),
                 Address::Stdout => {
@@ -182,10 +182,11 @@ impl Forward {
             output::check(path, kind, self.overwrite, &inputs)?;
             ensure!(
                 self.what == What::Frames || path.extension().is_none_or(|end| end != "stream"),
-                "{to}: packets are no .stream, which capture writes: give the file another ending"
+                "{to}: a .stream file is written by capture and holds no packets: give the file \
+                 another extension"
             );
             if let Some(other) = files.iter().find(|other| is_one_place(other, path)) {
-                bail!("{to}: is the same file as {}", other.display());
+                bail!("{to}: the same file as {}", other.display());
             }
             files.push(path);
         }
@@ -244,7 +245,7 @@ fn trouble(consumer: &ConsumerReport, to: &Address) -> Option<(String, bool)> {
         consumer.lost.messages, consumer.lost.events
     );
     if is_absent {
-        line += ": was never there";
+        line += ": was never reached";
     }
     if let Some(failure) = &consumer.failure {
         line += &format!(": {failure}");
@@ -276,7 +277,7 @@ impl Summary {
                 ("  events lost", consumer.lost.events.to_string()),
                 ("  bytes sent", consumer.sent.bytes.to_string()),
                 (
-                    "  was there",
+                    "  reached",
                     if consumer.reached { "yes" } else { "never" }.to_owned(),
                 ),
                 ("  reconnects", consumer.reconnects.to_string()),

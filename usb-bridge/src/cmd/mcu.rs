@@ -69,7 +69,7 @@ impl Mcu {
         if let Some(Name::Replay(_) | Name::Simulated(..)) = self.place.name() {
             ensure!(
                 false,
-                "--device: neither sim: nor replay: takes events: name an encoder on USB or serial:PATH"
+                "--device: sim: and replay: devices take no events: name an encoder on USB, or serial:PATH"
             );
         }
         let output = self.job.output.as_deref();
@@ -103,7 +103,7 @@ fn table(report: &Report, outcome: &Outcome) -> String {
         ("firmware", report.firmware.clone()),
     ];
     lines.extend(report.account.rows());
-    lines.extend(job::times("ns/event, its clock", outcome));
+    lines.extend(job::times("ns/event, by its clock", outcome));
     lines.push(("stack", format!("{} bytes", report.stack_bytes)));
     rows(lines)
 }

@@ -32,8 +32,8 @@ pub struct PlaceOptions {
     #[arg(long)]
     wait: bool,
 
-    /// Hand over a USB transfer that is not complete after this time, as far as it is filled, in milliseconds; 0:
-    /// never [default: the model's, 100; 0 on QEMU's xHCI, which would lose bytes]
+    /// Milliseconds after which an incomplete USB transfer is handed over, as far as it is filled; 0: never [default:
+    /// the model's, 100; 0 on QEMU's xHCI, which would lose bytes]
     #[arg(long, value_name = "MS")]
     hand_over_ms: Option<u16>,
 
@@ -81,7 +81,7 @@ impl PlaceOptions {
         for output in outputs {
             ensure!(
                 !is_one_place(trace, output),
-                "{}: is the trace and {} too: give one of them another name",
+                "{}: the trace would be the same file as {}: give one of them another name",
                 trace.display(),
                 output.display()
             );
@@ -115,8 +115,8 @@ pub struct DeviceOptions {
     #[arg(long, value_name = "real|max|N|Fx", default_value = "real")]
     rate: Pace,
 
-    /// First set up the encoder (device eecvs), whose sensor has this size, with the options below, and keep its
-    /// frames unchanged. Without this flag, an encoder is left as it runs
+    /// First set up the encoder (device eecvs) for a sensor of this size, with the options below, and keep its frames
+    /// unchanged. Without this flag, an encoder keeps the setup that it has
     #[arg(long, value_name = "WxH", value_parser = size)]
     set_up: Option<Sensor>,
 }
@@ -176,7 +176,7 @@ fn size(text: &str) -> Result<Sensor, String> {
         .and_then(|(width, height)| Sensor::new(width.parse().ok()?, height.parse().ok()?))
         .ok_or_else(|| {
             format!(
-                "not a size such as 320x320, with sides of 1 to {}",
+                "expected a size such as 320x320, with sides from 1 to {}",
                 Sensor::SIDE_MAX
             )
         })
@@ -249,8 +249,8 @@ pub fn warn_of_runs(device: &str, order: &Order) {
 fn runs(order: &Order) -> Option<String> {
     (order.runs > 1).then(|| {
         format!(
-            "the clock began anew, times that it did: {}; what was written is of {} runs and holds all events; where \
-             the clock is one and events came late, a longer --reorder-us puts them in order",
+            "clock restarts: {}; the output has {} runs and holds all events; if the clock did not \
+             restart and events only arrived late, a longer --reorder-us puts them in order",
             order.runs - 1,
             order.runs
         )
@@ -283,7 +283,7 @@ impl Report {
             (Some(drift_ppm), Some(residual_us)) => {
                 format!("{drift_ppm:+.1} ppm against the host's, within {residual_us:.0} us")
             }
-            _ => "not related to the host's".to_owned(),
+            _ => "relation to the host's unknown".to_owned(),
         };
         let mut table = rows([
             ("device", self.device.clone()),
@@ -326,7 +326,7 @@ mod tests {
         assert_eq!(runs(&order(1, 0)), None);
         let line = runs(&order(3, 4)).unwrap();
         assert!(
-            line.contains("it did: 2;") && line.contains("3 runs"),
+            line.contains("clock restarts: 2;") && line.contains("3 runs"),
             "{line}"
         );
         let late = refuse_late("door", &order(3, 4), OrderOptions::default());

@@ -31,7 +31,7 @@ pub struct Receive {
     #[arg(long)]
     overwrite: bool,
 
-    /// End when the first sender has disconnected; one that sent no whole message does not count
+    /// End when the first sender has disconnected; a sender that sent no complete message does not count
     #[arg(long)]
     once: bool,
 
@@ -43,8 +43,8 @@ impl Receive {
     /// Receives until Ctrl-C, a limit, or the end of the sender.
     ///
     /// # Errors
-    /// The address cannot be listened at, the file cannot be written, or something that was sent did not arrive. In
-    /// the last case the file is still complete as received.
+    /// The address cannot be listened at, the file cannot be written, or something that was sent did not arrive. In the
+    /// last case the file is still complete as received.
     pub fn run(self) -> Result<()> {
         let kind = record::kind_of(&self.output)?;
         kind.check(&self.output, self.overwrite, &[])?;
@@ -82,17 +82,17 @@ fn table(received: &Received) -> String {
         ("bytes", received.bytes.to_string()),
         ("events", received.events.to_string()),
         ("messages lost", received.lost_messages.to_string()),
-        ("messages twice", received.repeated_messages.to_string()),
+        ("messages repeated", received.repeated_messages.to_string()),
         ("damaged bytes", received.damaged_bytes.to_string()),
         ("unfinished bytes", received.unfinished_bytes.to_string()),
         ("senders", received.senders.to_string()),
     ];
     if let Some(bytes) = received.receive_buffer_bytes {
         let overflown = received.overflown_datagrams;
-        let overflown = overflown.map_or("not told".to_owned(), |n| n.to_string());
+        let overflown = overflown.map_or("unknown".to_owned(), |n| n.to_string());
         lines.extend([
             ("datagrams lost", received.lost_datagrams.to_string()),
-            ("  for want of room", overflown),
+            ("  for lack of room", overflown),
             ("datagrams late", received.late_datagrams.to_string()),
             ("receive buffer, bytes", bytes.to_string()),
         ]);

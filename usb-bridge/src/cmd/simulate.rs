@@ -34,7 +34,8 @@ const GRACE: Duration = Duration::from_secs(2);
 ///
 /// With --usbredir or --usbip, the camera is offered to a virtual machine or a kernel, until Ctrl-C; with --run, to one
 /// program on this machine. Each start of the camera plays the recording from its beginning; after its end the camera
-/// stays on and shows its time, as one that sees nothing. Without them, reports what the camera would send.
+/// stays on and keeps sending its time, like a camera that sees nothing. Without these flags, the command reports what
+/// the camera would send.
 #[derive(Debug, Args)]
 pub struct Simulate {
     /// Model of the camera
@@ -66,8 +67,8 @@ pub struct Simulate {
     #[arg(long, value_name = "ADDR")]
     usbip: Option<String>,
 
-    /// Run this program, with the arguments that follow, which sees the camera on its USB and no other device; its exit
-    /// status is that of the simulation. It reaches USB through libusb, and umockdev must be installed
+    /// Run this program with the arguments that follow; it sees the camera and no other USB device, and its exit status
+    /// is also that of this command. It reaches USB through libusb, and umockdev must be installed
     #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
     #[arg(
         long,
@@ -119,7 +120,7 @@ impl Simulate {
     /// # Errors
     /// The recording cannot be read or does not fit the model, or the address cannot be used.
     pub fn run(self) -> Result<()> {
-        let model = find(self.model).context("no such model")?;
+        let model = find(self.model).context("unknown model")?;
         let sensor = event_files::open(&self.file, self.reading.reading())?.sensor();
         let stop = Stop::on_signals()?;
         let source = Source {
@@ -136,7 +137,7 @@ impl Simulate {
         }
         if let Some(address) = &self.usbip {
             let listener = TcpListener::bind(address)
-                .with_context(|| format!("{address}: cannot be listened at"))?;
+                .with_context(|| format!("{address}: cannot listen there"))?;
             let address = listener.local_addr().context("socket")?;
             source.announce(&format!("{address}"));
             return source.serve(&stop, |service| serve_usbip(&listener, service));
@@ -182,8 +183,8 @@ impl Source<'_> {
     fn recording(&self) -> Result<Recording> {
         let writer = self.model.writer(self.sensor).with_context(|| {
             format!(
-                "{}: no {} has a sensor of {}x{}: convert it with eecvs convert --crop, or choose \
-                 another model",
+                "{}: no {} has a sensor of {}x{}: crop the recording with eecvs convert --crop, or \
+                 choose another model",
                 self.command.file.display(),
                 self.model.name(),
                 self.sensor.width,
@@ -203,7 +204,12 @@ impl Source<'_> {
         let recording = self.recording()?.stay(true);
         *self.sent.lock().unwrap_or_else(PoisonError::into_inner) = recording.sent();
         let camera = self.model.camera(self.sensor, Box::new(recording));
-        camera.with_context(|| format!("{}: has no camera of this size", self.model.name()))
+        camera.with_context(|| {
+            format!(
+                "{}: no camera of this model has a sensor of this size",
+                self.model.name()
+            )
+        })
     }
 
     /// Runs a program that sees the camera, and ends as it does.
@@ -215,7 +221,7 @@ impl Source<'_> {
             .command(program)
             .args(arguments)
             .spawn()
-            .with_context(|| format!("{name}: cannot be run"))?;
+            .with_context(|| format!("{name}: cannot run this program"))?;
         let status = loop {
             if let Some(status) = child.try_wait().with_context(|| format!("{name}"))? {
                 break status;
@@ -245,7 +251,7 @@ impl Source<'_> {
 
     fn announce(&self, address: &str) {
         let (name, file) = (self.model.name(), self.command.file.display());
-        eprintln!("{name} with {file} at {address}; Ctrl-C ends");
+        eprintln!("{name} plays {file} at {address}; press Ctrl-C to end");
     }
 
     fn serve(&self, stop: &Stop, serve: impl FnOnce(&mut Service<'_>) -> Result<()>) -> Result<()> {
@@ -333,8 +339,8 @@ fn line(report: &Report) -> String {
         is_rejected,
     } = report;
     let mut line = format!(
-        "the host has left: {} requests ({} refused), {} bytes to it in {} transfers, {} bytes from \
-         it, {} halts, {} transfers taken back",
+        "the host disconnected: {} requests ({} refused), {} bytes to it in {} transfers, {} bytes \
+         from it, {} halts, {} transfers cancelled",
         traffic.requests,
         traffic.requests_refused,
         traffic.bytes_in,
@@ -347,7 +353,7 @@ fn line(report: &Report) -> String {
         (traffic.refused, "transfers refused"),
         (
             traffic.bytes_overflown,
-            "bytes lost: more than was asked for",
+            "bytes lost because more arrived than the host asked for",
         ),
         (*packets_odd, "packets not understood"),
         (u64::from(*is_rejected), "refusal by the host's filter"),
@@ -364,6 +370,6 @@ fn model(name: &str) -> Result<&'static str, String> {
     let names = || MODELS.iter().map(|model| model.name());
     names().find(|known| *known == name).ok_or_else(|| {
         let known: Vec<_> = names().collect();
-        format!("no such model; there are: {}", known.join(", "))
+        format!("unknown model; known models: {}", known.join(", "))
     })
 }

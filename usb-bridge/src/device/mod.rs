@@ -106,7 +106,7 @@ pub trait Model: Sync {
         Some(Info {
             name: self.name().to_owned(),
             serial: None,
-            firmware: "not told".to_owned(),
+            firmware: "unknown".to_owned(),
             sensor,
             stream,
         })

@@ -30,11 +30,13 @@ impl FromStr for Address {
                 .map(|(host, port)| (host, port.parse()));
             match port {
                 Some((host, Ok(1..=u16::MAX))) if !host.is_empty() => Ok(rest.to_owned()),
-                _ => Err(format!("{text}: a host and a port are missing: HOST:PORT")),
+                _ => Err(format!(
+                    "{text}: expected HOST:PORT, with a port from 1 to 65535"
+                )),
             }
         };
         let path = |rest: &str| match rest {
-            "" => Err(format!("{text}: a path is missing")),
+            "" => Err(format!("{text}: the path is missing")),
             _ => Ok(PathBuf::from(rest)),
         };
         if let Some(rest) = text.strip_prefix("tcp://") {
@@ -49,7 +51,8 @@ impl FromStr for Address {
             Ok(Self::Stdout)
         } else {
             Err(format!(
-                "{text}: not an address: use tcp://HOST:PORT, udp://HOST:PORT, unix:PATH, file:PATH or -"
+                "{text}: unknown form of address: use tcp://HOST:PORT, udp://HOST:PORT, unix:PATH, \
+                 file:PATH or -"
             ))
         }
     }

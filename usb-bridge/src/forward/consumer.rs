@@ -153,7 +153,7 @@ impl Consumer {
         Builder::new()
             .name("consumer".to_owned())
             .spawn(move || thread.run(sink))
-            .context("starting a consumer's thread")?;
+            .context("cannot start a consumer's thread")?;
         Ok(Self { shared, output })
     }
 
@@ -193,7 +193,7 @@ impl Consumer {
         let mut report = self.report();
         if let Some(output) = self.output.take() {
             if !self.is_done() && report.failure.is_none() {
-                report.failure = Some("took nothing any more until the end".to_owned());
+                report.failure = Some("accepted nothing more until the end".to_owned());
             }
             if report.failure.is_none() && is_whole {
                 report.failure = output.keep().err().map(|error| format!("{error:#}"));
@@ -201,7 +201,7 @@ impl Consumer {
                 let failure = report.failure.take();
                 let failure = failure.map_or(String::new(), |failure| format!(": {failure}"));
                 let part = part.display();
-                report.failure = Some(format!("incomplete: what came is in {part}{failure}"));
+                report.failure = Some(format!("incomplete: what arrived is in {part}{failure}"));
             }
         }
         report
@@ -294,7 +294,7 @@ impl Shared {
                     // Part of the message may have arrived; the reader finds the next message by itself.
                     self.lost.add(&message);
                     if !goes_on() {
-                        self.fail("took nothing any more until the end".to_owned());
+                        self.fail("accepted nothing more until the end".to_owned());
                         break;
                     }
                     self.fail(error.to_string());

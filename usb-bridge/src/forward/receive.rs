@@ -77,11 +77,11 @@ impl Received {
         let met: Vec<String> = [
             (self.lost_messages, "messages lost"),
             (self.lost_datagrams, "datagrams lost"),
-            (self.repeated_messages, "messages that came twice"),
-            (self.damaged_bytes, "bytes of no whole message"),
+            (self.repeated_messages, "messages that arrived twice"),
+            (self.damaged_bytes, "bytes that belong to no message"),
             (
                 self.late_datagrams,
-                "datagrams that came late or from elsewhere",
+                "datagrams that arrived late or from elsewhere",
             ),
         ]
         .into_iter()
@@ -100,8 +100,8 @@ impl Received {
         match self.receive_buffer_bytes {
             Some(bytes) if self.lost_datagrams > 0 && bytes < DATAGRAMS_BYTES => {
                 warning += &format!(
-                    "; it keeps {bytes} bytes of the {DATAGRAMS_BYTES} that were asked for: raise \
-                     net.core.rmem_max"
+                    "; the receive buffer has {bytes} bytes instead of the {DATAGRAMS_BYTES} \
+                     requested: raise net.core.rmem_max"
                 );
             }
             _ => {}
@@ -175,7 +175,8 @@ pub fn receive(
         },
         Kind::Stream => {
             let error = anyhow::anyhow!(
-                "{}: a .stream is what capture writes: receive .eecvs or a format of recordings",
+                "{}: receive cannot write .stream files: give the extension .eecvs or that of a \
+                 recording format",
                 path.display()
             );
             return (Received::default(), Err(error));
@@ -296,7 +297,8 @@ impl Receiver<'_> {
     fn packet(&mut self, packet: &Packet<'_>) -> Result<()> {
         let Output::Events(_) = self.output else {
             bail!(
-                "{}: raw packets come, not frames: give the file the extension of a format of recordings",
+                "{}: the sender sends raw packets, not frames: give the file the extension of a \
+                 recording format",
                 self.path.display()
             );
         };
@@ -329,7 +331,7 @@ impl Receiver<'_> {
             Some(model.parser(&info))
         });
         let Some(parser) = parser else {
-            bail!("packets of {encoding}, which this version does not know: use a newer one");
+            bail!("this version does not know packets of {encoding}: use a newer version");
         };
         self.let_go();
         self.parser = Some((encoding.to_owned(), sensor, parser));

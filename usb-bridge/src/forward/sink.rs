@@ -162,7 +162,7 @@ fn send_all(stream: &mut impl Write, message: &[u8], goes_on: &dyn Fn() -> bool)
 }
 
 fn connect(to: &str) -> io::Result<TcpStream> {
-    let mut last = io::Error::new(ErrorKind::NotFound, "the name has no address");
+    let mut last = io::Error::new(ErrorKind::NotFound, "the host name has no address");
     for address in to.to_socket_addrs()? {
         match TcpStream::connect_timeout(&address, CONNECT) {
             Ok(stream) => return Ok(stream),
@@ -173,7 +173,7 @@ fn connect(to: &str) -> io::Result<TcpStream> {
 }
 
 fn udp(to: &str) -> io::Result<UdpSocket> {
-    let mut last = io::Error::new(ErrorKind::NotFound, "the name has no address");
+    let mut last = io::Error::new(ErrorKind::NotFound, "the host name has no address");
     for address in to.to_socket_addrs()? {
         let any = if address.is_ipv4() {
             "0.0.0.0:0"

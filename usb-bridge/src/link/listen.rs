@@ -296,12 +296,12 @@ impl Listening {
                     .to_socket_addrs()
                     .map_err(io)?
                     .next()
-                    .ok_or_else(|| unreachable("the name has no address".to_owned()))?;
+                    .ok_or_else(|| unreachable("the host name has no address".to_owned()))?;
                 Listener::Udp(Box::new(Datagrams::open(at).map_err(io)?))
             }
             Address::File(_) | Address::Stdout => {
                 return Err(unreachable(
-                    "nobody sends there: use tcp://, udp:// or unix:".to_owned(),
+                    "nothing can be received there: use tcp://, udp:// or unix:".to_owned(),
                 ));
             }
         };
@@ -532,7 +532,7 @@ impl Link for Listening {
     fn send(&mut self, _: &[u8]) -> Result<(), LinkError> {
         Err(LinkError::Failed {
             link: self.name.clone(),
-            cause: "only receives".to_owned(),
+            cause: "this link only receives".to_owned(),
         })
     }
 }

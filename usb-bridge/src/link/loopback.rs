@@ -134,7 +134,7 @@ impl Link for LoopbackLink {
             let deadline = until(self.patience);
             loop {
                 if state.closed {
-                    return Err(self.failed("its other end is closed".to_owned()));
+                    return Err(self.failed("the other end is closed".to_owned()));
                 }
                 if state.bytes + part.len() <= self.out.room {
                     break;
@@ -142,7 +142,7 @@ impl Link for LoopbackLink {
                 let left = deadline.saturating_duration_since(Instant::now());
                 if left.is_zero() {
                     let waited = self.patience.as_secs_f64();
-                    return Err(self.failed(format!("takes no bytes since {waited} s")));
+                    return Err(self.failed(format!("has accepted no bytes for {waited} s")));
                 }
                 let waited = self.out.changed.wait_timeout(state, left);
                 state = waited.unwrap_or_else(PoisonError::into_inner).0;
@@ -234,7 +234,7 @@ impl Attachment {
     fn refused(&self, step: &str) -> LinkError {
         LinkError::Failed {
             link: self.name.clone(),
-            cause: format!("{step}: the device refuses it"),
+            cause: format!("{step}: the device refused it"),
         }
     }
 
@@ -348,7 +348,7 @@ impl Outlet for PeripheralOutlet {
                 if Instant::now() >= deadline {
                     return Err(LinkError::Failed {
                         link: self.attachment.name.clone(),
-                        cause: format!("takes no bytes since {} s", PATIENCE.as_secs()),
+                        cause: format!("has accepted no bytes for {} s", PATIENCE.as_secs()),
                     });
                 }
                 thread::sleep(POLL);

@@ -29,7 +29,7 @@ fn what_is_sent_is_received_and_the_room_is_kept() {
     drop(sender.join().unwrap());
     assert_eq!(far.receive(Duration::ZERO).unwrap(), Received::Ended);
     let told = far.send(&[1]).unwrap_err().to_string();
-    assert_eq!(told, "far end: its other end is closed");
+    assert_eq!(told, "far end: the other end is closed");
 }
 
 #[test]
@@ -38,7 +38,7 @@ fn more_than_the_room_goes_in_parts_and_a_stopped_reader_is_an_error() {
     near.set_patience(Duration::from_millis(20));
     near.send(&[7; 10]).unwrap();
     let told = near.send(&[7; 11]).unwrap_err().to_string();
-    assert_eq!(told, "near end: takes no bytes since 0.02 s");
+    assert_eq!(told, "near end: has accepted no bytes for 0.02 s");
     assert_eq!(lock(&far.into.state).bytes, 10);
 }
 
@@ -132,7 +132,7 @@ fn a_device_without_a_bus_answers_streams_and_goes() {
         refused
             .unwrap_err()
             .to_string()
-            .contains("request 0x09: the device refuses it")
+            .contains("request 0x09: the device refused it")
     );
 
     let mut link = attachment.stream(&TRANSFERS);

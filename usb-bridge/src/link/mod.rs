@@ -58,7 +58,7 @@ pub enum Loss {
 #[derive(Debug, Error)]
 pub enum LinkError {
     /// The device was unplugged.
-    #[error("{link}: unplugged; connect it again and start anew")]
+    #[error("{link}: unplugged; connect it again and rerun the command")]
     Unplugged {
         /// Name of the link.
         link: String,
@@ -78,7 +78,7 @@ pub enum LinkError {
         link: String,
     },
     /// An endpoint stays halted although the halt was cleared.
-    #[error("{link}: endpoint {endpoint:#04x} is stalled and stays so; reconnect the device")]
+    #[error("{link}: endpoint {endpoint:#04x} remains stalled; reconnect the device")]
     Stalled {
         /// Name of the link.
         link: String,
@@ -135,7 +135,7 @@ pub trait Link: Send {
     fn outlet(&self) -> Result<Box<dyn Outlet>, LinkError> {
         Err(LinkError::Failed {
             link: self.name().to_owned(),
-            cause: "takes no bytes".to_owned(),
+            cause: "accepts no bytes".to_owned(),
         })
     }
 }

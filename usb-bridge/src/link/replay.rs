@@ -113,7 +113,7 @@ impl Link for ReplayLink {
     fn send(&mut self, _bytes: &[u8]) -> Result<(), LinkError> {
         Err(LinkError::Failed {
             link: self.name.clone(),
-            cause: "is a file: it takes no bytes".to_owned(),
+            cause: "is a file and accepts no bytes".to_owned(),
         })
     }
 }

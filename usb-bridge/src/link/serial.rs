@@ -51,7 +51,7 @@ fn opening(path: &str, error: &serialport::Error) -> LinkError {
         ErrorKind::Io(io::ErrorKind::PermissionDenied) => LinkError::Permission {
             link,
             remedy:
-                "join the group of serial ports, `sudo usermod -aG dialout $USER`, and log in anew"
+                "join the group that may use serial ports, `sudo usermod -aG dialout $USER`, and log in again"
                     .to_owned(),
         },
         // The library also reports a port locked by another program this way.
@@ -74,7 +74,7 @@ fn failed(name: &str, error: &io::Error) -> LinkError {
         _ if error.raw_os_error() == Some(EIO) => LinkError::Unplugged { link },
         io::ErrorKind::TimedOut => LinkError::Failed {
             link,
-            cause: format!("takes no bytes since {} s", PATIENCE.as_secs()),
+            cause: format!("has accepted no bytes for {} s", PATIENCE.as_secs()),
         },
         _ => LinkError::Failed {
             link,

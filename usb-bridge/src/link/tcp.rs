@@ -35,7 +35,7 @@ impl TcpLink {
             link: name.clone(),
             cause: error.to_string(),
         };
-        let mut last = io::Error::new(io::ErrorKind::NotFound, "the name has no address");
+        let mut last = io::Error::new(io::ErrorKind::NotFound, "the host name has no address");
         for one in address.to_socket_addrs().map_err(|e| unreachable(&e))? {
             match TcpStream::connect_timeout(&one, CONNECTING) {
                 Ok(stream) => return Self::new(stream, name),
@@ -77,7 +77,7 @@ impl TcpLink {
         let link = self.name.clone();
         let cause = match error.kind() {
             io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => {
-                format!("takes no bytes since {} s", PATIENCE.as_secs())
+                format!("has accepted no bytes for {} s", PATIENCE.as_secs())
             }
             _ => error.to_string(),
         };

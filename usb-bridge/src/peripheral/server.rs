@@ -39,14 +39,16 @@ pub fn serve_usbip(listener: &TcpListener, service: &mut Service<'_>) -> Result<
     let descriptors = device
         .as_ref()
         .map(|device| device.descriptors().clone())
-        .context("no device")?;
+        .context("there is no device to serve")?;
     std::thread::scope(|scope| {
         let mut busy: Option<ScopedJoinHandle<'_, Result<Report>>> = None;
         loop {
             if let Some(host) = busy.take_if(|host| host.is_finished()) {
-                let served = host
-                    .join()
-                    .unwrap_or_else(|_| Err(anyhow::anyhow!("the device's thread has died")));
+                let served = host.join().unwrap_or_else(|_| {
+                    Err(anyhow::anyhow!(
+                        "the device's thread panicked: please report this"
+                    ))
+                });
                 (service.left)(&served);
                 if service.once {
                     return served.map(|_| ());

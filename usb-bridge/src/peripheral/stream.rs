@@ -59,7 +59,9 @@ impl std::str::FromStr for Pace {
                 None => number(text).map(Self::Rate),
             },
         };
-        pace.ok_or_else(|| "neither real, max, events per second, nor a factor such as 2x".into())
+        pace.ok_or_else(|| {
+            "expected real, max, a number of events per second, or a factor such as 2x".into()
+        })
     }
 }
 
@@ -365,8 +367,8 @@ impl Recording {
             let shifted = i128::from(event.t_us) - i128::from(first) + i128::from(self.base_us);
             event.t_us = u64::try_from(shifted).ok().with_context(|| {
                 format!(
-                    "event at {} us: before the device's time 0: the first event of the \
-                     recording needs a later start",
+                    "the event at {} us would be before the device's time 0: give the recording's \
+                     first event a later device time",
                     event.t_us
                 )
             })?;

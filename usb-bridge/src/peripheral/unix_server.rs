@@ -34,8 +34,9 @@ impl UnixServer {
         if is_socket && is_dead() {
             std::fs::remove_file(path).with_context(|| format!("{name}: cannot be replaced"))?;
         }
-        let listener = UnixListener::bind(path)
-            .with_context(|| format!("{name}: cannot be listened at; use a path that is free"))?;
+        let listener = UnixListener::bind(path).with_context(|| {
+            format!("{name}: cannot listen there: use a path that does not exist")
+        })?;
         let path = path.to_owned();
         listener.set_nonblocking(true).context("socket")?;
         Ok(Self { listener, path })

@@ -102,7 +102,7 @@ pub fn operation(
     let mut head = [0; 8];
     socket
         .read_exact(&mut head)
-        .context("USB/IP: no operation came")?;
+        .context("USB/IP: no operation arrived")?;
     let code = u16::from_be_bytes([head[2], head[3]]);
     let mut answer = Vec::new();
     let done = match code {
@@ -122,7 +122,7 @@ pub fn operation(
             let mut bus_id = [0; 32];
             socket
                 .read_exact(&mut bus_id)
-                .context("USB/IP: an import without its device")?;
+                .context("USB/IP: the import request does not name its device")?;
             let mut ours = [0; 32];
             ours[..BUS_ID.len()].copy_from_slice(BUS_ID.as_bytes());
             if is_free && bus_id == ours {
@@ -136,12 +136,12 @@ pub fn operation(
             }
         }
         code => {
-            bail!("USB/IP: operation {code:#06x} is not known: the host speaks another protocol")
+            bail!("USB/IP: unknown operation {code:#06x}: the host speaks another protocol")
         }
     };
     socket
         .write_all(&answer)
-        .context("USB/IP: cannot be answered")?;
+        .context("USB/IP: cannot send the answer")?;
     Ok(done)
 }
 
@@ -386,7 +386,7 @@ impl Packet {
         match self.command {
             UNLINK => return Ok((0, 0)),
             SUBMIT => {}
-            other => bail!("USB/IP: a packet of type {other}: the host speaks another protocol"),
+            other => bail!("USB/IP: unknown packet type {other}: the host speaks another protocol"),
         }
         let descriptions = match self.isochronous {
             // In all other transfers, some kernels send 0, others -1.
@@ -397,7 +397,8 @@ impl Packet {
         if data > DATA_MAX || descriptions > ISOCHRONOUS_MAX {
             bail!(
                 "USB/IP: a transfer of {data} bytes and {descriptions} isochronous packets to the \
-                 device; {DATA_MAX} bytes are the most"
+                 device is too large: at most {DATA_MAX} bytes and {ISOCHRONOUS_MAX} packets are \
+                 possible"
             );
         }
         Ok((data, descriptions * ISOCHRONOUS))

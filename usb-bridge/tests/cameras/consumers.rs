@@ -220,7 +220,7 @@ fn a_consumer_that_is_absent_holds_up_nobody_and_gets_the_stream_when_it_comes()
     let errors = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{errors}");
     assert_eq!(errors.lines().count(), 2, "{errors}");
-    assert!(errors.contains(&format!("{nobody}: lost ")) && errors.contains("was never there"));
+    assert!(errors.contains(&format!("{nobody}: lost ")) && errors.contains("was never reached"));
     let said: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(said["consumers"][0]["reached"], false, "{said}");
     assert_eq!(said["consumers"][0]["lost"]["events"], EVENTS, "{said}");
@@ -256,7 +256,7 @@ fn datagrams_to_nobody_are_lost_by_name() {
     let output = folder.run(&[&arguments[..], &["--to", "file:a.eecvs"]].concat());
     let errors = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{errors}");
-    assert!(errors.contains("was never there"), "{errors}");
+    assert!(errors.contains("was never reached"), "{errors}");
     let said: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(said["consumers"][0]["lost"]["events"], EVENTS, "{said}");
     assert_eq!(shifted(read(&folder.path("a.eecvs"))), sorted(events()));
@@ -408,7 +408,7 @@ fn files_of_forward_are_refused_before_anything_is_done() {
                 "--to",
                 "file:b.stream",
             ],
-            "no .stream",
+            "a .stream file",
         ),
         (
             &[

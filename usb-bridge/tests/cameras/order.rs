@@ -62,7 +62,7 @@ fn a_clock_that_begins_anew_is_a_run_of_its_own_and_told() {
         );
         assert_eq!(errors.lines().count(), 1, "{errors}");
         assert!(
-            errors.contains("it did: 1;") && errors.contains("2 runs"),
+            errors.contains("clock restarts: 1;") && errors.contains("2 runs"),
             "{errors}"
         );
     }

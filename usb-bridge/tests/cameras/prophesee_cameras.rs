@@ -211,7 +211,10 @@ fn boards_that_answer_nonsense_are_refused_in_one_line() {
     for (answer, says) in [
         (vec![], "no frame"),
         (vec![1, 2, 3], "no frame"),
-        (treuzell::frame(treuzell::FAILED, &[]), "update it"),
+        (
+            treuzell::frame(treuzell::FAILED, &[]),
+            "update the firmware",
+        ),
         (
             treuzell::frame(treuzell::RELEASE | treuzell::FAILED, &[5, 0, 0, 0]),
             "(error 5)",

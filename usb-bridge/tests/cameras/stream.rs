@@ -233,7 +233,7 @@ fn what_cannot_be_is_one_line_and_exit_status_1() {
     let set_up = ["capture", "-o", "a.eecvs", "--device"];
     refused(
         &[&set_up[..], &[CAMERA, "--set-up", "128x128"]].concat(),
-        "simulated dvs128: is a DVS128 and no encoder",
+        "simulated dvs128: is a DVS128, not an encoder",
     );
     refused(
         &[&set_up[..], &[encoder, "--set-up", "128x64"]].concat(),

@@ -47,14 +47,14 @@ fn a_device_is_found_asked_and_told() {
             };
             assert_eq!(
                 host.device.stream(&none).err().unwrap().to_string(),
-                "usb 1-4 1209:0002: has no bulk endpoint 0x81: another model, or another firmware"
+                "usb 1-4 1209:0002: has no bulk endpoint 0x81: it is another model, or has other firmware"
             );
             let refused = host
                 .control
                 .control_out(Request::vendor_out(0x99, 7, 0), &[]);
             assert_eq!(
                 refused.unwrap_err().to_string(),
-                "usb 1-4 1209:0002: request 0x99 (value 0x0007, index 0x0000): the device refuses it"
+                "usb 1-4 1209:0002: request 0x99 (value 0x0007, index 0x0000): the device refused it"
             );
         },
         |_| {},

@@ -16,7 +16,7 @@ fn an_unplugged_device_gives_what_it_sent_and_then_says_so() {
             let got = host.receive(usize::MAX);
             counts_from_zero(&got.words);
             assert_eq!(got.words.len(), 25 * (2048 + 1 + 1024));
-            let unplugged = "usb 1-4 1209:0002: unplugged; connect it again and start anew";
+            let unplugged = "usb 1-4 1209:0002: unplugged; connect it again and rerun the command";
             assert_eq!(got.error.unwrap().to_string(), unplugged);
             let again = host.link.receive(Duration::ZERO).unwrap_err().to_string();
             assert_eq!(again, unplugged);
@@ -64,7 +64,7 @@ fn a_halt_that_comes_again_at_once_is_an_error() {
             assert_eq!(got.losses, [(0, Loss::Stalled)]);
             assert_eq!(
                 got.error.unwrap().to_string(),
-                "usb 1-4 1209:0002: endpoint 0x82 is stalled and stays so; reconnect the device"
+                "usb 1-4 1209:0002: endpoint 0x82 remains stalled; reconnect the device"
             );
         },
         |_| {},

@@ -68,10 +68,13 @@ impl LogFile {
         let table = match (self.kind, tables) {
             (Kind::Csv | Kind::Parquet, [(table, _)]) => table,
             (Kind::Mcap, [(table, _), ..]) => table,
-            _ => bail!("{name}: both tables have one file: give two names, or one of .mcap"),
+            _ => bail!(
+                "{name}: both tables would go to this file: give two names, or one that ends in .mcap"
+            ),
         };
-        let file = File::create_new(&self.path)
-            .with_context(|| format!("{name}: cannot be created; no file is written over"))?;
+        let file = File::create_new(&self.path).with_context(|| {
+            format!("{name}: cannot be created; existing files are not overwritten")
+        })?;
         let begun = || -> Result<Box<dyn TableFile>> {
             Ok(match self.kind {
                 Kind::Csv => Box::new(CsvFile::new(file, name, table)?),

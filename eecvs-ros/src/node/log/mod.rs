@@ -35,7 +35,7 @@ pub struct Log {
     #[arg(long, value_name = "FILE", value_parser = LogFile::parse)]
     coefficients: Option<LogFile>,
 
-    /// End after this many seconds without frames, once there was one
+    /// End after this many seconds without frames, once one has arrived
     #[arg(long, value_name = "S")]
     idle_s: Option<u32>,
 

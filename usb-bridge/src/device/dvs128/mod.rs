@@ -97,14 +97,14 @@ impl Model for Dvs128 {
         let firmware = control.release() & 0xFF;
         ensure!(
             firmware >= FIRMWARE_MIN,
-            "{}: its firmware {firmware} is too old: install {FIRMWARE_MIN} or a later one",
+            "{}: firmware {firmware} is too old: install version {FIRMWARE_MIN} or later",
             control.name()
         );
         // It may still be running for a program that crashed.
         send(control, STOP, 0, &[])?;
-        control
-            .clear_halt(ENDPOINT)
-            .with_context(|| format!("{NAME}: endpoint {ENDPOINT:#04x} cannot be cleared"))?;
+        control.clear_halt(ENDPOINT).with_context(|| {
+            format!("{NAME}: cannot clear the halt of endpoint {ENDPOINT:#04x}")
+        })?;
         Ok(Info {
             name: "DVS128".into(),
             serial: control.serial(),

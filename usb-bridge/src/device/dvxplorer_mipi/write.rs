@@ -117,8 +117,7 @@ impl WriteStream for MipiWriter {
             self.order.check_gap(gap / STEP_MS)?;
             ensure!(
                 self.frame.len() < FRAME_EVENTS_MAX,
-                "{}: more than {FRAME_EVENTS_MAX} events at {} us: the device's frame cannot hold \
-                 them",
+                "{}: more than {FRAME_EVENTS_MAX} events at {} us do not fit in one frame of the device",
                 super::NAME,
                 event.t_us
             );

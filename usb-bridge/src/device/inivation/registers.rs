@@ -143,7 +143,8 @@ pub fn read(control: &mut dyn Control, (module, register): Register) -> Result<u
         .with_context(|| format!("register {module}/{register:#x} cannot be read"))?;
     ensure!(
         got == wanted,
-        "{}: register {module}/{register:#x} came with {got} bytes, not {wanted}: reconnect the camera",
+        "{}: register {module}/{register:#x} was answered with {got} bytes instead of {wanted}: \
+         reconnect the camera",
         control.name()
     );
     let value = data[..wanted].last_chunk().copied().unwrap_or_default();

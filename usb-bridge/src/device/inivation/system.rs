@@ -37,8 +37,8 @@ fn check_versions(known: &Versions, control: &mut dyn Control) -> Result<String>
     let patch = read(control, LOGIC_PATCH)?;
     ensure!(
         firmware >= known.firmware_min && logic == LOGIC_KNOWN && patch >= known.patch_min,
-        "{}: firmware {firmware}, logic {logic}.{patch}; firmware {} and logic {LOGIC_KNOWN}.{} or \
-         later patches of both are needed: update the camera with its vendor's tool",
+        "{}: has firmware {firmware} and logic {logic}.{patch}, but needs firmware {} or later and \
+         logic {LOGIC_KNOWN}.{} or a later patch: update the camera with its vendor's tool",
         control.name(),
         known.firmware_min,
         known.patch_min
@@ -84,7 +84,7 @@ pub fn found(
     control.wait(EMPTY);
     control
         .clear_halt(ENDPOINT)
-        .with_context(|| format!("{name}: endpoint {ENDPOINT:#04x} cannot be cleared"))?;
+        .with_context(|| format!("{name}: cannot clear the halt of endpoint {ENDPOINT:#04x}"))?;
     Ok(Found {
         firmware,
         sensor,
@@ -114,7 +114,8 @@ fn sensor(control: &mut dyn Control) -> Result<(Sensor, bool)> {
     let name = control.name();
     let sensor = sensor.with_context(|| {
         format!(
-            "{name}: its sensor has {width} x {height} pixels, which no known one has: reconnect it"
+            "{name}: it reports a sensor of {width} x {height} pixels, which is not a possible \
+             size: reconnect the camera"
         )
     })?;
     Ok((sensor, inverted))

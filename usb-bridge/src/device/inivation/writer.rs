@@ -49,7 +49,7 @@ impl Order {
         let Event { t_us, x, y, .. } = *event;
         ensure!(
             self.sensor.contains(x, y),
-            "{}: event {} at x = {x}, y = {y} is outside of the sensor ({}x{})",
+            "{}: event {} at x = {x}, y = {y} is outside the sensor ({}x{})",
             self.model,
             self.events,
             self.sensor.width,
@@ -57,8 +57,8 @@ impl Order {
         );
         ensure!(
             t_us >= self.time,
-            "{}: event {}: time runs back from {} us to {t_us} us, which the device's stream cannot \
-             hold: sort the recording",
+            "{}: event {}: time runs backwards, from {} us to {t_us} us, which the device's stream \
+             cannot represent: sort the recording",
             self.model,
             self.events,
             self.time
@@ -75,8 +75,8 @@ impl Order {
     pub fn check_gap(&self, words: u64) -> Result<()> {
         ensure!(
             words <= GAP_WORDS_MAX,
-            "{}: event {}: the gap up to {} us is too long: the device counts from 0 at its start, \
-             shift the recording",
+            "{}: event {}: the gap before {} us is too long; the device counts from 0 at its \
+             start: shift the times of the recording",
             self.model,
             self.events.saturating_sub(1),
             self.time

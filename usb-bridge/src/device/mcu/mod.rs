@@ -94,12 +94,13 @@ impl Model for Mcu {
     fn identify(&self, control: &mut dyn Control) -> Result<Info> {
         let mut counts = [0; COUNTS_BYTES];
         let request = Request::vendor_in(COUNTS, 0, 0);
-        let length = control
-            .control_in(request, &mut counts)
-            .context("its numbers on the bus are an encoder's, which anybody's tests may have")?;
+        let length = control.control_in(request, &mut counts).context(
+            "it has the USB IDs of an encoder, but these are test IDs that any device may use",
+        )?;
         ensure!(
             length == COUNTS_BYTES && counts[0] == COUNTS_LAYOUT,
-            "{}: no encoder, or one of another version: build its image from the same sources",
+            "{}: this is not an encoder, or an encoder of another version: build its image from \
+             the same sources as this program",
             control.name()
         );
         let release = control.release();

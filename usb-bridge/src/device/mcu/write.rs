@@ -75,7 +75,7 @@ impl WriteStream for McuStream {
         for (event, index) in events.iter().zip(self.events..) {
             ensure!(
                 self.sensor.contains(event.x, event.y),
-                "event {index} at x = {}, y = {} is outside of the sensor ({}x{})",
+                "event {index} at x = {}, y = {} is outside the sensor ({}x{})",
                 event.x,
                 event.y,
                 self.sensor.width,
@@ -182,7 +182,7 @@ fn frames(encoder: &mut Encoder<'_>, frame: &mut [u8], bytes: &mut Vec<u8>) -> R
         match encoder.next_frame(frame) {
             Ok(Some(encoded)) => bytes.extend_from_slice(&frame[encoded.range]),
             Ok(None) => return Ok(()),
-            Err(_) => bail!("a frame has no room for a pixel: please report this"),
+            Err(_) => bail!("a pixel does not fit in a frame: please report this"),
         }
     }
 }

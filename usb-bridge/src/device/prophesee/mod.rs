@@ -214,12 +214,12 @@ impl Model for Prophesee {
         let found = Found::look(&mut board)?;
         ensure!(
             found.chip.sensor() == info.sensor,
-            "{}: another sensor than before: look for cameras again",
+            "{}: the sensor is not the one found before: open the camera again",
             info.name
         );
         found
             .start(&mut board, Format::of(info))
-            .with_context(|| format!("{}: does not start", info.name))
+            .with_context(|| format!("{}: cannot start the camera", info.name))
     }
 
     fn stop(&self, info: &Info, control: &mut dyn Control) -> Result<()> {
@@ -227,7 +227,7 @@ impl Model for Prophesee {
         let found = Found::look(&mut board)?;
         found
             .stop(&mut board)
-            .with_context(|| format!("{}: does not stop", info.name))
+            .with_context(|| format!("{}: cannot stop the camera", info.name))
     }
 
     fn parser(&self, info: &Info) -> Box<dyn Parse> {
@@ -264,7 +264,7 @@ impl Prophesee {
 fn check_inside(index: u64, event: &Event, sensor: Sensor) -> Result<()> {
     ensure!(
         sensor.contains(event.x, event.y),
-        "event {index} at x = {}, y = {} is outside of the sensor ({}x{})",
+        "event {index} at x = {}, y = {} is outside the sensor ({}x{})",
         event.x,
         event.y,
         sensor.width,
@@ -276,7 +276,8 @@ fn check_inside(index: u64, event: &Event, sensor: Sensor) -> Result<()> {
 /// Returns the message for a time that cannot be reached with time words.
 fn time_refused(index: u64, t_us: u64) -> String {
     format!(
-        "event {index}: the camera's clock cannot go to {t_us} us (it counts from 0; steps back and \
-         gaps have their limits): subtract the recording's first time, or cut it there"
+        "event {index}: the camera's clock cannot reach {t_us} us (it counts from 0, and steps \
+         back and gaps are limited): subtract the recording's first time, or cut the recording \
+         there"
     )
 }

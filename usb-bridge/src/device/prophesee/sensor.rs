@@ -153,7 +153,7 @@ impl Found {
         let name = board.control().name().to_owned();
         ensure!(
             (1..=DEVICES_MAX).contains(&devices),
-            "{name}: says that it has {devices} devices: reconnect it"
+            "{name}: reports an impossible number of devices, {devices}: reconnect it"
         );
         let (mut streamer, mut seen) = (None, Vec::new());
         for device in 0..devices {
@@ -174,7 +174,7 @@ impl Found {
             seen.extend(names);
         }
         bail!(
-            "{name}: no sensor that is known among {}: IMX636, IMX646, Gen 4.1 and GenX320 are",
+            "{name}: no known sensor among {}: known are IMX636, IMX646, Gen 4.1 and GenX320",
             seen.join(", ")
         )
     }

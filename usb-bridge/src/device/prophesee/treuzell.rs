@@ -105,12 +105,13 @@ impl<'c> Board<'c> {
         let name = self.control.name();
         let Some((of, content)) = parse(answer) else {
             bail!(
-                "{name}: its answer of {length} bytes to property {property:#x} is no frame: reconnect it"
+                "{name}: its answer of {length} bytes to property {property:#x} is not a valid \
+                 frame: reconnect it"
             );
         };
         ensure!(
             of != FAILED,
-            "{name}: its firmware has no property {property:#x}: update it"
+            "{name}: its firmware has no property {property:#x}: update the firmware"
         );
         if of == property | FAILED {
             let why = number(content, content.len() / 4 - usize::from(content.len() >= 4));
@@ -121,7 +122,7 @@ impl<'c> Board<'c> {
         }
         ensure!(
             of == property,
-            "{name}: it answered property {property:#x} with {of:#x}: reconnect it"
+            "{name}: it answered a request for property {property:#x} with property {of:#x}: reconnect it"
         );
         Ok(content.to_vec())
     }
@@ -190,7 +191,7 @@ impl<'c> Board<'c> {
         let of = (number(answer, 0), number(answer, 1));
         ensure!(
             of == (Some(device), Some(address)),
-            "{}: it answered for another register than {address:#x}: reconnect it",
+            "{}: its answer is not for register {address:#x}: reconnect it",
             self.control.name()
         );
         Ok(())

@@ -59,13 +59,13 @@ pub enum RawFileError {
     #[error("{0}")]
     Io(#[from] io::Error),
     /// The file does not begin with the magic bytes of a stream file.
-    #[error("byte 0: is no stream file: begins with other bytes than EECVSTRM")]
+    #[error("byte 0: this is not a stream file: it does not begin with EECVSTRM")]
     Magic,
     /// The file was written in another version of the format.
-    #[error("byte 8: version {0} of stream files; this program reads version {VERSION}")]
+    #[error("byte 8: the stream file has version {0}; this program reads version {VERSION}")]
     Version(u16),
     /// The header is cut off or damaged.
-    #[error("byte {0}: the header is damaged; nothing says what the stream is of")]
+    #[error("byte {0}: the header is damaged, so the device that sent the stream is unknown")]
     Header(u64),
 }
 

@@ -96,12 +96,12 @@ fn other_files_and_later_versions_are_refused_in_one_line() {
             .unwrap()
             .to_string()
     };
-    assert!(told(b"").starts_with("byte 0: is no stream file"));
-    assert!(told(b"% evt 3.0\n0123456789012345").starts_with("byte 0: is no stream file"));
+    assert!(told(b"").starts_with("byte 0: this is not a stream file"));
+    assert!(told(b"% evt 3.0\n0123456789012345").starts_with("byte 0: this is not a stream file"));
     let file = write(&[]);
     let mut later = file.clone();
     later[8] = 2;
-    assert!(told(&later).starts_with("byte 8: version 2"));
+    assert!(told(&later).starts_with("byte 8: the stream file has version 2"));
     let mut damaged = file.clone();
     damaged[30] ^= 1;
     assert!(told(&damaged).contains("the header is damaged"));

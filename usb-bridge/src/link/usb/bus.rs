@@ -103,7 +103,7 @@ impl Bus {
             }
             Err(error) => Err(LinkError::Failed {
                 link: "usb".to_owned(),
-                cause: format!("the system's USB cannot be used: {error}"),
+                cause: format!("cannot use the system's USB: {error}"),
             }),
         }
     }
@@ -118,7 +118,7 @@ impl Bus {
         };
         let list = context.devices().map_err(|error| LinkError::Failed {
             link: "usb".to_owned(),
-            cause: format!("the devices cannot be listed: {error}"),
+            cause: format!("cannot list the devices: {error}"),
         })?;
         let mut all: Vec<_> = list.iter().filter_map(Attached::of).collect();
         all.sort_by(|a, b| (a.bus, &a.ports).cmp(&(b.bus, &b.ports)));

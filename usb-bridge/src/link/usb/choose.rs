@@ -43,7 +43,7 @@ pub fn choose(candidates: &[Candidate], wanted: Option<&str>) -> Result<Option<u
         _ => Err(LinkError::Unreachable {
             link: wanted.unwrap_or("usb").to_owned(),
             cause: format!(
-                "several devices fit; name one: {}",
+                "several devices match; name one: {}",
                 list(candidates, &fitting)
             ),
         }),
@@ -59,7 +59,10 @@ pub fn absent(candidates: &[Candidate], wanted: Option<&str>) -> LinkError {
         cause: if candidates.is_empty() {
             "no known camera or MCU is attached".to_owned()
         } else {
-            format!("no such device; attached: {}", list(candidates, &all))
+            format!(
+                "no such device; these are attached: {}",
+                list(candidates, &all)
+            )
         },
     }
 }
@@ -105,13 +108,17 @@ mod tests {
         let told = |wanted| choose(&some, wanted).unwrap_err().to_string();
         assert_eq!(
             told(Some("davis346")),
-            "davis346: cannot be reached: several devices fit; name one: usb:1-4 (davis346, serial \
-             00000123), usb:2-1.4 (davis346, serial 00000124)"
+            "davis346: cannot be reached: several devices match; name one: usb:1-4 (davis346, \
+             serial 00000123), usb:2-1.4 (davis346, serial 00000124)"
         );
         assert!(told(None).contains("usb:2-1.3 (evk4)"));
         assert_eq!(choose(&some, Some("dvs128")).unwrap(), None);
         let told = absent(&some[..1], Some("dvs128")).to_string();
-        assert!(told.contains("no such device; attached: usb:1-4 (davis346, serial 00000123)"));
+        assert!(
+            told.contains(
+                "no such device; these are attached: usb:1-4 (davis346, serial 00000123)"
+            )
+        );
         assert_eq!(choose(&[], None).unwrap(), None);
         assert_eq!(
             absent(&[], None).to_string(),

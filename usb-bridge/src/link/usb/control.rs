@@ -30,7 +30,7 @@ impl UsbControl {
     fn short(&self, step: &str, sent: usize, of: usize) -> LinkError {
         LinkError::Failed {
             link: self.opened.name.clone(),
-            cause: format!("{step}: the device took {sent} of {of} bytes"),
+            cause: format!("{step}: the device accepted {sent} of {of} bytes"),
         }
     }
 }
@@ -105,7 +105,7 @@ impl Control for UsbControl {
         self.opened
             .handle
             .clear_halt(endpoint)
-            .map_err(|error| self.error("end of a halt", error))
+            .map_err(|error| self.error("clearing a halt", error))
     }
 
     fn wait(&mut self, duration: Duration) {

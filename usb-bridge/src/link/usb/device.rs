@@ -71,9 +71,11 @@ impl Device {
         handle.claim_interface(interface).map_err(|e| match e {
             rusb::Error::NotFound | rusb::Error::InvalidParam => LinkError::Failed {
                 link: attached.name(),
-                cause: format!("has no interface {interface}: another model, or another firmware"),
+                cause: format!(
+                    "has no interface {interface}: it is another model, or has other firmware"
+                ),
             },
-            other => error("claim its interface", other),
+            other => error("claiming its interface", other),
         })?;
         Ok(Self {
             opened: Arc::new(Opened {
@@ -109,7 +111,7 @@ impl Device {
             return Err(LinkError::Failed {
                 link: self.opened.name.clone(),
                 cause: format!(
-                    "has no bulk endpoint {:#04x}: another model, or another firmware",
+                    "has no bulk endpoint {:#04x}: it is another model, or has other firmware",
                     transfers.endpoint
                 ),
             });

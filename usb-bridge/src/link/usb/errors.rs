@@ -35,13 +35,13 @@ pub(super) fn link_error(
         Error::NoMem => LinkError::Failed {
             link,
             cause: format!(
-                "{step}: the kernel has no memory for it; see \
+                "{step}: the kernel does not have enough memory; see \
                  /sys/module/usbcore/parameters/usbfs_memory_mb"
             ),
         },
         Error::Pipe => LinkError::Failed {
             link,
-            cause: format!("{step}: the device refuses it"),
+            cause: format!("{step}: the device refused it"),
         },
         other => LinkError::Failed {
             link,
@@ -72,7 +72,7 @@ mod tests {
              /etc/udev/rules.d/65-event-cameras.rules, run `sudo udevadm control --reload && sudo \
              udevadm trigger`, and connect the device again"
         );
-        let gone = "usb 1-4: unplugged; connect it again and start anew";
+        let gone = "usb 1-4: unplugged; connect it again and rerun the command";
         assert_eq!(told(Error::NoDevice), gone);
         assert_eq!(told(Error::Io), gone);
         assert!(told(Error::Busy).contains("in use by another program"));

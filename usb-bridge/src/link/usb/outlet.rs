@@ -23,7 +23,7 @@ impl UsbOutlet {
     pub(super) fn new(opened: &Arc<Opened>) -> Result<Self, LinkError> {
         let endpoint = opened.bulk_out().ok_or_else(|| LinkError::Failed {
             link: opened.name.clone(),
-            cause: "has no endpoint that takes bytes".to_owned(),
+            cause: "has no endpoint that accepts bytes".to_owned(),
         })?;
         Ok(Self {
             opened: Arc::clone(opened),
@@ -41,7 +41,7 @@ impl Outlet for UsbOutlet {
                     Ok(0) | Err(rusb::Error::Timeout) => {
                         return Err(LinkError::Failed {
                             link: self.opened.name.clone(),
-                            cause: format!("takes no bytes since {} s", PATIENCE.as_secs()),
+                            cause: format!("has accepted no bytes for {} s", PATIENCE.as_secs()),
                         });
                     }
                     Ok(sent) => left = left.get(sent..).unwrap_or(&[]),

@@ -196,13 +196,13 @@ impl UsbLink {
             Failure::Wire => LinkError::Unplugged { link },
             Failure::Overflow => LinkError::Failed {
                 link,
-                cause: "sends more than it is asked for, again and again: transfers that are no \
-                        multiple of its packets?"
+                cause: "keeps sending more than was requested: perhaps the transfers are not a \
+                        multiple of its packet size"
                     .to_owned(),
             },
             Failure::Stuck => LinkError::Failed {
                 link,
-                cause: "its transfers do not come back; connect it again".to_owned(),
+                cause: "its transfers do not complete; connect it again".to_owned(),
             },
         }
     }

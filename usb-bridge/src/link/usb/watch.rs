@@ -70,7 +70,7 @@ impl Watch {
     pub fn new() -> Result<Self, LinkError> {
         let failed = |error| LinkError::Failed {
             link: "usb".to_owned(),
-            cause: format!("arrivals of devices cannot be watched: {error}"),
+            cause: format!("cannot watch for arriving devices: {error}"),
         };
         // Without a host controller there is no context; a controller may still be plugged in later.
         let Some(context) = Context::new().ok().filter(|_| is_told()) else {

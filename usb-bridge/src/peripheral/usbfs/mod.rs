@@ -44,7 +44,7 @@ impl MockedUsb {
     pub fn new(peripheral: Box<dyn Peripheral>) -> Result<Self> {
         check_library()?;
         let tree = Tree::create(peripheral.descriptors())
-            .context("the folder for temporary files cannot hold a device")?;
+            .context("cannot create the simulated device in the folder for temporary files")?;
         let usbfs = Arc::new(Mutex::new(Usbfs::new(peripheral)));
         let server = Server::start(&tree.socket(), &usbfs)?;
         Ok(Self {
@@ -86,7 +86,7 @@ impl MockedUsb {
         let node = if everybody { Node::Open } else { Node::Private };
         self.tree
             .set_node(node)
-            .context("permissions of the device")
+            .context("setting the permissions of the device")
     }
 
     /// Returns the folder that holds the program's `/sys` and `/dev`.

@@ -75,10 +75,10 @@ impl Server {
     /// Listens at `socket`.
     pub fn start(socket: &Path, usbfs: &Arc<Mutex<Usbfs>>) -> Result<Self> {
         let listener = UnixListener::bind(socket)
-            .with_context(|| format!("{}: cannot be listened at", socket.display()))?;
+            .with_context(|| format!("{}: cannot listen there", socket.display()))?;
         // For programs of whatever user.
         std::fs::set_permissions(socket, std::os::unix::fs::PermissionsExt::from_mode(0o777))
-            .context("permissions of the socket")?;
+            .context("setting the permissions of the socket")?;
         listener.set_nonblocking(true).context("socket")?;
         let ends = Arc::<AtomicBool>::default();
         let (to_end, usbfs) = (Arc::clone(&ends), Arc::clone(usbfs));
@@ -98,7 +98,7 @@ impl Server {
                     });
                 }
             })
-            .context("starting the thread of usbfs")?;
+            .context("starting the usbfs thread")?;
         Ok(Self {
             ends,
             thread: Some(thread),

@@ -222,12 +222,13 @@ impl UsbRedir {
             };
         if length > BODY_MAX {
             bail!(
-                "usbredir: a packet of type {kind} with {length} bytes: the host speaks another protocol"
+                "usbredir: received a packet of type {kind} with {length} bytes: the host speaks \
+                 another protocol"
             );
         }
         if self.peer.is_none() && kind != packet::HELLO {
             bail!(
-                "usbredir: a packet of type {kind} before the hello: the host speaks another protocol"
+                "usbredir: received a packet of type {kind} before the hello: the host speaks another protocol"
             );
         }
         if rest.len() < header + length {

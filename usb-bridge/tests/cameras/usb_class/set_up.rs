@@ -180,7 +180,7 @@ fn one_that_vanishes_in_the_middle_is_one_line() {
     let error = run(&encoder, config(FAST), &unplug).unwrap_err();
     let told = format!("{error:#}");
     assert!(
-        told.ends_with("simulated eecvs: unplugged; connect it again and start anew"),
+        told.ends_with("simulated eecvs: unplugged; connect it again and rerun the command"),
         "{told}"
     );
     assert!(!told.contains('\n'), "{told}");
