@@ -2,11 +2,12 @@
 
 use std::ops::ControlFlow;
 
-use anyhow::{Result, bail};
 use eecvs::reconstruct::coefficients::CoefficientDecoder;
 use eecvs::reconstruct::hybrid::HybridDecoder;
 use eecvs_nostd::event_link::{Kind, Status};
 use eecvs_nostd::{Frame, Header, Mode, Order, Sequence};
+use event_types::bail;
+use event_types::stream::Result;
 
 use super::link::{Demultiplexer, Message};
 use super::{Outcome, status_of};
@@ -57,7 +58,9 @@ impl Account {
         }
         match message {
             Message::Frame(header, bytes) => self.frame(&header, &bytes),
-            Message::Packet(kind, _) => bail!("the encoder sent a packet of kind {kind:?}"),
+            Message::Packet(kind, _) => {
+                bail!(Damaged, "the encoder sent a packet of kind {kind:?}")
+            }
         }
         Ok(ControlFlow::Continue(()))
     }
@@ -78,7 +81,10 @@ impl Account {
                 self.outcome.status = since(&status, &self.begin);
                 Ok(ControlFlow::Break(()))
             }
-            _ => bail!("the encoder restarted in the middle of the recording"),
+            _ => bail!(
+                Damaged,
+                "the encoder restarted in the middle of the recording"
+            ),
         }
     }
 

@@ -7,7 +7,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::{Error, Result, anyhow, bail};
+use event_types::bail;
+use event_types::stream::{self, Error, Result};
 
 use super::link::{Demultiplexer, Message};
 
@@ -72,17 +73,17 @@ impl Sender<'_> {
         let mut left = bytes;
         while !left.is_empty() {
             if self.is_stopped() {
-                bail!("the exchange ended");
+                bail!(Other, "the exchange ended");
             }
             match self.writer.write(left) {
-                Ok(0) => bail!("the link to the encoder accepts no more bytes"),
+                Ok(0) => bail!(Damaged, "the link to the encoder accepts no more bytes"),
                 Ok(sent) => {
                     self.moved.fetch_add(sent as u64, Ordering::Relaxed);
                     left = &left[sent..];
                 }
                 Err(error) if is_pause(&error) => {}
                 // Not attached as a source: the command line treats a broken pipe as a harmless end.
-                Err(error) => return Err(anyhow!("sending to the encoder: {error}")),
+                Err(error) => return Err(failed("sending to the encoder", &error)),
             }
         }
         Ok(())
@@ -118,7 +119,7 @@ impl Connection {
     pub fn new(link: &dyn Link, patience: Duration) -> Result<Self> {
         let halves = link
             .halves()
-            .map_err(|error| anyhow!("the link to the encoder: {error}"))?;
+            .map_err(|error| failed("the link to the encoder", &error))?;
         Ok(Self {
             halves,
             incoming: Demultiplexer::default(),
@@ -205,7 +206,7 @@ fn receive(
             return Ok(());
         }
         match reader.read(&mut bytes) {
-            Ok(0) => bail!("the encoder's end of the link was closed"),
+            Ok(0) => bail!(Damaged, "the encoder's end of the link was closed"),
             Ok(read) => {
                 incoming.push(&bytes[..read]);
                 (last_moved, last_received) = (Instant::now(), Instant::now());
@@ -222,14 +223,22 @@ fn receive(
                     return Err(stalled(patience));
                 }
             }
-            Err(error) => return Err(anyhow!("receiving from the encoder: {error}")),
+            Err(error) => return Err(failed("receiving from the encoder", &error)),
         }
     }
 }
 
 fn stalled(patience: Duration) -> Error {
-    anyhow!(
+    let what = format!(
         "the encoder has neither accepted nor sent anything for {} s",
         patience.as_secs_f32()
+    );
+    Error::new(stream::ErrorKind::Io(ErrorKind::TimedOut), what)
+}
+
+fn failed(what: &str, error: &io::Error) -> Error {
+    Error::new(
+        stream::ErrorKind::Io(error.kind()),
+        format!("{what}: {error}"),
     )
 }

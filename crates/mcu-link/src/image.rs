@@ -4,7 +4,8 @@ use std::io::{IsTerminal, stderr};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use anyhow::{Context, Result, bail};
+use event_types::bail;
+use event_types::stream::{Context, Result};
 use object::read::elf::ElfFile32;
 use object::{Object, ObjectSection, SectionFlags, elf};
 
@@ -32,7 +33,10 @@ pub fn build_portable(machine: Machine, program: &str) -> Result<PathBuf> {
 fn build_with(machine: Machine, program: &str, options: &[&str]) -> Result<PathBuf> {
     let scripts = [FIRMWARE, "firmware"].map(|folder| Path::new(folder).join("build.sh"));
     let Some(script) = scripts.iter().find(|script| script.is_file()) else {
-        bail!("no firmware sources in {FIRMWARE} or ./firmware: run this in the project's folder");
+        bail!(
+            Refused,
+            "no firmware sources in {FIRMWARE} or ./firmware: run this in the project's folder"
+        );
     };
     let name = script.display();
     let watched = stderr().is_terminal();
@@ -51,6 +55,7 @@ fn build_with(machine: Machine, program: &str, options: &[&str]) -> Result<PathB
     if !output.status.success() {
         eprint!("{}", String::from_utf8_lossy(&output.stderr));
         bail!(
+            Other,
             "{name} {} {program}: failed ({})",
             machine.name(),
             output.status
@@ -60,7 +65,7 @@ fn build_with(machine: Machine, program: &str, options: &[&str]) -> Result<PathB
     let folder = said.lines().last().unwrap_or_default();
     let image = Path::new(folder).join(program);
     if !image.is_file() {
-        bail!("{}: {name} did not build it", image.display());
+        bail!(Other, "{}: {name} did not build it", image.display());
     }
     Ok(image)
 }

@@ -22,12 +22,13 @@ mod setting_up;
 
 use std::time::Duration;
 
-use anyhow::{Context, Result, bail, ensure};
 use eecvs::encode::{Codec, Limits, all_cores, encode};
 use eecvs_nostd::event_link::{Kind, Setup, Status};
 use eecvs_nostd::evt2::Evt2Encoder;
 use eecvs_nostd::{Config, Scan, scan};
 use event_files::EventReader;
+use event_types::stream::{Context, Result};
+use event_types::{bail, ensure};
 
 use account::Account;
 use connection::Sender;
@@ -109,7 +110,12 @@ impl Outcome {
     /// # Errors
     /// All [`Outcome::problems`], joined into one line.
     pub fn verdict(&self) -> Result<()> {
-        ensure!(self.problems.is_empty(), "{}", self.problems.join("; "));
+        ensure!(
+            self.problems.is_empty(),
+            Other,
+            "{}",
+            self.problems.join("; ")
+        );
         Ok(())
     }
 }
@@ -192,6 +198,7 @@ impl Plan {
         }
         if let Some((index, t_us)) = refused {
             bail!(
+                CannotHold,
                 "event {index}: its time {t_us} us lies before {} us or after a gap that EVT 2.0 \
                  words cannot encode (4.7 hours), as do the times of {} further events: cut the \
                  recording there",
@@ -259,7 +266,10 @@ fn host_frames(job: &Job<'_>, limits: Limits) -> Result<Vec<Vec<u8>>> {
     let mut rest = &bytes[..];
     while !rest.is_empty() {
         let Scan::Frame(frame) = scan(rest) else {
-            bail!("the host's encoder made bytes that are not a frame: please report this");
+            bail!(
+                Other,
+                "the host's encoder made bytes that are not a frame: please report this"
+            );
         };
         let (frame, after) = rest.split_at(frame.bytes);
         frames.push(frame.to_vec());

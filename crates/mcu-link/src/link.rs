@@ -1,9 +1,10 @@
 //! The host's side of the event link: sends packets of events, receives frames and packets.
 
-use anyhow::{Result, bail};
 use eecvs_nostd::event_link::{self, BODY_BYTES_MAX, Kind, PACKET_BYTES_MAX, Packet, Receiver};
 use eecvs_nostd::evt2::Evt2Encoder;
 use eecvs_nostd::{Event, Header, Scan, frame, scan};
+use event_types::bail;
+use event_types::stream::Result;
 
 /// A message received from an encoder.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -159,7 +160,7 @@ pub fn packet(kind: Kind, position: u32, body: &[u8]) -> Result<Vec<u8>> {
         body,
     };
     let Ok(length) = packet.write(&mut bytes) else {
-        bail!("a packet of {} bytes is too long", body.len());
+        bail!(CannotHold, "a packet of {} bytes is too long", body.len());
     };
     bytes.truncate(length);
     Ok(bytes)
@@ -201,7 +202,7 @@ impl EventPackets {
             self.encoder.restate_time();
         }
         let Some((due, word)) = self.encoder.encode(event) else {
-            bail!("the time {} us cannot be sent", event.t_us);
+            bail!(CannotHold, "the time {} us cannot be sent", event.t_us);
         };
         for word in due.into_iter().chain([word]) {
             self.body.extend(word.to_le_bytes());

@@ -4,8 +4,9 @@ use std::collections::VecDeque;
 use std::io::{Read, Write};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use anyhow::{Context, Result};
 use defmt_decoder::{DecodeError, Locations, Table};
+use event_types::error;
+use event_types::stream::Result;
 
 /// Number of lines kept for error messages.
 const KEPT_LINES: usize = 20;
@@ -44,7 +45,8 @@ impl LogDecoder {
     /// # Errors
     /// An image that is damaged or uses another version of defmt.
     pub fn new(image: &[u8]) -> Result<Self> {
-        let table = Table::parse(image).context("the image's defmt strings")?;
+        let table = Table::parse(image)
+            .map_err(|error| error!(Damaged, "the image's defmt strings: {error}"))?;
         // Without debug information there are no locations, which is not an error.
         let locations = table
             .as_ref()

@@ -7,7 +7,8 @@ use std::process::{Child, Command, Stdio};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail};
+use event_types::bail;
+use event_types::stream::{Context, Result};
 use tempfile::TempDir;
 
 use super::log::{LogDecoder, LogLines};
@@ -66,6 +67,7 @@ impl Machine {
 fn installed<T>(started: std::io::Result<T>) -> Result<T> {
     match started {
         Err(error) if error.kind() == ErrorKind::NotFound => bail!(
+            Unsupported,
             "{PROGRAM} is not installed: install it with `apt-get install qemu-system-arm` \
              (Debian, Ubuntu), `dnf install qemu-system-arm` (Fedora) or `brew install qemu` \
              (macOS)"
@@ -134,9 +136,13 @@ pub fn run(machine: Machine, image: &Path, folder: &Path, patience: Duration) ->
         Some(status) if status.success() => Ok(stdout),
         Some(status) => {
             let said = [&stderr, &stdout].map(|text| text.lines().last().unwrap_or_default());
-            bail!("{name}: the image failed ({status}): {}", said.join(" "))
+            bail!(
+                Other,
+                "{name}: the image failed ({status}): {}",
+                said.join(" ")
+            )
         }
-        None => bail!("{name}: the image did not end within {patience:?}"),
+        None => bail!(Other, "{name}: the image did not end within {patience:?}"),
     }
 }
 
@@ -229,10 +235,11 @@ impl Qemu {
                 Ok(stream) => return Ok(stream),
                 Err(error) => {
                     if let Some(end) = self.end() {
-                        bail!("{end}");
+                        bail!(Other, "{end}");
                     }
                     if started.elapsed() > START {
                         bail!(
+                            Other,
                             "{}: cannot connect to the emulator: {error}",
                             path.display()
                         );

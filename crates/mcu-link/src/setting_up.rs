@@ -4,12 +4,13 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail, ensure};
 use eecvs_nostd::event_link::{
     BODY_BYTES_MAX, FIELDS_BYTES_MAX, HotNumbers, Kind, PACKET_BYTES_MAX, Refusal, Setup, Status,
 };
 use eecvs_nostd::window::EVENTS_MAX;
 use eecvs_nostd::{FRAME_BYTES_MAX, OUTPUT_BYTES_MIN, Sensor};
+use event_types::stream::{Context, Result};
+use event_types::{bail, ensure};
 
 use super::connection::Connection;
 use super::link::packet;
@@ -27,11 +28,12 @@ const RETRY: Duration = Duration::from_secs(1);
 pub fn set_up(connection: &mut Connection, setup: &Setup) -> Result<Status> {
     let mut body = [0; FIELDS_BYTES_MAX];
     let Ok(length) = setup.write(&mut body) else {
-        bail!("the setup does not fit its packet");
+        bail!(CannotHold, "the setup does not fit its packet");
     };
     let status = ask(connection, Kind::Setup, &body[..length])?;
     ensure!(
         status.running,
+        Refused,
         "the encoder refuses the setup for {} x {} pixels: {}",
         setup.width,
         setup.height,
@@ -41,6 +43,7 @@ pub fn set_up(connection: &mut Connection, setup: &Setup) -> Result<Status> {
     ensure!(
         (1..=EVENTS_MAX).contains(&(status.window_events as usize))
             && (OUTPUT_BYTES_MIN..=FRAME_BYTES_MAX).contains(&frame_bytes),
+        Damaged,
         "the encoder claims windows of {} events and frames of {frame_bytes} bytes",
         status.window_events
     );
@@ -68,13 +71,14 @@ pub fn keep_out(
             .iter()
             .take_while(|pixel| numbers.write(sensor.number(**pixel), &mut body))
             .count();
-        ensure!(fits > 0, "hot pixels must be in raster order");
+        ensure!(fits > 0, Refused, "hot pixels must be in raster order");
         rest = &rest[fits..];
         told += fits;
         let status = ask(connection, Kind::Hot, &body[..numbers.bytes()])?;
         let held = status.hot_pixels as usize;
         ensure!(
             status.refusal.is_none() && held == told,
+            Refused,
             "the encoder leaves out {held} of {} hot pixels: {}",
             pixels.len(),
             status.refusal.map_or("some were lost", reason)
@@ -111,6 +115,7 @@ fn ask(connection: &mut Connection, kind: Kind, body: &[u8]) -> Result<Status> {
                 sender.send(&again)?;
             }
             bail!(
+                Other,
                 "no answer to the {what} for {} s: is this the encoder's image?",
                 patience.as_secs_f32()
             )
