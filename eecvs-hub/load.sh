@@ -18,7 +18,7 @@ while [ $# -gt 0 ]; do
         --kill) kill=1 ;;
         --json) json=1 ;;
         --record) record=$(realpath -m "${2:?--record wants a file}"); shift ;;
-        *[!0-9]* | '') sed -n '2,14s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
+        *[!0-9]* | '') sed -n '2,12s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
         *) seconds=$1 ;;
     esac
     shift

@@ -356,8 +356,8 @@ fn what_is_wrong_is_said() {
         (&["hub", "--page", "nowhere"], 1, "--page nowhere"),
         (&["hub", "--budget", "a=0"], 2, "a budget cannot be 0"),
         (&["hub", "--keys", folder], 1, "access.toml: no such file"),
-        (&["sensor", "a b"], 2, "is no name"),
-        (&["receive", "a//b"], 2, "is no name"),
+        (&["sensor", "a b"], 2, "is not a valid name"),
+        (&["receive", "a//b"], 2, "is not a valid name"),
         (
             &["sensor", "a", "--recording", "/nowhere.raw"],
             1,

@@ -11,18 +11,17 @@ use crate::accumulate::any_grid;
 use crate::accumulate::any_grid::Turn;
 use crate::accumulate::dtft16;
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, FRACTION_BITS, Sum};
-use crate::fused::{Parts, Way, walk_armv7em};
-use crate::group::{Group, Impulses, Pixel};
+use crate::group::Impulses;
 use crate::pack::bits_lsb_first::{BitWriter, Position};
 use crate::pack::packer::code_tables_armv7em;
 use crate::pack::packer::code_tables_armv7em::Counts;
 use crate::pack::packer::{Packer, put_levels};
 use crate::prune;
 use crate::stage::{Stage, Trace};
+use crate::transform::Transform;
 use crate::transform::phase::PhaseScale;
 use crate::transform::shape::{Packing, Shape, width_of};
-use crate::transform::{Dtft, Transform};
-use crate::window::{NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot, Window};
+use crate::window::{NEXT_SHIFT, NO_SLOT, SLOTS_MAX, Slot};
 
 /// Returns whether [`Waves`] handles this frame.
 pub fn is_for(packing: &Packing) -> bool {
@@ -44,63 +43,6 @@ pub struct Waves<'e> {
     /// Room for 2K numbers.
     numbers: &'e mut [u32],
     pub common: Common,
-}
-
-/// DTFT coefficients and the output's state in registers: [`crate::fused::is_waves`].
-pub struct InRegisters;
-
-impl Way for InRegisters {
-    type Basis = Dtft;
-    type State<'p> = (Waves<'p>, PhaseScale, &'p mut Packer);
-
-    const HAS_WALK: bool = true;
-
-    #[inline(always)]
-    fn words_max(shape: Shape) -> usize {
-        words_max(shape)
-    }
-
-    #[inline(always)]
-    fn begin(parts: Parts<'_>) -> Option<Self::State<'_>> {
-        let Parts {
-            shape,
-            scale,
-            sums,
-            magnitudes,
-            packer,
-            ..
-        } = parts;
-        let waves = Waves::new(shape, scale, (sums, magnitudes), packer)?;
-        Some((waves, scale, packer))
-    }
-
-    #[inline(always)]
-    fn packer<'s>((_, scale, packer): &'s mut Self::State<'_>) -> (PhaseScale, &'s mut Packer) {
-        (*scale, packer)
-    }
-
-    #[inline(always)]
-    fn walk(
-        (waves, scale, packer): &mut Self::State<'_>,
-        input: (&mut Group, &mut Window<'_>),
-        output: (&mut BitWriter<'_>, usize),
-    ) -> (u32, u32) {
-        walk_armv7em::walk(input, *scale, packer, output, Some(waves))
-    }
-
-    #[inline(always)]
-    fn encode<T: Trace>(
-        (waves, _, packer): &mut Self::State<'_>,
-        pixel: Pixel,
-        slots: &[Slot],
-        writer: &mut BitWriter<'_>,
-        trace: &mut T,
-    ) {
-        let gap = 2 * packer.step((pixel.x, pixel.y)) + 1;
-        let tally = ((pixel.on + pixel.off) << 16) | pixel.on;
-        let impulses = Impulses::new(pixel, slots);
-        waves.encode((gap, tally), &impulses, packer, writer, trace);
-    }
 }
 
 /// The part of the parameters that [`put`] reads.

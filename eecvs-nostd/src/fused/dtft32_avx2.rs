@@ -17,8 +17,9 @@ use core::arch::x86_64::{
 };
 
 use crate::accumulate::{any_grid, dtft16};
+use crate::encoder::config::Scratch;
 use crate::fixed_point::{FRACTION_BITS, Phase};
-use crate::fused::{Parts, Way};
+use crate::fused::{Shared, Way};
 use crate::group::Impulse;
 use crate::group::{Impulses, Pixel};
 use crate::pack::bits_lsb_first::BitWriter;
@@ -66,7 +67,7 @@ pub struct InRegisters;
 
 impl Way for InRegisters {
     type Basis = Dtft;
-    type State<'p> = (Waves, PhaseScale, &'p mut Packer);
+    type State<'p> = (Waves, &'p mut Shared);
 
     #[inline(always)]
     fn words_max(_: Shape) -> usize {
@@ -74,26 +75,25 @@ impl Way for InRegisters {
     }
 
     #[inline(always)]
-    fn begin(parts: Parts<'_>) -> Option<Self::State<'_>> {
-        let waves = Waves::new(parts.shape, parts.scale);
-        Some((waves, parts.scale, parts.packer))
+    fn begin<'p>(shared: &'p mut Shared, _: &'p mut Scratch<'_>) -> Option<Self::State<'p>> {
+        Some((Waves::new(shared.shape, shared.scale), shared))
     }
 
     #[inline(always)]
-    fn packer<'s>((_, scale, packer): &'s mut Self::State<'_>) -> (PhaseScale, &'s mut Packer) {
-        (*scale, packer)
+    fn shared<'s>((_, shared): &'s mut Self::State<'_>) -> &'s mut Shared {
+        shared
     }
 
     #[inline(always)]
     fn encode<T: Trace>(
-        (waves, _, packer): &mut Self::State<'_>,
+        (waves, shared): &mut Self::State<'_>,
         pixel: Pixel,
         slots: &[Slot],
         writer: &mut BitWriter<'_>,
         trace: &mut T,
     ) {
         // SAFETY: this way is taken only for frames for which [`is_for`] holds.
-        unsafe { waves.encode(pixel, slots, packer, writer, trace) }
+        unsafe { waves.encode(pixel, slots, &mut shared.packer, writer, trace) }
     }
 }
 

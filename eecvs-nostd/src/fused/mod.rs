@@ -25,10 +25,10 @@ use crate::transform::phase::PhaseScale;
 use crate::transform::shape::{Packing, Shape};
 use crate::transform::{Basis, Dct, Dwt, Rule, Transform};
 use crate::window::{Slot, Window};
-#[cfg(eecvs_dsp)]
-use dtft32_armv7em::InRegisters;
 #[cfg(target_arch = "x86_64")]
 use dtft32_avx2::InRegisters;
+#[cfg(eecvs_dsp)]
+use walk_armv7em::InRegisters;
 
 const CHUNK_EVENTS_U32: u32 = CHUNK_EVENTS as u32;
 
@@ -77,14 +77,19 @@ pub(crate) fn is_lanes(packing: &Packing, scale: PhaseScale) -> bool {
 /// and a level for each coefficient, of up to 32 bits; and one word for bits that were pending.
 const LANES_WORDS_MAX: usize = 4 + 1 + haar_bytes::GRID + 1;
 
+/// What the pixels of a frame share.
+pub(crate) struct Shared {
+    pub shape: Shape,
+    pub scale: PhaseScale,
+    pub packer: Packer,
+    cosines: Cosines,
+}
+
 /// Encodes the pixels of a frame, one after the other.
 pub(crate) struct PixelEncoder<'e, 'b> {
-    shape: Shape,
-    scale: PhaseScale,
+    shared: Shared,
     scratch: &'e mut Scratch<'b>,
     kept: &'e mut Kept,
-    packer: Packer,
-    cosines: Cosines,
 }
 
 impl<'e, 'b> PixelEncoder<'e, 'b> {
@@ -94,13 +99,16 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         scratch: &'e mut Scratch<'b>,
         kept: &'e mut Kept,
     ) -> Self {
-        Self {
+        let shared = Shared {
             shape: packing.shape(),
             scale,
-            scratch,
-            kept,
             packer: packing.packer(),
             cosines: Cosines::new(scale),
+        };
+        Self {
+            shared,
+            scratch,
+            kept,
         }
     }
 
@@ -115,7 +123,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
     ) -> u32 {
         let events = pixel.on + pixel.off;
         if events == 1 {
-            encode_single::<B, T>((self.scale, &mut self.packer), pixel, slots, writer, trace);
+            encode_single::<B, T>(&mut self.shared, pixel, slots, writer, trace);
             return 0;
         }
         // In a firmware image, pixels without code of their own share the code of the widest sums.
@@ -128,15 +136,15 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             sums, magnitudes, ..
         } = &mut *self.scratch;
         let impulses = Impulses::new(pixel, slots);
-        B::accumulate_list(&impulses, self.scale, self.shape.grid, sums);
+        B::accumulate_list(&impulses, self.shared.scale, self.shared.shape.grid, sums);
         if B::RULE as u8 == Rule::Magnitude as u8 {
             set_zeroth::<B, _>(pixel, sums);
         }
         let mut rest = Rest {
-            shape: self.shape,
+            shape: self.shared.shape,
             magnitudes,
             kept: self.kept,
-            packer: &mut self.packer,
+            packer: &mut self.shared.packer,
         };
         rest.encode::<B, Sum, T>(pixel, sums, writer, trace)
     }
@@ -188,7 +196,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         writer: &mut BitWriter<'_>,
         trace: &mut T,
     ) -> (u32, u32, u32) {
-        if self.shape.grid <= haar_bytes::GRID / 2 {
+        if self.shared.shape.grid <= haar_bytes::GRID / 2 {
             self.encode_lanes_of::<4, T>(group, window, writer, trace)
         } else {
             self.encode_lanes_of::<8, T>(group, window, writer, trace)
@@ -218,45 +226,47 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         trace: &mut T,
     ) -> (u32, u32, u32) {
         let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
-        let room = W::words_max(self.shape);
+        let room = W::words_max(self.shared.shape);
         while writer.has_words(room) {
             trace.enter(Stage::Group);
-            let Some(mut state) = W::begin(self.parts()) else {
-                // Never reached: `Config::check` requires the memory.
-                break;
-            };
-            // A trace wants to know each stage, which a walk mixes.
-            if W::HAS_WALK && !T::LISTENS {
-                let (some, places) = W::walk(&mut state, (group, window), (writer, room));
-                events += some;
-                pixels += places;
-            }
-            let crowded = loop {
-                if !writer.has_words(room) {
-                    break None;
-                }
-                trace.enter(Stage::Group);
-                let Some(pixel) = group.next(window) else {
-                    break None;
+            let crowded = 'chunk: {
+                let Some(mut state) = W::begin(&mut self.shared, self.scratch) else {
+                    // Never reached: `Config::check` requires the memory.
+                    break 'chunk None;
                 };
-                let here = pixel.on + pixel.off;
-                if here > CHUNK_EVENTS_U32 {
-                    break Some(pixel);
-                }
+                // A trace wants to know each stage, which a walk mixes.
                 if W::HAS_WALK && !T::LISTENS {
-                    // Never reached: the walk has encoded all of these.
-                    group.put_back(pixel);
-                    break None;
+                    let (some, places) = W::walk(&mut state, (group, window), (writer, room));
+                    events += some;
+                    pixels += places;
                 }
-                let slots = window.slots();
-                if here == 1 {
-                    let packer = W::packer(&mut state);
-                    encode_single::<W::Basis, T>(packer, pixel, slots, writer, trace);
-                } else {
-                    W::encode(&mut state, pixel, slots, writer, trace);
+                loop {
+                    if !writer.has_words(room) {
+                        break None;
+                    }
+                    trace.enter(Stage::Group);
+                    let Some(pixel) = group.next(window) else {
+                        break None;
+                    };
+                    let here = pixel.on + pixel.off;
+                    if here > CHUNK_EVENTS_U32 {
+                        break Some(pixel);
+                    }
+                    if W::HAS_WALK && !T::LISTENS {
+                        // Never reached: the walk has encoded all of these.
+                        group.put_back(pixel);
+                        break None;
+                    }
+                    let slots = window.slots();
+                    if here == 1 {
+                        let shared = W::shared(&mut state);
+                        encode_single::<W::Basis, T>(shared, pixel, slots, writer, trace);
+                    } else {
+                        W::encode(&mut state, pixel, slots, writer, trace);
+                    }
+                    events += here;
+                    pixels += 1;
                 }
-                events += here;
-                pixels += 1;
             };
             let Some(pixel) = crowded else {
                 break;
@@ -268,18 +278,6 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             saturated = saturated.saturating_add(saturates);
         }
         (events, pixels, saturated)
-    }
-
-    #[inline(always)]
-    fn parts(&mut self) -> Parts<'_> {
-        Parts {
-            shape: self.shape,
-            scale: self.scale,
-            sums: self.scratch.sums,
-            magnitudes: self.scratch.magnitudes,
-            packer: &mut self.packer,
-            cosines: &mut self.cosines,
-        }
     }
 
     /// Encodes a pixel of several chunks; returns how many levels saturated.
@@ -299,27 +297,21 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             magnitudes,
             ..
         } = &mut *self.scratch;
-        sum_crowded::<B>(pixel, slots, self.scale, self.shape.grid, (sums, totals));
+        sum_crowded::<B>(
+            pixel,
+            slots,
+            self.shared.scale,
+            self.shared.shape.grid,
+            (sums, totals),
+        );
         let mut rest = Rest {
-            shape: self.shape,
+            shape: self.shared.shape,
             magnitudes,
             kept: self.kept,
-            packer: &mut self.packer,
+            packer: &mut self.shared.packer,
         };
         rest.encode::<B, WideSum, T>(pixel, totals, writer, trace)
     }
-}
-
-/// What a [`Way`] encodes a pixel with.
-pub(crate) struct Parts<'p> {
-    shape: Shape,
-    scale: PhaseScale,
-    #[cfg_attr(not(eecvs_dsp), allow(dead_code))]
-    sums: &'p mut [Sum],
-    #[cfg_attr(not(eecvs_dsp), allow(dead_code))]
-    magnitudes: &'p mut [u32],
-    packer: &'p mut Packer,
-    cosines: &'p mut Cosines,
 }
 
 /// A way to encode the pixels of a frame in one go. Each way gives the bits of [`PixelEncoder::encode`].
@@ -334,10 +326,10 @@ pub(crate) trait Way {
     fn words_max(shape: Shape) -> usize;
 
     /// Returns the state for pixels up to a crowded one, or `None` if there is too little memory.
-    fn begin(parts: Parts<'_>) -> Option<Self::State<'_>>;
+    fn begin<'p>(shared: &'p mut Shared, scratch: &'p mut Scratch<'_>) -> Option<Self::State<'p>>;
 
-    /// Returns what a single event is packed with.
-    fn packer<'s>(state: &'s mut Self::State<'_>) -> (PhaseScale, &'s mut Packer);
+    /// Returns what [`Self::begin`] took.
+    fn shared<'s>(state: &'s mut Self::State<'_>) -> &'s mut Shared;
 
     /// Encodes pixels up to the window's last one or to a crowded one, which the group then returns next, or until
     /// the output has less than `room` words left. Returns the number of events and of pixels.
@@ -364,7 +356,7 @@ struct Few;
 
 impl Way for Few {
     type Basis = Dct;
-    type State<'p> = Parts<'p>;
+    type State<'p> = &'p mut Shared;
 
     const HAS_WALK: bool = cfg!(eecvs_dsp);
 
@@ -374,28 +366,28 @@ impl Way for Few {
     }
 
     #[inline(always)]
-    fn begin(parts: Parts<'_>) -> Option<Parts<'_>> {
-        Some(parts)
+    fn begin<'p>(shared: &'p mut Shared, _: &'p mut Scratch<'_>) -> Option<&'p mut Shared> {
+        Some(shared)
     }
 
     #[inline(always)]
-    fn packer<'s>(state: &'s mut Parts<'_>) -> (PhaseScale, &'s mut Packer) {
-        (state.scale, state.packer)
+    fn shared<'s>(state: &'s mut &mut Shared) -> &'s mut Shared {
+        state
     }
 
     #[cfg(eecvs_dsp)]
     #[inline(always)]
     fn walk(
-        state: &mut Parts<'_>,
+        shared: &mut &mut Shared,
         input: (&mut Group, &mut Window<'_>),
         output: (&mut BitWriter<'_>, usize),
     ) -> (u32, u32) {
-        walk_armv7em::walk(input, state.scale, state.packer, output, None)
+        walk_armv7em::walk(input, shared.scale, &mut shared.packer, output, None)
     }
 
     #[inline(always)]
     fn encode<T: Trace>(
-        state: &mut Parts<'_>,
+        shared: &mut &mut Shared,
         pixel: Pixel,
         slots: &[Slot],
         writer: &mut BitWriter<'_>,
@@ -406,15 +398,17 @@ impl Way for Few {
         let (position, counts) = ((pixel.x, pixel.y), (pixel.on, pixel.off));
         #[cfg(target_arch = "x86_64")]
         {
-            let sums = state.cosines.sums_of(&impulses);
+            let sums = shared.cosines.sums_of(&impulses);
             trace.enter(Stage::Pack);
-            state.packer.seven_vectors(position, counts, sums, writer);
+            shared.packer.seven_vectors(position, counts, sums, writer);
         }
         #[cfg(not(target_arch = "x86_64"))]
         {
-            state.cosines.sum(&impulses);
+            shared.cosines.sum(&impulses);
             trace.enter(Stage::Pack);
-            state.packer.seven(position, counts, state.cosines, writer);
+            shared
+                .packer
+                .seven(position, counts, &shared.cosines, writer);
         }
     }
 }
@@ -424,7 +418,7 @@ struct HaarBytes<const W: usize>;
 
 impl<const W: usize> Way for HaarBytes<W> {
     type Basis = Dwt;
-    type State<'p> = Parts<'p>;
+    type State<'p> = &'p mut Shared;
 
     const HAS_WALK: bool = cfg!(eecvs_dsp) && W == 4;
 
@@ -434,40 +428,41 @@ impl<const W: usize> Way for HaarBytes<W> {
     }
 
     #[inline(always)]
-    fn begin(parts: Parts<'_>) -> Option<Parts<'_>> {
-        Some(parts)
+    fn begin<'p>(shared: &'p mut Shared, _: &'p mut Scratch<'_>) -> Option<&'p mut Shared> {
+        Some(shared)
     }
 
     #[inline(always)]
-    fn packer<'s>(state: &'s mut Parts<'_>) -> (PhaseScale, &'s mut Packer) {
-        (state.scale, state.packer)
+    fn shared<'s>(state: &'s mut &mut Shared) -> &'s mut Shared {
+        state
     }
 
     #[cfg(eecvs_dsp)]
     #[inline(always)]
     fn walk(
-        state: &mut Parts<'_>,
+        shared: &mut &mut Shared,
         input: (&mut Group, &mut Window<'_>),
         output: (&mut BitWriter<'_>, usize),
     ) -> (u32, u32) {
-        let (shape, packer) = (state.shape, &mut *state.packer);
         // Always present: `is_lanes` has checked this.
-        haar16_armv7em::divisor(shape, state.scale).map_or((0, 0), |duration_us| {
-            haar16_armv7em::walk(input, duration_us, shape.r as u32, packer, output)
+        let duration_us = haar16_armv7em::divisor(shared.shape, shared.scale);
+        let r = shared.shape.r as u32;
+        duration_us.map_or((0, 0), |duration_us| {
+            haar16_armv7em::walk(input, duration_us, r, &mut shared.packer, output)
         })
     }
 
     #[inline(always)]
     fn encode<T: Trace>(
-        state: &mut Parts<'_>,
+        shared: &mut &mut Shared,
         pixel: Pixel,
         slots: &[Slot],
         writer: &mut BitWriter<'_>,
         trace: &mut T,
     ) {
         trace.enter(Stage::Accumulate);
-        let r = state.shape.r as u32;
-        let mut sums = sum_lanes::<W>(&Impulses::new(pixel, slots), state.shape, state.scale);
+        let r = shared.shape.r as u32;
+        let mut sums = sum_lanes::<W>(&Impulses::new(pixel, slots), shared.shape, shared.scale);
         trace.enter(Stage::Prune);
         let nonzero = sums.nonzero();
         let mut kept = nonzero.bits();
@@ -480,7 +475,7 @@ impl<const W: usize> Way for HaarBytes<W> {
         let spread = levels.spread();
         trace.enter(Stage::Pack);
         let (position, counts) = ((pixel.x, pixel.y), (pixel.on, pixel.off));
-        state
+        shared
             .packer
             .bytes(position, counts, (kept, levels, spread), writer);
     }
@@ -504,7 +499,7 @@ fn sum_lanes<const W: usize>(impulses: &Impulses<'_>, shape: Shape, scale: Phase
 /// Encodes a pixel of one event, whose coefficients follow from its time.
 #[inline(always)]
 fn encode_single<B: Basis, T: Trace>(
-    (scale, packer): (PhaseScale, &mut Packer),
+    shared: &mut Shared,
     pixel: Pixel,
     slots: &[Slot],
     writer: &mut BitWriter<'_>,
@@ -513,9 +508,11 @@ fn encode_single<B: Basis, T: Trace>(
     trace.enter(Stage::Accumulate);
     let first = Impulses::new(pixel, slots).next();
     let offset_us = first.map_or(0, |impulse| impulse.offset_us);
-    let cell = B::cell(scale, offset_us, packer.cells_log2());
+    let cell = B::cell(shared.scale, offset_us, shared.packer.cells_log2());
     trace.enter(Stage::Pack);
-    packer.single((pixel.x, pixel.y), pixel.on == 1, cell, writer);
+    shared
+        .packer
+        .single((pixel.x, pixel.y), pixel.on == 1, cell, writer);
 }
 
 /// Writes the coefficients of a pixel of several chunks to `totals`.

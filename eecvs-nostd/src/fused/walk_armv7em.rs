@@ -14,15 +14,20 @@ use core::mem::offset_of;
 use crate::accumulate::dct8;
 use crate::accumulate::dct8::Lines;
 use crate::accumulate::dct8::armv7em::event;
+use crate::encoder::config::Scratch;
 use crate::fixed_point::CHUNK_EVENTS;
 use crate::fused::dtft32_armv7em;
 use crate::fused::dtft32_armv7em::Waves;
+use crate::fused::{Shared, Way};
 use crate::group::source::{Source, next_segments};
-use crate::group::{Entry, Group};
+use crate::group::{Entry, Group, Impulses, Pixel};
 use crate::pack::bits_lsb_first::{BitWriter, Position};
 use crate::pack::packer::Packer;
 use crate::pack::packer::code_tables_armv7em::{Counts, SIDE_BITS_MAX, TABLES};
+use crate::stage::Trace;
+use crate::transform::Dtft;
 use crate::transform::phase::PhaseScale;
+use crate::transform::shape::Shape;
 use crate::window::{COLUMN_BITS, COLUMN_SHIFT, FIRST, Head, NEXT_SHIFT, NO_SLOT, Slot};
 use crate::window::{SLOTS_MAX, Window};
 
@@ -91,6 +96,56 @@ struct Walk<'w, 's, 'o> {
     writer: *mut BitWriter<'o>,
     /// Ties the pointers to what they point to.
     borrowed: PhantomData<&'w mut ()>,
+}
+
+/// DTFT coefficients and the output's state in registers: [`crate::fused::is_waves`].
+pub struct InRegisters;
+
+impl Way for InRegisters {
+    type Basis = Dtft;
+    type State<'p> = (Waves<'p>, &'p mut Shared);
+
+    const HAS_WALK: bool = true;
+
+    #[inline(always)]
+    fn words_max(shape: Shape) -> usize {
+        dtft32_armv7em::words_max(shape)
+    }
+
+    #[inline(always)]
+    fn begin<'p>(shared: &'p mut Shared, scratch: &'p mut Scratch<'_>) -> Option<Self::State<'p>> {
+        let memory = (&mut *scratch.sums, &mut *scratch.magnitudes);
+        let waves = Waves::new(shared.shape, shared.scale, memory, &shared.packer)?;
+        Some((waves, shared))
+    }
+
+    #[inline(always)]
+    fn shared<'s>((_, shared): &'s mut Self::State<'_>) -> &'s mut Shared {
+        shared
+    }
+
+    #[inline(always)]
+    fn walk(
+        (waves, shared): &mut Self::State<'_>,
+        input: (&mut Group, &mut Window<'_>),
+        output: (&mut BitWriter<'_>, usize),
+    ) -> (u32, u32) {
+        walk(input, shared.scale, &mut shared.packer, output, Some(waves))
+    }
+
+    #[inline(always)]
+    fn encode<T: Trace>(
+        (waves, shared): &mut Self::State<'_>,
+        pixel: Pixel,
+        slots: &[Slot],
+        writer: &mut BitWriter<'_>,
+        trace: &mut T,
+    ) {
+        let gap = 2 * shared.packer.step((pixel.x, pixel.y)) + 1;
+        let tally = ((pixel.on + pixel.off) << 16) | pixel.on;
+        let impulses = Impulses::new(pixel, slots);
+        waves.encode((gap, tally), &impulses, &shared.packer, writer, trace);
+    }
 }
 
 /// Encodes pixels up to the window's last one, up to one of more than [`CHUNK_EVENTS`] events, which the group then

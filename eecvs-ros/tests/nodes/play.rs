@@ -291,7 +291,7 @@ fn what_cannot_be_played_is_an_error() {
     assert!(got == want);
     let error = outcome.unwrap_err();
     assert!(
-        error.contains("5 messages were left out; --allow-loss"),
+        error.contains("5 messages were left out; with --allow-loss"),
         "{error}"
     );
     assert_eq!(played(&mixed, "--allow-loss").1, Ok(()));

@@ -465,7 +465,7 @@ fn an_encoder_that_fails_ends_the_run() {
     let error = mcu_link::keep_out(&mut connection, SCENE.sensor, &[(3, 0), (1, 7)]);
     let error = error.expect_err("a pixel too many").to_string();
     assert!(
-        error.contains("keeps 1 of 2 hot pixels out: it has no memory for more"),
+        error.contains("leaves out 1 of 2 hot pixels: it has no memory for more"),
         "{error}"
     );
     let deaf = Behaviour {

@@ -209,8 +209,8 @@ fn boards_that_answer_nonsense_are_refused_in_one_line() {
         fn reset(&mut self) {}
     }
     for (answer, says) in [
-        (vec![], "no frame"),
-        (vec![1, 2, 3], "no frame"),
+        (vec![], "not a valid frame"),
+        (vec![1, 2, 3], "not a valid frame"),
         (
             treuzell::frame(treuzell::FAILED, &[]),
             "update the firmware",
@@ -225,7 +225,7 @@ fn boards_that_answer_nonsense_are_refused_in_one_line() {
         ),
         (treuzell::frame(treuzell::RELEASE, &[]), "too short"),
         (treuzell::frame(treuzell::RELEASE, &[0; 4]), "reconnect"),
-        (vec![0xff; 4000], "no frame"),
+        (vec![0xff; 4000], "not a valid frame"),
     ] {
         let mut board = Nonsense(answer);
         let error = EVK.identify(&mut Direct::new(&mut board)).unwrap_err();

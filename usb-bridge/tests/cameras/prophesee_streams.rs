@@ -224,6 +224,26 @@ fn events_from(start_us: u64, steps: Vec<(i64, u16, u16, bool)>) -> Vec<Event> {
     steps.into_iter().map(event).collect()
 }
 
+/// The word of row 0 is 0: it counts before the first time is trusted, too.
+#[test]
+fn row_0_is_a_row_from_the_first_word_on() {
+    for stream in STREAMS {
+        let steps = vec![
+            (0, 5, 1, true),
+            (0, 5, 0, true),
+            (0, 6, 0, false),
+            (0, 5, 1, true),
+        ];
+        let events = events_from(7, steps);
+        let bytes = stream.bytes(HD, &events);
+        assert_eq!(
+            parsed(&mut stream.parser(HD), &bytes, 1 << 20),
+            events,
+            "{stream:?}"
+        );
+    }
+}
+
 fn any_stream() -> impl Strategy<Value = Stream> {
     prop_oneof![Just(STREAMS[0]), Just(STREAMS[1]), Just(STREAMS[2])]
 }

@@ -244,7 +244,7 @@ fn what_cannot_be_is_one_line_and_exit_status_1() {
         &[&set_up[..], &[encoder], &dense].concat(),
         "it has no such mode",
     );
-    refused(&["mcu", "--device", encoder], "takes events");
+    refused(&["mcu", "--device", encoder], "devices take no events");
     refused(&["mcu", "--device", "serial:/dev/none"], "/dev/none");
     refused(
         &["receive", "tcp://192.0.2.1:9", "-o", "a.eecvs"],

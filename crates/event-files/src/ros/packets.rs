@@ -176,7 +176,7 @@ impl Packets {
             check_inside(&self.name, self.events, event, self.sensor)?;
             ensure!(
                 t_us <= t_max_us,
-                Damaged,
+                CannotHold,
                 "{}: event {}: time {t_us} us is above {t_max_us} us, the largest time of a stamp: \
                  write .aedat4",
                 self.name,

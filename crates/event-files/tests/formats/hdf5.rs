@@ -527,7 +527,7 @@ fn what_is_wrong_is_named() {
                 ("a", Node::Group(vec![("b", bytes(&[1]))])),
             ]),
             0,
-            "but voxels (2), a/b (1): name the dataset",
+            "the file has voxels (2), a/b (1): name the dataset",
         ),
         (file(vec![]), 0, "but no datasets"),
         (

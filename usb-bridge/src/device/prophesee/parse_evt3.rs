@@ -34,6 +34,8 @@ const OVER: u16 = NONE + 1;
 const COLUMN: u16 = 0x7ff;
 const ON: u16 = 0x800;
 const TIME: u16 = 0xfff;
+/// No word of 16 bits; 0 would be a word of row 0.
+const NO_WORD: u32 = 1 << 16;
 /// A column that no sensor has.
 const BEYOND: u32 = 1 << 16;
 
@@ -61,9 +63,8 @@ pub struct Evt3Parser {
     high: HighTime<TIME_BITS>,
     /// Upper time, in microseconds.
     high_us: u64,
-    /// The `TIME_HIGH` word that changes nothing; 0, which is no such word, while the next one may change
-    /// something.
-    same_high: u16,
+    /// The `TIME_HIGH` word that changes nothing; [`NO_WORD`] while the next one may change something.
+    same_high: u32,
     /// Lower time, or [`NONE`].
     low: u16,
     /// Value of [`Evt3Parser::low`] after the first `TIME_HIGH`: 0 at the start of the stream, [`NONE`] after a
@@ -106,7 +107,7 @@ impl Evt3Parser {
             half: None,
             high: HighTime::new(),
             high_us: 0,
-            same_high: 0,
+            same_high: NO_WORD,
             low: 0,
             first_low: 0,
             row: NONE,
@@ -150,7 +151,7 @@ impl Evt3Parser {
         {
             let first = u64::from_le_bytes(four.as_flattened().try_into().unwrap_or_default());
             // Finds which of the optional words are present; each one is shifted out.
-            let has_high = first as u16 == same_high;
+            let has_high = u32::from(first as u16) == same_high;
             let second = pick(has_high, first >> 16, first);
             let has_low = second >> 12 & 0xf == u64::from(TIME_LOW);
             let third = pick(has_low, second >> 16, second);
@@ -256,7 +257,11 @@ impl Evt3Parser {
                 let before = self.high.last();
                 let high = self.high.extend(u64::from(word & TIME));
                 self.high_us = high << TIME_BITS;
-                self.same_high = if self.high.is_trusted() { word } else { 0 };
+                self.same_high = if self.high.is_trusted() {
+                    u32::from(word)
+                } else {
+                    NO_WORD
+                };
                 match before {
                     None => self.low = self.first_low,
                     Some(before) if before != high => self.low = 0,
@@ -376,7 +381,7 @@ impl Parse for Evt3Parser {
             self.losses.add("bytes of an incomplete word", 1);
         }
         self.high.resume(now_us.map(|now_us| now_us >> TIME_BITS));
-        self.same_high = 0;
+        self.same_high = NO_WORD;
         self.rows = 0;
         self.first_low = NONE;
         (self.low, self.row, self.base) = (NONE, NONE, NONE);

@@ -147,7 +147,7 @@ fn a_setup_that_is_refused_is_one_line() {
     assert_eq!(
         format!("{error:#}"),
         "the encoder refuses the setup for 2048 x 2048 pixels: it has no memory for windows of this \
-         sensor, or they are of 0 us"
+         sensor, or their duration is 0 us"
     );
     // It takes another one.
     run(&encoder, config(FAST), &|_| ())
