@@ -71,7 +71,7 @@ impl Encoder {
     /// # Errors
     /// The link cannot send to the device.
     pub fn connect(&self, patience: Duration) -> Result<Connection> {
-        Connection::new(self, patience)
+        Ok(Connection::new(self, patience)?)
     }
 
     /// Sets the encoder up and returns its stream from the first byte after its answer on.

@@ -11,6 +11,7 @@ use event_files::content::Rereadable;
 use event_files::input::piped::name_of;
 use event_files::output::{Kind, OutputFile};
 use event_files::{EventReader, Skipped};
+use event_types::stream::Error;
 use mcu_link::{Connection, Job, Outcome};
 use serde::Serialize;
 
@@ -169,7 +170,10 @@ impl Prepared<'_> {
     /// cannot be written. Frames that differ and events that are lost are not errors here, see [`Outcome::verdict`].
     pub fn run(&self, connection: &mut Connection) -> Result<Outcome> {
         let options = self.options;
-        let open = || options.open(self.recording.as_ref());
+        let open = || {
+            let opened = options.open(self.recording.as_ref());
+            opened.map_err(Error::other)
+        };
         let job = Job {
             open: &open,
             config: self.config,

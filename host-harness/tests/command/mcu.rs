@@ -10,7 +10,6 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use anyhow::Result;
 use eecvs::encode::{Limits, encode as host_encode};
 use eecvs_nostd::event_link::{Kind, Setup, Status};
 use eecvs_nostd::{
@@ -19,6 +18,8 @@ use eecvs_nostd::{
 };
 use event_emulator::{Preset, SceneConfig, emulate};
 use event_files::EventReader;
+use event_types::bail;
+use event_types::stream::Result;
 use mcu_link::image::{self, ImageSizes};
 use mcu_link::link::{EventPackets, Message};
 use mcu_link::qemu::{Machine, Qemu};
@@ -69,7 +70,7 @@ impl EventReader for Recording {
     fn sensor(&self) -> Sensor {
         SCENE.sensor
     }
-    fn read(&mut self, events: &mut Vec<Event>) -> event_types::stream::Result<usize> {
+    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
         events.append(&mut self.0);
         Ok(events.len())
     }
@@ -264,7 +265,7 @@ fn cut_in_a_packet(connect: Connect<'_>) {
         |sender| {
             sender.send(&bytes)?;
             done.store(true, std::sync::atomic::Ordering::Relaxed);
-            anyhow::bail!("cut")
+            bail!(Damaged, "cut")
         },
         |_, _| Ok(ControlFlow::Continue(())),
     );

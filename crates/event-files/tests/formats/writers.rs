@@ -125,7 +125,10 @@ fn random_events_come_back() {
     }
 }
 
-/// Returns the shared recordings that are of a known format.
+/// Events taken from each end of a recording: a counter's wraps lie between them.
+const END_EVENTS: usize = 30_000;
+
+/// Returns the first and last events of the shared recordings that are of a known format.
 fn recordings() -> Vec<(PathBuf, Sensor, Vec<Event>)> {
     let Ok(folders) = std::fs::read_dir(SHARED) else {
         eprintln!("skipped: {SHARED} is absent");
@@ -141,7 +144,12 @@ fn recordings() -> Vec<(PathBuf, Sensor, Vec<Event>)> {
     files.sort();
     let known = files.into_iter().filter_map(|path| {
         let read = read(&path, None).or_else(|_| read(&path, Some(UNTOLD)));
-        read.ok().map(|(sensor, events)| (path, sensor, events))
+        read.ok().map(|(sensor, mut events)| {
+            if events.len() > 2 * END_EVENTS {
+                events.drain(END_EVENTS..events.len() - END_EVENTS);
+            }
+            (path, sensor, events)
+        })
     });
     known.collect()
 }

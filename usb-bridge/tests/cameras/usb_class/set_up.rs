@@ -61,7 +61,7 @@ fn run(encoder: &Encoder, config: Config, progress: &(dyn Fn(u64) + Sync)) -> Re
         drop_when_full: false,
     };
     let mut connection = encoder.connect(Duration::from_secs(10))?;
-    mcu_link::run(&mut connection, &job, progress)
+    Ok(mcu_link::run(&mut connection, &job, progress)?)
 }
 
 fn sorted(mut events: Vec<Event>) -> Vec<Event> {
