@@ -137,11 +137,16 @@ const fn oracle_kind(transform: Transform) -> oracle::Transform {
 
 fn check_coefficients(path: &Path, windows: &[Window]) {
     let thresholds = Thresholds::new(0, 0).expect("in order");
-    for transform in Transform::ALL {
-        for m in [8, 16, 24] {
+    for (i, transform) in Transform::ALL.into_iter().enumerate() {
+        for (j, m) in [8, 16, 24].into_iter().enumerate() {
             let bytes = frames(path, Some(transform), m, thresholds);
             let mut count = 0;
             decoded_windows(&bytes, |index, window| {
+                count += 1;
+                // The oracle is slow: each window is compared with one M of each transform, and every M is.
+                if (index + i + j) % Transform::ALL.len() != 0 {
+                    return;
+                }
                 let expected = eecvs_oracle::coefficients(
                     &windows[index],
                     oracle_kind(transform),
@@ -152,7 +157,6 @@ fn check_coefficients(path: &Path, windows: &[Window]) {
                     assert_eq!((pixel.y, pixel.x), (*y, *x));
                     check_pixel(pixel, expected, &window);
                 }
-                count += 1;
             });
             assert_eq!(count, windows.len());
         }
