@@ -1,12 +1,12 @@
-//! Writes the small recordings in fuzz/seeds/ from which fuzzing starts: `cargo run --bin seeds`. The Python
+//! Writes the small recordings in fuzz/seeds/ from which fuzzing starts: `cargo run --example seeds`. The Python
 //! scripts in that folder write the seeds of HDF5, MAT, Arrow, Parquet and bags in SQLite.
 
 use std::path::Path;
 
 use eecvs::encode::HostStorage;
 use eecvs_nostd::{
-    Config, Encoder, Event, Filter, KEY_WINDOWS, Mode, Polarity, Push, Quantiser, Sensor,
-    Thresholds, Transform, WindowConfig,
+    Coder, Config, Encoder, Event, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, Polarity, Push,
+    Quantiser, Sensor, Thresholds, Transform, WindowConfig,
 };
 
 const SEEDS: [(&str, &str, Sensor); 15] = [
@@ -162,27 +162,43 @@ fn main() -> anyhow::Result<()> {
     uncompressed(&root.join("read_aedat4"))
 }
 
-/// Writes one file of frames per transform, with three windows each.
+/// Writes one file of frames per transform and per way to code events, with three windows each.
 fn frames(folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)?;
     let sensor = Sensor {
         width: 64,
         height: 64,
     };
-    for transform in Transform::ALL {
+    let lossless = |coder| {
+        Mode::Hybrid(Hybrid {
+            coder,
+            fidelity: Fidelity::Lossless,
+        })
+    };
+    let of_events = [
+        ("fast", lossless(Coder::Fast), false),
+        ("dense", lossless(Coder::Dense), false),
+        ("fast-ordered", lossless(Coder::Fast), true),
+        ("dense-ordered", lossless(Coder::Dense), true),
+        ("coefficients", Mode::Coefficients(Coder::Dense), false),
+    ];
+    let of_events = of_events.map(|(name, mode, keep_order)| (name, mode, None, keep_order));
+    let of_transforms =
+        Transform::ALL.map(|transform| (transform.name(), Mode::Transform, Some(transform), false));
+    for (name, mode, transform, keep_order) in of_transforms.into_iter().chain(of_events) {
         let config = Config {
             window: WindowConfig::new(sensor, 20),
             thresholds: Thresholds::new(0, 0).unwrap_or_else(|| unreachable!("in order")),
-            transform: Some(transform),
+            transform,
             m: 8,
             grid: None,
             quantiser: Quantiser::DEFAULT,
-            mode: Mode::Transform,
+            mode,
             key_windows: KEY_WINDOWS,
             readout: None,
             filter: Filter::NONE,
             bytes_per_second: None,
-            keep_order: false,
+            keep_order,
         };
         let mut storage = HostStorage::new(sensor, 100);
         let mut encoder = storage.encoder(config)?;
@@ -199,7 +215,7 @@ fn frames(folder: &Path) -> anyhow::Result<()> {
         }
         encoder.flush();
         take(&mut encoder, &mut out, &mut bytes);
-        std::fs::write(folder.join(format!("{}.eecvs", transform.name())), bytes)?;
+        std::fs::write(folder.join(format!("{name}.eecvs")), bytes)?;
     }
     Ok(())
 }

@@ -11,7 +11,8 @@ use eecvs_nostd::{
     Readout, Region, Sensor, Thresholds, Transform, WindowConfig,
 };
 
-fn to_mode(mode: u8, fidelity: u8) -> Mode {
+/// A mode of every kind.
+pub fn to_mode(mode: u8, fidelity: u8) -> Mode {
     let coder = match mode % 5 {
         0 => return Mode::Transform,
         1 => Coder::Fast,

@@ -1,26 +1,43 @@
 //! Reads any bytes as a stream of frames: no panic, no endless loop, every byte is accounted for, and every frame
 //! decodes to events or is refused.
 
-use eecvs::decode::WindowReader;
+use eecvs::decode::{WindowEvents, WindowReader};
 use eecvs::frame_file::FrameReader;
-use eecvs::reconstruct::events::{EventDecoder, Finder};
+use eecvs::reconstruct::events::Finder;
+use eecvs_nostd::Mode;
 
 /// Runs one input.
 pub fn run(data: &[u8]) {
     let mut windows = WindowReader::new(FrameReader::new(data));
     while let Some(window) = windows.next_window().expect("memory does not fail") {
         let header = window.header;
-        let events: u64 = window
+        let counts = window
             .pixels
             .iter()
-            .map(|p| u64::from(p.on) + u64::from(p.off))
-            .sum();
-        if events > 1000 || header.grid > 64 {
+            .map(|p| u64::from(p.on) + u64::from(p.off));
+        let events = match header.mode {
+            Mode::Hybrid(_) => window.events.len() as u64,
+            Mode::Transform | Mode::Coefficients(_) => counts.sum(),
+        };
+        // Times of many events, or on a fine grid, take too long to be solved for.
+        let is_solved =
+            matches!(header.mode, Mode::Hybrid(_)) || (events <= 1000 && header.grid <= 64);
+        if !is_solved {
             continue;
         }
         for finder in [Finder::Exact, Finder::Peaks] {
-            let decoder = EventDecoder::new(header.transform, header.grid, header.m, finder);
-            assert_eq!(decoder.window(&window).len() as u64, events);
+            let mut window = window.clone();
+            WindowEvents::new(finder).fill(&mut window);
+            assert_eq!(window.events.len() as u64, events);
+            assert!(
+                window
+                    .events
+                    .iter()
+                    .all(|event| header.sensor.contains(event.x, event.y))
+            );
+            assert!(window.events.is_sorted_by_key(|event| event.t_us));
         }
     }
+    let damaged = windows.report().damaged_bytes;
+    assert!(damaged <= data.len() as u64, "{damaged} of {}", data.len());
 }

@@ -8,4 +8,5 @@ pub mod event_link;
 pub mod frames;
 pub mod ingest;
 pub mod read;
+pub mod sealed;
 pub mod unpack;

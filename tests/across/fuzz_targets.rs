@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use event_files::FORMATS;
 use proptest::collection::vec;
 use proptest::prelude::{ProptestConfig, any, proptest};
-use targets::{encode, event_link, frames, ingest, read, unpack};
+use targets::{encode, event_link, frames, ingest, read, sealed, unpack};
 
 /// Longest input, as `cargo xtask fuzz` has it.
 const BYTES_MAX: usize = 8192;
@@ -64,7 +64,14 @@ proptest! {
 
     #[test]
     fn targets_hold_on_random_bytes(data in vec(any::<u8>(), 0..BYTES_MAX)) {
-        for target in [encode::run, event_link::run, frames::run, ingest::run, unpack::run] {
+        for target in [
+            encode::run,
+            event_link::run,
+            frames::run,
+            ingest::run,
+            sealed::run,
+            unpack::run,
+        ] {
             target(&data);
         }
         for format in FORMATS {

@@ -9,6 +9,7 @@ use eecvs_nostd::{
 use serde::Serialize;
 
 use crate::reconstruct::hybrid::Refused;
+use crate::search_budget::SearchBudget;
 
 /// Bytes requested from the source at a time.
 const READ_BYTES: usize = 1 << 16;
@@ -207,12 +208,6 @@ fn order_of(orders: &mut Vec<(Sensor, FrameOrder)>, sensor: Sensor) -> &mut Fram
     &mut orders[at].1
 }
 
-/// Limit on the bytes of damaged frames that are searched for other frames: this many, plus [`RESCANS`] times the
-/// bytes read. Only frames nested on purpose reach it; without it their checksums would cost the square of their
-/// length.
-const RESCAN_BYTES: u64 = 4 * FRAME_BYTES_MAX as u64;
-const RESCANS: u64 = 4;
-
 /// Reads frames from a source of bytes; memory is bounded by the largest frame, and work by the bytes read.
 pub struct FrameReader<R> {
     source: R,
@@ -222,8 +217,7 @@ pub struct FrameReader<R> {
     /// Offset of `buffer[start]` in the source.
     offset: u64,
     in_damage: bool,
-    /// Bytes of all damaged frames that were searched.
-    rescanned: u64,
+    budget: SearchBudget,
     ended: bool,
     /// Sensor of the first frame; a frame of another one ends the stream unless `takes_all_sensors` is set.
     sensor: Option<Sensor>,
@@ -242,7 +236,7 @@ impl<R: Read> FrameReader<R> {
             start: 0,
             offset: 0,
             in_damage: false,
-            rescanned: 0,
+            budget: SearchBudget::new(FRAME_BYTES_MAX),
             ended: false,
             sensor: None,
             takes_all_sensors: false,
@@ -276,6 +270,12 @@ impl<R: Read> FrameReader<R> {
     #[must_use]
     pub const fn offset(&self) -> u64 {
         self.offset
+    }
+
+    /// Returns the bytes of all damaged frames that were searched for others.
+    #[must_use]
+    pub const fn searched_bytes(&self) -> u64 {
+        self.budget.searched()
     }
 
     /// Counts a frame whose payload does not decode.
@@ -319,13 +319,8 @@ impl<R: Read> FrameReader<R> {
                     error: error @ FrameError::Damaged(bytes),
                     skip,
                 } => {
-                    let rescanned = self.rescanned + u64::from(bytes);
-                    if rescanned <= RESCAN_BYTES + RESCANS * self.offset {
-                        self.rescanned = rescanned;
-                        self.skip(error, skip);
-                    } else {
-                        self.skip(error, bytes as usize);
-                    }
+                    let is_allowed = self.budget.allows(bytes.into(), self.offset);
+                    self.skip(error, if is_allowed { skip } else { bytes as usize });
                 }
                 Scan::Damage { error, skip } => self.skip(error, skip),
                 Scan::Incomplete if self.ended => {

@@ -1,8 +1,9 @@
 //! The host's side of the event link: sends packets of events, receives frames and packets.
 
+use eecvs::search_budget::SearchBudget;
 use eecvs_nostd::event_link::{self, BODY_BYTES_MAX, Kind, PACKET_BYTES_MAX, Packet, Receiver};
 use eecvs_nostd::evt2::Evt2Encoder;
-use eecvs_nostd::{Event, Header, Scan, frame, scan};
+use eecvs_nostd::{Event, FrameError, Header, Scan, frame, scan};
 use event_types::bail;
 use event_types::stream::Result;
 
@@ -17,8 +18,8 @@ pub enum Message {
 
 enum Look {
     Message(Message, usize),
-    /// Bytes that belong to no message.
-    Damage(usize),
+    /// Bytes that belong to no message, and bytes that a checksum was computed over to find that.
+    Damage(usize, usize),
     Incomplete,
 }
 
@@ -26,15 +27,25 @@ enum Look {
 #[derive(Debug)]
 pub struct Demultiplexer {
     buffer: Vec<u8>,
+    /// Number of bytes of `buffer` that are used up.
+    start: usize,
     frame_bytes: usize,
+    used: u64,
+    budget: SearchBudget,
     damaged_bytes: u64,
 }
+
+/// Longest frame unless [`Demultiplexer::limit_frames`] sets another limit.
+const FRAME_BYTES: usize = 1 << 16;
 
 impl Default for Demultiplexer {
     fn default() -> Self {
         Self {
             buffer: Vec::new(),
-            frame_bytes: 1 << 16,
+            start: 0,
+            frame_bytes: FRAME_BYTES,
+            used: 0,
+            budget: SearchBudget::new(FRAME_BYTES),
             damaged_bytes: 0,
         }
     }
@@ -44,10 +55,16 @@ impl Demultiplexer {
     /// Sets the maximum length of a frame; a longer frame counts as damage.
     pub const fn limit_frames(&mut self, frame_bytes: usize) {
         self.frame_bytes = frame_bytes;
+        self.budget = SearchBudget::new(frame_bytes);
     }
 
     /// Appends received bytes.
     pub fn push(&mut self, bytes: &[u8]) {
+        // Moving the rest only when it is no longer than what is used up keeps the copies linear.
+        if self.start >= self.buffer.len() - self.start {
+            self.buffer.drain(..self.start);
+            self.start = 0;
+        }
         self.buffer.extend_from_slice(bytes);
     }
 
@@ -57,22 +74,30 @@ impl Demultiplexer {
         self.damaged_bytes
     }
 
+    /// Returns the bytes of all damaged messages that were searched for others.
+    #[must_use]
+    pub const fn searched_bytes(&self) -> u64 {
+        self.budget.searched()
+    }
+
     /// Returns whether the buffer holds the beginning of a message.
     #[must_use]
     pub const fn is_incomplete(&self) -> bool {
-        !self.buffer.is_empty()
+        self.start < self.buffer.len()
     }
 
     /// Takes the bytes that have not been consumed, to pass them to another reader.
     #[must_use]
     pub fn take_rest(&mut self) -> Vec<u8> {
-        std::mem::take(&mut self.buffer)
+        let rest = self.buffer.split_off(self.start);
+        (self.buffer, self.start) = (Vec::new(), 0);
+        rest
     }
 
     /// Gives up the message that has begun: other messages may start within the bytes received for it.
     pub fn give_up(&mut self) {
         if self.is_incomplete() {
-            self.damage(next_sync(&self.buffer));
+            self.damage(next_sync(self.rest()));
         }
     }
 
@@ -81,10 +106,13 @@ impl Demultiplexer {
         loop {
             match self.look() {
                 Look::Message(message, bytes) => {
-                    self.buffer.drain(..bytes);
+                    self.advance(bytes);
                     return Some(message);
                 }
-                Look::Damage(bytes) => self.damage(bytes),
+                Look::Damage(skip, checked) => {
+                    let is_allowed = self.budget.allows(checked as u64, self.used);
+                    self.damage(if is_allowed { skip } else { checked.max(skip) });
+                }
                 Look::Incomplete => return None,
             }
         }
@@ -92,41 +120,54 @@ impl Demultiplexer {
 
     fn damage(&mut self, bytes: usize) {
         self.damaged_bytes += bytes as u64;
-        self.buffer.drain(..bytes);
+        self.advance(bytes);
+    }
+
+    fn advance(&mut self, bytes: usize) {
+        self.used += bytes as u64;
+        self.start += bytes;
+    }
+
+    fn rest(&self) -> &[u8] {
+        self.buffer.get(self.start..).unwrap_or_default()
     }
 
     fn look(&self) -> Look {
-        let bytes = &self.buffer[..];
-        let Some(sync) = bytes.get(..2) else {
-            return match bytes {
+        let rest = self.rest();
+        let Some(sync) = rest.get(..2) else {
+            return match rest {
                 [] => Look::Incomplete,
                 [first, ..] if *first == frame::SYNC[0] => Look::Incomplete,
-                _ => Look::Damage(1),
+                _ => Look::Damage(1, 0),
             };
         };
         if sync == event_link::SYNC {
             return self.look_at_packet();
         }
-        let bytes = &bytes[..bytes.len().min(self.frame_bytes)];
+        let bytes = &rest[..rest.len().min(self.frame_bytes)];
         match scan(bytes) {
             Scan::Frame(frame) => Look::Message(
                 Message::Frame(Box::new(frame.header), bytes[..frame.bytes].to_vec()),
                 frame.bytes,
             ),
             Scan::Incomplete if bytes.len() < self.frame_bytes => Look::Incomplete,
-            Scan::Incomplete | Scan::Damage { .. } => Look::Damage(next_sync(&self.buffer)),
+            Scan::Damage {
+                error: FrameError::Damaged(checked),
+                ..
+            } => Look::Damage(next_sync(rest), checked as usize),
+            Scan::Incomplete | Scan::Damage { .. } => Look::Damage(next_sync(rest), 0),
         }
     }
 
     fn look_at_packet(&self) -> Look {
         // An encoder sends few packets, so parsing from the start each time is cheap enough.
         let mut receiver = Receiver::new();
-        for (at, byte) in self.buffer.iter().enumerate() {
+        for (at, byte) in self.rest().iter().enumerate() {
             let packet = receiver
                 .push(*byte)
                 .map(|packet| Message::Packet(packet.kind, packet.body.to_vec()));
             if receiver.damaged_bytes() > 0 {
-                return Look::Damage(next_sync(&self.buffer));
+                return Look::Damage(next_sync(self.rest()), at + 1);
             }
             if let Some(message) = packet {
                 return Look::Message(message, at + 1);

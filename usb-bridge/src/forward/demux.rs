@@ -1,7 +1,8 @@
 //! Extracts frames and packets from a stream of bytes that may be damaged.
 
+use eecvs::search_budget::SearchBudget;
 use eecvs_nostd::frame::SYNC as FRAME_SYNC;
-use eecvs_nostd::{FRAME_BYTES_MAX, Frame, Scan, scan};
+use eecvs_nostd::{FRAME_BYTES_MAX, Frame, FrameError, Scan, scan};
 
 use super::packet::{self, Look, PACKET_BYTES_MAX, Packet};
 
@@ -21,19 +22,38 @@ pub enum Message<'b> {
     Packet(Packet<'b>),
 }
 
-/// Splits a stream into messages. Memory is bounded by the longest message plus the bytes of one push.
-#[derive(Debug, Default)]
+/// Splits a stream into messages. Memory is bounded by twice the longest message plus the bytes of one push, and work
+/// by the bytes of the stream.
+#[derive(Debug)]
 pub struct Demux {
     buffer: Vec<u8>,
+    /// Bytes of `buffer`, and of the stream, that are used up.
     used: usize,
+    used_of_stream: u64,
+    budget: SearchBudget,
     damaged_bytes: u64,
+}
+
+impl Default for Demux {
+    fn default() -> Self {
+        Self {
+            buffer: Vec::new(),
+            used: 0,
+            used_of_stream: 0,
+            budget: SearchBudget::new(MESSAGE_BYTES_MAX),
+            damaged_bytes: 0,
+        }
+    }
 }
 
 impl Demux {
     /// Appends received bytes, and drops those that are used up.
     pub fn push(&mut self, bytes: &[u8]) {
-        self.buffer.drain(..self.used);
-        self.used = 0;
+        // Moving the rest only when it is no longer than what is used up keeps the copies linear.
+        if self.used >= self.buffer.len() - self.used {
+            self.buffer.drain(..self.used);
+            self.used = 0;
+        }
         self.buffer.extend_from_slice(bytes);
     }
 
@@ -43,12 +63,18 @@ impl Demux {
         self.damaged_bytes
     }
 
+    /// Returns the bytes of all damaged messages that were searched for others.
+    #[must_use]
+    pub const fn searched_bytes(&self) -> u64 {
+        self.budget.searched()
+    }
+
     /// Records that the stream was interrupted: the message that has begun will not be completed, but other
     /// messages may lie within its bytes.
     pub fn interrupt(&mut self) {
         while self.used < self.buffer.len() {
             if self.next_at().is_none() {
-                self.skip();
+                self.search();
             } else {
                 return;
             }
@@ -61,11 +87,20 @@ impl Demux {
         self.buffer.len() - self.used
     }
 
-    fn skip(&mut self) {
+    /// Goes on behind the first byte of what is no message.
+    fn search(&mut self) {
         let rest = self.buffer.get(self.used..).unwrap_or_default();
-        let skip = next_sync(rest);
-        self.damaged_bytes += skip as u64;
-        self.used += skip;
+        self.skip(next_sync(rest));
+    }
+
+    fn skip(&mut self, bytes: usize) {
+        self.damaged_bytes += bytes as u64;
+        self.advance(bytes);
+    }
+
+    const fn advance(&mut self, bytes: usize) {
+        self.used += bytes;
+        self.used_of_stream += bytes as u64;
     }
 
     /// Returns the length of the next whole message; damage before it is skipped.
@@ -75,15 +110,27 @@ impl Demux {
             if rest.is_empty() {
                 return None;
             }
-            match Packet::look(rest) {
+            let of_packet = match Packet::look(rest) {
                 Look::Packet(_, bytes) => return Some(bytes),
                 Look::Incomplete if rest.len() < PACKET_BYTES_MAX && rest.len() > 1 => return None,
-                Look::Incomplete | Look::Damage => {}
-            }
-            match scan(rest) {
+                Look::Incomplete => 0,
+                Look::Damage(checked) => checked,
+            };
+            let of_frame = match scan(rest) {
                 Scan::Frame(frame) => return Some(frame.bytes),
                 Scan::Incomplete if rest.len() < MESSAGE_BYTES_MAX => return None,
-                Scan::Incomplete | Scan::Damage { .. } => self.skip(),
+                Scan::Damage {
+                    error: FrameError::Damaged(bytes),
+                    ..
+                } => bytes as usize,
+                Scan::Incomplete | Scan::Damage { .. } => 0,
+            };
+            // A message of one kind is none of the other.
+            let checked = of_packet.max(of_frame);
+            if self.budget.allows(checked as u64, self.used_of_stream) {
+                self.search();
+            } else {
+                self.skip(checked);
             }
         }
     }
@@ -100,6 +147,7 @@ impl Demux {
             },
         };
         self.used += bytes;
+        self.used_of_stream += bytes as u64;
         Some(message)
     }
 

@@ -80,8 +80,8 @@ pub enum Look<'b> {
     Packet(Packet<'b>, usize),
     /// The beginning of a packet, as far as it has been received.
     Incomplete,
-    /// Not a packet.
-    Damage,
+    /// Not a packet; a checksum over this many bytes said so.
+    Damage(usize),
 }
 
 impl<'b> Packet<'b> {
@@ -117,7 +117,7 @@ impl<'b> Packet<'b> {
     #[must_use]
     pub fn look(bytes: &'b [u8]) -> Look<'b> {
         if bytes.iter().zip(SYNC).any(|(byte, sync)| *byte != sync) {
-            return Look::Damage;
+            return Look::Damage(0);
         }
         let Ok((head, rest)) = Head::ref_from_prefix(bytes) else {
             return Look::Incomplete;
@@ -129,7 +129,7 @@ impl<'b> Packet<'b> {
             name.map(std::str::from_utf8),
             head.version == VERSION && words_bytes <= WORDS_BYTES_MAX,
         ) else {
-            return Look::Damage;
+            return Look::Damage(0);
         };
         let Some((words, rest)) = rest.split_at_checked(words_bytes) else {
             return Look::Incomplete;
@@ -139,7 +139,7 @@ impl<'b> Packet<'b> {
         };
         let body_bytes = size_of::<Head>() + words_bytes;
         if CRC.checksum(&bytes[..body_bytes]) != u32::from_le_bytes(*crc) {
-            return Look::Damage;
+            return Look::Damage(body_bytes + CRC_BYTES);
         }
         let packet = Self {
             encoding,

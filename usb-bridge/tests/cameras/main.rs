@@ -5,6 +5,7 @@ mod inivation;
 mod kills;
 mod list;
 mod mcu;
+mod nested;
 mod order;
 mod prophesee_cameras;
 mod prophesee_streams;

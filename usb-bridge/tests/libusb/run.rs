@@ -98,7 +98,10 @@ fn it_ends_as_the_program_does() {
     let output = run(&["--run", "no-such-program"]);
     let told = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1));
-    assert!(told.contains("no-such-program: cannot run this program"), "{told}");
+    assert!(
+        told.contains("no-such-program: cannot run this program"),
+        "{told}"
+    );
     let left = |name: &std::ffi::OsStr| name.to_string_lossy().starts_with("eecvs-usb.");
     let temporary = tempfile::tempdir().unwrap();
     let output = Command::new(PROGRAM)

@@ -209,11 +209,19 @@ impl Output {
         self.keep().map(|()| name)
     }
 
-    /// Gives the complete file its name and replaces an existing file.
+    /// Gives the complete file its name and replaces an existing file. The file is on the disk before it has the name,
+    /// and the name is on the disk when this returns, so after a power cut there is the old file or the new one.
     ///
     /// # Errors
-    /// The file cannot be renamed; the message names it.
+    /// The file cannot be written to the disk or renamed; the message names it.
     pub fn keep(self) -> Result<()> {
+        let name = &self.name;
+        let (part, target) = match &self.place {
+            Place::Direct => return Ok(()),
+            Place::Part(part, target) => (part as &Path, target.clone()),
+            Place::Live(part, target) => (part.as_path(), target.clone()),
+        };
+        sync(part).with_context(|| format!("{}: cannot be written to the disk", name.display()))?;
         let renamed = match self.place {
             Place::Direct => Ok(()),
             Place::Part(part, target) => part.persist(target).map_err(|error| error.error),
@@ -221,7 +229,14 @@ impl Output {
                 like(&target, &part).and_then(|()| std::fs::rename(part, target))
             }
         };
-        renamed.with_context(|| format!("{}: cannot be replaced", self.name.display()))
+        renamed.with_context(|| format!("{}: cannot be replaced", self.name.display()))?;
+        let synced = sync_folder(folder(&target));
+        synced.with_context(|| {
+            format!(
+                "{}: its name cannot be written to the disk",
+                self.name.display()
+            )
+        })
     }
 }
 
@@ -288,6 +303,50 @@ fn like(target: &Path, part: &Path) -> std::io::Result<()> {
     match std::fs::metadata(target) {
         Ok(metadata) => std::fs::set_permissions(part, metadata.permissions()),
         Err(_) => Ok(()),
+    }
+}
+
+/// Writes what the system still holds of a file to the disk.
+fn sync(path: &Path) -> std::io::Result<()> {
+    // Windows syncs only what is open for writing.
+    let file = match File::options().write(true).open(path) {
+        Ok(file) => file,
+        // A new file has the rights of the one that it replaces, which may be read-only.
+        Err(error) if error.kind() == ErrorKind::PermissionDenied => File::open(path)?,
+        Err(error) => return Err(error),
+    };
+    allow_unsynced(file.sync_all())
+}
+
+/// Writes the names in a folder to the disk.
+#[cfg(unix)]
+fn sync_folder(folder: &Path) -> std::io::Result<()> {
+    match File::open(folder) {
+        Ok(folder) => allow_unsynced(folder.sync_all()),
+        // A folder may be writable without being readable.
+        Err(error) if error.kind() == ErrorKind::PermissionDenied => Ok(()),
+        Err(error) => Err(error),
+    }
+}
+
+/// The system writes names to the disk itself.
+#[cfg(not(unix))]
+fn sync_folder(_: &Path) -> std::io::Result<()> {
+    Ok(())
+}
+
+/// Some file systems have nothing to sync, and say so.
+fn allow_unsynced(synced: std::io::Result<()>) -> std::io::Result<()> {
+    match synced {
+        Err(error)
+            if matches!(
+                error.kind(),
+                ErrorKind::InvalidInput | ErrorKind::Unsupported
+            ) =>
+        {
+            Ok(())
+        }
+        other => other,
     }
 }
 

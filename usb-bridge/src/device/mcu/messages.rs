@@ -1,16 +1,12 @@
 //! Extracts frames and packets from received bytes, which may be damaged.
 
+use eecvs::search_budget::SearchBudget;
 use eecvs_nostd::event_link::{self, Kind, Receiver};
 use eecvs_nostd::frame::CRC_BYTES;
 use eecvs_nostd::{Frame, FrameError, Header, Scan, frame, scan};
 
 /// Largest frame accepted from a microcontroller; a header that claims more is taken as damage.
 pub const FRAME_BYTES_MAX: usize = 1 << 16;
-/// Limit on bytes of damaged frames that are searched for other messages: this many, plus [`RESCANS`] times the
-/// bytes received. Only frames constructed to lie inside each other reach it; checking them all would take
-/// quadratic time.
-const RESCAN_BYTES: u64 = 4 * FRAME_BYTES_MAX as u64;
-const RESCANS: u64 = 4;
 
 /// A message in received bytes.
 #[derive(Debug, Clone, Copy)]
@@ -38,16 +34,30 @@ enum Look {
 }
 
 /// A buffer of received bytes; at most one frame's bytes are kept.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Messages {
     buffer: Vec<u8>,
     /// Number of bytes of `buffer` that are used up.
     start: usize,
     used: u64,
-    rescanned: u64,
+    budget: SearchBudget,
     damaged_bytes: u64,
     damaged_runs: u64,
     in_damage: bool,
+}
+
+impl Default for Messages {
+    fn default() -> Self {
+        Self {
+            buffer: Vec::new(),
+            start: 0,
+            used: 0,
+            budget: SearchBudget::new(FRAME_BYTES_MAX),
+            damaged_bytes: 0,
+            damaged_runs: 0,
+            in_damage: false,
+        }
+    }
 }
 
 impl Messages {
@@ -65,6 +75,12 @@ impl Messages {
     #[must_use]
     pub const fn damaged(&self) -> (u64, u64) {
         (self.damaged_bytes, self.damaged_runs)
+    }
+
+    /// Returns the bytes of all damaged messages that were searched for others.
+    #[must_use]
+    pub const fn searched_bytes(&self) -> u64 {
+        self.budget.searched()
     }
 
     /// Returns the next whole message; `None` if more bytes are needed.
@@ -92,9 +108,8 @@ impl Messages {
                     return Some(Message::Packet(kind));
                 }
                 Look::Damage(skip, checked) => {
-                    self.rescanned += checked as u64;
-                    let is_cheap = self.rescanned <= RESCAN_BYTES + RESCANS * self.used;
-                    self.damage(if is_cheap { skip } else { checked.max(skip) });
+                    let is_allowed = self.budget.allows(checked as u64, self.used);
+                    self.damage(if is_allowed { skip } else { checked.max(skip) });
                 }
                 Look::More => return None,
             }
@@ -150,7 +165,7 @@ fn look_at_packet(bytes: &[u8]) -> Look {
     for (at, byte) in bytes.iter().enumerate() {
         let kind = receiver.push(*byte).map(|packet| packet.kind);
         if receiver.damaged_bytes() > 0 {
-            return Look::Damage(next_sync(bytes), 0);
+            return Look::Damage(next_sync(bytes), at + 1);
         }
         if let Some(kind) = kind {
             return Look::Packet(kind, at + 1);

@@ -225,7 +225,7 @@ impl<R: Read + Seek> RawReader<R> {
     fn skip_damage(&mut self) -> io::Result<Record> {
         let damaged = self.position;
         let mut base = damaged + 1;
-        let mut window = vec![0; 1 << 16];
+        let mut window = vec![0; 1 << 10];
         loop {
             self.go_to(base)?;
             let got = read_up_to(&mut self.input, &mut window)?;
@@ -251,6 +251,8 @@ impl<R: Read + Seek> RawReader<R> {
                 });
             }
             base += (got - (RECORD - 1)) as u64;
+            // Twice as much each time, so that what lies close by takes no long reads.
+            window.resize((2 * window.len()).min(1 << 16), 0);
         }
     }
 

@@ -165,7 +165,7 @@ fn a_setup_that_is_refused_is_one_line() {
     assert_eq!(
         format!("{error:#}"),
         "simulated eecvs: the encoder refuses the setup for 71 x 40 pixels: a side of the sensor is \
-         out of its range, or its own sensor has another size"
+         out of range, or the encoder's own sensor has another size"
     );
 }
 

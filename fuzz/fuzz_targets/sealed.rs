@@ -1,0 +1,4 @@
+#![no_main]
+//! See [`targets::sealed`].
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| targets::sealed::run(data));
