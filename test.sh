@@ -233,7 +233,7 @@ firmware() {
     cargo xtask instructions --check
     cargo xtask kernels --check
     # The first events of every recording; without a number, all of them.
-    cargo xtask image-recordings --events "${RECORDING_EVENTS:-6000}"
+    cargo xtask image-recordings --events "${RECORDING_EVENTS:-2500}"
     # Its only good end is the report of a fault.
     status=0
     qemu netduinoplus2 overflow >/dev/null || status=$?
