@@ -4,10 +4,11 @@ use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-use anyhow::{Context as _, Result, bail};
+use anyhow::{Context as _, Result, bail, ensure};
 use clap::builder::ValueParser;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, ValueEnum};
 use eecvs_cli::output::end;
@@ -145,12 +146,34 @@ struct Usage(anyhow::Error);
 pub fn run(operators: Vec<Box<dyn Operator>>) -> ExitCode {
     have_zenoh_threads();
     let operators = Arc::new(Operators::new(operators));
-    let ended = start(&operators);
+    let ended = start(&operators).and_then(|()| {
+        ensure!(
+            !HAS_PANICKED.load(Ordering::Relaxed),
+            "a thread of this program ended by the error above: messages after it are lost; please report this"
+        );
+        Ok(())
+    });
     let is_usage = ended.as_ref().is_err_and(anyhow::Error::is::<Usage>);
     match end("eecvs-ros", ended) {
         _ if is_usage => ExitCode::from(2),
         status => status,
     }
+}
+
+/// Whether any thread has panicked.
+static HAS_PANICKED: AtomicBool = AtomicBool::new(false);
+
+/// Returns the stop of the program, which is also asked where a thread panics: the nodes then finish their files. A
+/// node whose transport has ended would otherwise wait for messages that never come, and count none of them as lost.
+fn stop_of_all() -> Result<Stop> {
+    let stop = Stop::on_signals()?;
+    let (report, asked) = (std::panic::take_hook(), stop.clone());
+    std::panic::set_hook(Box::new(move |panic| {
+        HAS_PANICKED.store(true, Ordering::Relaxed);
+        report(panic);
+        asked.ask();
+    }));
+    Ok(stop)
 }
 
 fn start(operators: &Arc<Operators>) -> Result<()> {
@@ -163,7 +186,7 @@ fn start(operators: &Arc<Operators>) -> Result<()> {
         Some(name) if is_node(name) => name.to_owned(),
         _ => {
             let line = parsed(command_line().try_get_matches_from(&rest))?;
-            let stop = Stop::on_signals()?;
+            let stop = stop_of_all()?;
             return match line.command {
                 Command::Compose(compose) => {
                     composed(&compose, &line.network, &ros, operators, &stop)
@@ -176,7 +199,7 @@ fn start(operators: &Arc<Operators>) -> Result<()> {
             };
         }
     };
-    let stop = Stop::on_signals()?;
+    let stop = stop_of_all()?;
     let (arguments, declared) = named(&ros, &[name])?.remove(0);
     let (line, parameters) = parse(rest, &arguments, declared)?;
     let transport = line.network.open()?;

@@ -5,6 +5,9 @@
 
 use anyhow::{Result, ensure};
 
+/// Longest name of a node without its namespace, as in ROS 2.
+const NODE_BYTES_MAX: usize = 255;
+
 /// Name and namespace of a node.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct NodeName {
@@ -21,6 +24,11 @@ impl NodeName {
     /// ROS 2 does not allow a name.
     pub fn new(namespace: &str, base: &str) -> Result<Self> {
         check_token(base)?;
+        ensure!(
+            base.len() <= NODE_BYTES_MAX,
+            "the node's name has {} characters: at most {NODE_BYTES_MAX} are allowed",
+            base.len()
+        );
         let tokens = namespace.trim_matches('/');
         let namespace = format!("/{tokens}");
         if !tokens.is_empty() {
@@ -72,6 +80,11 @@ fn check_token(token: &str) -> Result<()> {
         !token.is_empty() && token.chars().all(is_good) && !is_digit_first,
         "{token:?} is not a valid part of a ROS 2 name: use letters, digits and _, with no digit first"
     );
+    // The DDS used here has no names of topics and nodes with these.
+    ensure!(
+        !token.contains("__"),
+        "{token:?} has two underscores in a row, which are not supported in names"
+    );
     Ok(())
 }
 
@@ -99,9 +112,11 @@ mod tests {
     #[test]
     fn bad_names_are_refused() {
         let node = NodeName::new("/", "encode").unwrap();
-        for bad in ["", "a//b", "/", "a b", "9a", "a/9", "~", "ä", "a/"] {
+        for bad in ["", "a//b", "/", "a b", "9a", "a/9", "~", "ä", "a/", "a__b"] {
             assert!(node.resolve(bad).is_err(), "{bad}");
         }
+        let long = "a".repeat(256);
+        assert!(NodeName::new("/", &long).is_err() && NodeName::new("/", &long[1..]).is_ok());
         for (namespace, base) in [("/a b", "c"), ("/a", "b/c"), ("/a", ""), ("/a//b", "c")] {
             assert!(NodeName::new(namespace, base).is_err());
         }

@@ -27,4 +27,5 @@ pub mod record;
 pub mod session;
 pub mod source;
 pub mod stop;
+pub mod unix_socket;
 pub mod usage;

@@ -406,7 +406,7 @@ mod tests {
             prop_assert!(all(&mut incoming).iter().all(|m| matches!(m, Message::Packet(..))));
             prop_assert!(incoming.damaged_bytes() > 0);
             // At most an incomplete packet remains.
-            prop_assert!(incoming.buffer.len() <= PACKET_BYTES_MAX);
+            prop_assert!(incoming.rest().len() <= PACKET_BYTES_MAX);
         }
     }
 

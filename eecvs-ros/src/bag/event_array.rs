@@ -23,12 +23,27 @@ pub struct Packets {
 }
 
 impl Packets {
-    /// Turns a message into packets, at least one, with consecutive sequence numbers; `put` receives each.
+    /// Turns a message into packets, at least one, with consecutive sequence numbers; `put` receives each. Those of a
+    /// message that ends in an error must not be used.
     ///
     /// # Errors
     /// The message is damaged, or has a row that the encoding cannot hold; the error names the byte. Otherwise, the
     /// error of `put`.
     pub fn convert(
+        &mut self,
+        cdr: &[u8],
+        put: &mut dyn FnMut(&EventPacket) -> Result<()>,
+    ) -> Result<()> {
+        let first = self.packet.seq;
+        let converted = self.convert_all(cdr, put);
+        if converted.is_err() {
+            // What was put is of no use: its numbers are those of the next message.
+            self.packet.seq = first;
+        }
+        converted
+    }
+
+    fn convert_all(
         &mut self,
         cdr: &[u8],
         put: &mut dyn FnMut(&EventPacket) -> Result<()>,

@@ -118,7 +118,8 @@ pub struct McapReader {
 
 /// How the messages are found.
 enum Way {
-    Indexed(Box<IndexedReader>),
+    /// With the places of chunks by where their records begin: first byte and length.
+    Indexed(Box<IndexedReader>, BTreeMap<u64, (u64, usize)>),
     Linear(Box<LinearReader>),
 }
 
@@ -214,7 +215,7 @@ impl McapReader {
                 file.rewind().with_context(unread)?;
                 let options = LinearReaderOptions::default()
                     .with_record_length_limit(RECORD_MAX)
-                    .with_validate_chunk_crcs(true);
+                    .with_prevalidate_chunk_crcs(true);
                 Way::Linear(Box::new(LinearReader::new_with_options(options)))
             }
             Some(summary) => {
@@ -233,7 +234,19 @@ impl McapReader {
                     .with_record_length_limit(RECORD_MAX)
                     .starting_at(from_ns);
                 let reader = IndexedReader::new_with_options(&summary, options);
-                Way::Indexed(Box::new(reader.map_err(|error| failed(&name, &error))?))
+                let reader = reader.map_err(|error| failed(&name, &error))?;
+                let mut chunks = BTreeMap::new();
+                for chunk in &summary.chunk_indexes {
+                    let records_at = chunk.compressed_data_offset();
+                    let records_at = records_at.map_err(|error| failed(&name, &error))?;
+                    let (start, length) = (chunk.chunk_start_offset, chunk.chunk_length);
+                    ensure!(
+                        length <= RECORD_MAX as u64,
+                        "{name}: a chunk of {length} bytes is too long: the file is damaged"
+                    );
+                    chunks.insert(records_at, (start, length as usize));
+                }
+                Way::Indexed(Box::new(reader), chunks)
             }
         };
         Ok(Self {
@@ -245,6 +258,44 @@ impl McapReader {
             from_ns,
         })
     }
+}
+
+/// Reads and checks the chunk whose records begin at a byte and have a length; returns its records.
+fn read_chunk<'c>(
+    file: &mut File,
+    chunk: &'c mut Vec<u8>,
+    chunks: &BTreeMap<u64, (u64, usize)>,
+    (offset, length): (u64, usize),
+) -> Result<&'c [u8]> {
+    let place = chunks.get(&offset);
+    let (start, bytes) = *place.context("the index has no such chunk")?;
+    chunk.resize(bytes, 0);
+    file.seek(SeekFrom::Start(start))?;
+    file.read_exact(chunk)?;
+    check_chunk(chunk)?;
+    let records = chunk.get((offset - start) as usize..);
+    let records = records.and_then(|rest| rest.get(..length));
+    records.context("the chunk is shorter than its index says")
+}
+
+/// Checks the CRC of a chunk's record, which the reader by the index does not.
+fn check_chunk(record: &[u8]) -> Result<()> {
+    let options = LinearReaderOptions::default()
+        .with_skip_start_magic(true)
+        .with_skip_end_magic(true)
+        .with_record_length_limit(RECORD_MAX)
+        .with_prevalidate_chunk_crcs(true);
+    let mut reader = LinearReader::new_with_options(options);
+    let mut rest = record;
+    while let Some(event) = reader.next_event() {
+        if let LinearReadEvent::ReadRequest(length) = event? {
+            let (now, later) = rest.split_at(length.min(rest.len()));
+            reader.insert(now.len()).copy_from_slice(now);
+            reader.notify_read(now.len());
+            rest = later;
+        }
+    }
+    Ok(())
 }
 
 /// Reads the summary at the end of a file.
@@ -287,7 +338,7 @@ impl ReadFile for McapReader {
             }))
         };
         match way {
-            Way::Indexed(reader) => loop {
+            Way::Indexed(reader, chunks) => loop {
                 let Some(event) = reader.next_event() else {
                     return Ok(None);
                 };
@@ -296,18 +347,9 @@ impl ReadFile for McapReader {
                         return stored(channels, &header, data);
                     }
                     IndexedReadEvent::ReadChunkRequest { offset, length } => {
-                        let mut read = || {
-                            ensure!(
-                                length <= RECORD_MAX,
-                                "a chunk of {length} bytes is too long"
-                            );
-                            chunk.resize(length, 0);
-                            file.seek(SeekFrom::Start(offset))?;
-                            file.read_exact(chunk)?;
-                            Ok(())
-                        };
-                        read().with_context(|| format!("{name}: byte {offset}"))?;
-                        let inserted = reader.insert_chunk_record_data(offset, chunk);
+                        let records = read_chunk(file, chunk, chunks, (offset, length));
+                        let records = records.with_context(|| format!("{name}: byte {offset}"))?;
+                        let inserted = reader.insert_chunk_record_data(offset, records);
                         inserted.map_err(|error| failed(name, &error))?;
                     }
                 }
@@ -412,6 +454,43 @@ mod tests {
                 };
                 assert_eq!(reader.topics(), [topic]);
             }
+        }
+    }
+
+    /// No byte of a damaged chunk is taken for a message.
+    #[test]
+    fn damaged_chunks_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.mcap");
+        let small = || {
+            WriteOptions::new()
+                .chunk_size(Some(20_000))
+                .compression(None)
+        };
+        for options in [small(), small().emit_chunk_indexes(false)] {
+            write(&path, options);
+            let mut bytes = std::fs::read(&path).unwrap();
+            // Message 100 of 300, beyond the first chunks.
+            let at = bytes
+                .windows(700)
+                .position(|part| part == [100; 700])
+                .unwrap();
+            bytes[at + 350] ^= 1;
+            std::fs::write(&path, bytes).unwrap();
+            let mut reader = open(&path, 0);
+            let mut messages = 0_usize;
+            let error = loop {
+                match reader.next() {
+                    Ok(Some(stored)) => {
+                        assert_eq!(stored.cdr, [messages as u8; 700]);
+                        messages += 1;
+                    }
+                    Ok(None) => panic!("it is damaged"),
+                    Err(error) => break format!("{error:#}"),
+                }
+            };
+            assert!((70..=100).contains(&messages), "{messages}");
+            assert!(error.contains("a.mcap"), "{error}");
         }
     }
 

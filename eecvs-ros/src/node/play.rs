@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Result, ensure};
 use clap::Args;
 use event_files::ros::message::Kind;
 use usb_bridge::peripheral::stream::Pace;
@@ -55,8 +55,9 @@ struct Played {
     publisher: Option<Box<dyn Publisher>>,
     /// Turns structures of single events into packets; `None` for messages that are published as they are.
     packets: Option<Packets>,
-    /// Messages that were left out.
+    /// Messages that were left out, and why the first of them was.
     left_out: u64,
+    why: Option<String>,
 }
 
 impl Played {
@@ -66,6 +67,7 @@ impl Played {
             packets: None,
             publisher: None,
             left_out: 0,
+            why: None,
             topic,
         };
         let Topic {
@@ -88,7 +90,7 @@ impl Played {
         } else {
             None
         };
-        let resolved = context.topic(name)?;
+        let resolved = context.topic(name);
         let published = match (refusal, Kind::of(&kind)) {
             (Some(refusal), _) => Err(refusal),
             (None, Some(events)) => {
@@ -106,6 +108,7 @@ impl Played {
         };
         let qos = options.qos.qos();
         let published = published.and_then(|kind| {
+            let resolved = resolved.map_err(|error| format!("cannot be published: {error:#}"))?;
             let publisher = context.publisher_of(&resolved, kind, qos);
             publisher.map_err(|error| format!("cannot be published: {error:#}"))
         });
@@ -127,17 +130,26 @@ impl Played {
             return Ok(false);
         };
         if let Some(packets) = &mut self.packets {
-            let mut bytes = Vec::new();
-            let sent = packets.convert(cdr, &mut |packet| {
-                bytes.clear();
+            // All of a message, or nothing.
+            let mut all = Vec::new();
+            let converted = packets.convert(cdr, &mut |packet| {
+                let mut bytes = Vec::new();
                 put_cdr(packet, &mut bytes);
-                publisher.publish(&bytes)
+                all.push(bytes);
+                Ok(())
             });
-            sent.with_context(|| self.topic.name.clone())?;
+            if let Err(why) = converted {
+                self.why.get_or_insert_with(|| format!("{why:#}"));
+                return Ok(false);
+            }
+            for bytes in &all {
+                publisher.publish(bytes)?;
+            }
             return Ok(true);
         }
-        // Big-endian, or of another version of CDR.
         if !cdr.starts_with(&ENCAPSULATION[..2]) {
+            let why = "it is big-endian, or of another version of CDR";
+            self.why.get_or_insert_with(|| why.to_owned());
             return Ok(false);
         }
         publisher.publish(cdr)?;
@@ -164,8 +176,10 @@ impl Play {
         context.say(&format!("{messages} messages, {left_out} left out"));
         for topic in topics.iter().filter(|topic| topic.left_out > 0) {
             let Topic { name, kind, .. } = &topic.topic;
+            let why = topic.why.as_ref();
+            let why = why.map_or_else(String::new, |why| format!("; the first: {why}"));
             context.say(&format!(
-                "{name}: {} messages of {kind} were left out",
+                "{name}: {} messages of {kind} were left out{why}",
                 topic.left_out
             ));
         }

@@ -202,6 +202,10 @@ fn parameters_are_described_and_checked() {
     assert!(client.types(&["window_us", "other"]).is_empty());
     assert!(client.describe(&["window_us", "other"]).is_empty());
 
+    // A reply of several fragments.
+    let names: Vec<&str> = listed.iter().map(String::as_str).collect();
+    let described = client.describe(&names);
+    assert!(described.iter().map(|each| &each.name).eq(&listed));
     let described = client.describe(&["window_us", "max_error", "coder", "connect", "idle_s"]);
     let kinds: Vec<u8> = described.iter().map(|each| each.r#type).collect();
     assert_eq!(kinds, [2, 3, 4, 9, 2]);

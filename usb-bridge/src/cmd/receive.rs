@@ -55,7 +55,8 @@ impl Receive {
             limits: self.stream.limits(),
         };
         let output = Output::begin_live(&self.output, self.overwrite)?;
-        let (received, outcome) = receive::receive(&mut link, output.path(), kind, limits, &stop);
+        let (received, outcome) =
+            receive::receive(&mut link, output.path(), kind, limits, &stop, &mut warn);
         let outcome = if outcome.is_ok() && kind == Kind::Events && received.events == 0 {
             // A recording is created with the first event, which determines its sensor.
             let _ = output.leave();
@@ -83,6 +84,7 @@ fn table(received: &Received) -> String {
         ("events", received.events.to_string()),
         ("messages lost", received.lost_messages.to_string()),
         ("messages repeated", received.repeated_messages.to_string()),
+        ("messages skipped", received.skipped_messages.to_string()),
         ("damaged bytes", received.damaged_bytes.to_string()),
         ("unfinished bytes", received.unfinished_bytes.to_string()),
         ("senders", received.senders.to_string()),

@@ -6,7 +6,7 @@ use std::io::{BufWriter, Write};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result};
 use eecvs_nostd::{Event, Order, Sensor, Sequence};
 use event_files::EventWriter;
 use serde::Serialize;
@@ -45,6 +45,9 @@ pub struct Received {
     pub lost_messages: u64,
     /// Duplicate messages, which were dropped.
     pub repeated_messages: u64,
+    /// Messages that the file cannot hold: packets of an encoding that this version does not know, messages of another
+    /// sensor than the first, or packets of raw events where the file holds frames.
+    pub skipped_messages: u64,
     /// Bytes that belong to no whole message.
     pub damaged_bytes: u64,
     /// Bytes of the message in transit when receiving was stopped on request.
@@ -68,7 +71,10 @@ impl Received {
     /// Returns whether anything that was sent is missing.
     #[must_use]
     pub const fn has_losses(&self) -> bool {
-        self.lost_messages > 0 || self.lost_datagrams > 0 || self.damaged_bytes > 0
+        self.lost_messages > 0
+            || self.lost_datagrams > 0
+            || self.damaged_bytes > 0
+            || self.skipped_messages > 0
     }
 
     /// Returns one line about what was lost or left out; `None` if nothing was.
@@ -78,6 +84,7 @@ impl Received {
             (self.lost_messages, "messages lost"),
             (self.lost_datagrams, "datagrams lost"),
             (self.repeated_messages, "messages that arrived twice"),
+            (self.skipped_messages, "messages that the file cannot hold"),
             (self.damaged_bytes, "bytes that belong to no message"),
             (
                 self.late_datagrams,
@@ -144,12 +151,16 @@ impl Numbers {
 enum Output {
     /// A file of frames, written unchanged.
     Frames(BufWriter<File>),
-    /// A recording; its writer is created once the sensor is known.
-    Events(Option<Box<dyn EventWriter>>),
+    /// A recording of one sensor; its writer is created with the first events.
+    Events(Option<(Sensor, Box<dyn EventWriter>)>),
 }
 
 struct Receiver<'p> {
     path: &'p Path,
+    /// Takes a line about the first message of a sender that the file cannot hold.
+    notice: &'p mut dyn FnMut(&str),
+    /// Whether that was said of the current sender.
+    is_said: bool,
     output: Output,
     numbers: Numbers,
     /// The parser of the current stream, with the encoding and the sensor it was made for.
@@ -159,13 +170,15 @@ struct Receiver<'p> {
 }
 
 /// Receives messages into a file until a stop request, a limit or the end. Returns the counts with the outcome:
-/// what was received before an error is in the file.
+/// what was received before an error is in the file. Messages that the file cannot hold are counted and skipped;
+/// `notice` takes a line about the first of each sender.
 pub fn receive(
     link: &mut Listening,
     path: &Path,
     kind: Kind,
     limits: Limits,
     stop: &Stop,
+    notice: &mut dyn FnMut(&str),
 ) -> (Received, Result<()>) {
     let output = match kind {
         Kind::Events => Output::Events(None),
@@ -184,6 +197,8 @@ pub fn receive(
     };
     let mut receiver = Receiver {
         path,
+        notice,
+        is_said: false,
         output,
         numbers: Numbers::default(),
         parser: None,
@@ -230,6 +245,7 @@ impl Receiver<'_> {
                     if link.senders() != senders {
                         // A new sender counts from 0.
                         self.numbers.sequence = Sequence::new();
+                        self.is_said = false;
                         self.let_go();
                     }
                     false
@@ -238,8 +254,12 @@ impl Receiver<'_> {
                 Arrived::Ended => true,
             };
             senders = link.senders();
-            if self.take(&mut demux)? {
+            let messages = self.received.messages;
+            let has_any = self.take(&mut demux)?;
+            if self.received.messages > messages {
                 link.prove();
+            } else if has_any {
+                link.complete();
             }
             if has_ended {
                 break false;
@@ -271,15 +291,19 @@ impl Receiver<'_> {
                     if self.numbers.follow(header.sequence).is_none() {
                         continue;
                     }
-                    self.count(length, header.events);
                     let bytes = demux.last(length);
                     match &mut self.output {
-                        Output::Frames(file) => file.write_all(bytes).with_context(|| {
-                            format!("{}: cannot be written", self.path.display())
-                        })?,
+                        Output::Frames(file) => {
+                            file.write_all(bytes).with_context(|| {
+                                format!("{}: cannot be written", self.path.display())
+                            })?;
+                            self.count(length, header.events);
+                        }
                         Output::Events(_) => {
-                            self.follow("eecvs/frames", header.sensor)?;
-                            self.parse(bytes)?;
+                            if self.follow("eecvs/frames", header.sensor).is_some() {
+                                self.count(length, header.events);
+                                self.parse(bytes)?;
+                            }
                         }
                     }
                 }
@@ -295,18 +319,21 @@ impl Receiver<'_> {
     }
 
     fn packet(&mut self, packet: &Packet<'_>) -> Result<()> {
-        let Output::Events(_) = self.output else {
-            bail!(
-                "{}: the sender sends raw packets, not frames: give the file the extension of a \
-                 recording format",
-                self.path.display()
-            );
-        };
         let Some(after_gap) = self.numbers.follow(packet.sequence) else {
             return Ok(());
         };
+        if matches!(self.output, Output::Frames(_)) {
+            self.skip(&format!(
+                "{}: the sender sends raw packets, not frames: give the file the extension of a \
+                 recording format",
+                self.path.display()
+            ));
+            return Ok(());
+        }
+        let Some(is_new) = self.follow(packet.encoding, packet.sensor) else {
+            return Ok(());
+        };
         self.count(packet.words.len(), packet.events);
-        let is_new = self.follow(packet.encoding, packet.sensor)?;
         if (after_gap || is_new || packet.after_loss)
             && let Some((_, _, parser)) = &mut self.parser
         {
@@ -318,12 +345,34 @@ impl Receiver<'_> {
         self.parse(packet.words)
     }
 
-    /// Ensures that there is a parser for this encoding and sensor; returns whether it is a new one.
-    fn follow(&mut self, encoding: &str, sensor: Sensor) -> Result<bool> {
+    /// Counts a message that the file cannot hold, and says so of the first.
+    fn skip(&mut self, why: &str) {
+        self.received.skipped_messages += 1;
+        if !std::mem::replace(&mut self.is_said, true) {
+            (self.notice)(why);
+        }
+    }
+
+    /// Ensures that there is a parser for this encoding and sensor. Returns whether it is a new one; `None` for a
+    /// message that is skipped.
+    fn follow(&mut self, encoding: &str, sensor: Sensor) -> Option<bool> {
         if let Some((of, size, _)) = &self.parser
             && (of.as_str(), *size) == (encoding, sensor)
         {
-            return Ok(false);
+            return Some(false);
+        }
+        if let Output::Events(Some((of_file, _))) = &self.output
+            && *of_file != sensor
+        {
+            self.skip(&format!(
+                "{}: holds events of {} x {} pixels: messages of a sensor of {} x {} are skipped",
+                self.path.display(),
+                of_file.width,
+                of_file.height,
+                sensor.width,
+                sensor.height
+            ));
+            return None;
         }
         let (model, stream) = encoding.split_once('/').unwrap_or((encoding, ""));
         let parser = device::find(model).and_then(|model| {
@@ -331,11 +380,15 @@ impl Receiver<'_> {
             Some(model.parser(&info))
         });
         let Some(parser) = parser else {
-            bail!("this version does not know packets of {encoding}: use a newer version");
+            // A name from elsewhere may hold any characters.
+            self.skip(&format!(
+                "this version does not know packets of {encoding:?}, which are skipped: use a newer version"
+            ));
+            return None;
         };
         self.let_go();
         self.parser = Some((encoding.to_owned(), sensor, parser));
-        Ok(true)
+        Some(true)
     }
 
     fn parse(&mut self, bytes: &[u8]) -> Result<()> {
@@ -346,9 +399,9 @@ impl Receiver<'_> {
         };
         self.events.clear();
         parser.parse(bytes, &mut self.events);
-        let writer = match writer {
+        let (_, writer) = match writer {
             Some(writer) => writer,
-            None => writer.insert(event_files::create_in_place(self.path, *sensor)?),
+            None => writer.insert((*sensor, event_files::create_in_place(self.path, *sensor)?)),
         };
         Ok(writer.write(&self.events)?)
     }
@@ -368,7 +421,7 @@ impl Receiver<'_> {
             Output::Frames(mut file) => file
                 .flush()
                 .with_context(|| format!("{}: cannot be written", self.path.display())),
-            Output::Events(Some(writer)) => Ok(writer.finish()?),
+            Output::Events(Some((_, writer))) => Ok(writer.finish()?),
             Output::Events(None) => Ok(()),
         }
     }

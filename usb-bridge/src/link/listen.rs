@@ -26,6 +26,7 @@ use super::{Link, LinkError, Loss, Received};
 use crate::forward::address::Address;
 use crate::forward::datagram::{DATAGRAM_BYTES_MAX, Joiner, Messages, Part};
 use crate::forward::packet::SYNC as PACKET_SYNC;
+use crate::unix_socket;
 
 /// Bytes per read.
 const READ_BYTES: usize = 1 << 16;
@@ -287,7 +288,7 @@ impl Listening {
                 Listener::Tcp(listener)
             }
             Address::Unix(path) => {
-                let listener = UnixListener::bind(path).map_err(io)?;
+                let listener = unix_socket::listen(path).map_err(io)?;
                 listener.set_nonblocking(true).map_err(io)?;
                 Listener::Unix(listener, path.clone())
             }
@@ -345,11 +346,16 @@ impl Listening {
         })
     }
 
-    /// Informs the link that the bytes returned last completed a message: the sender is a genuine one.
-    pub fn prove(&mut self) {
+    /// Informs the link that the bytes returned last completed a message.
+    pub fn complete(&mut self) {
         if let Listener::Udp(datagrams) = &mut self.listener {
             datagrams.messages.complete();
         }
+    }
+
+    /// Informs the link that the bytes returned last completed a message of use: the sender is a genuine one.
+    pub fn prove(&mut self) {
+        self.complete();
         if !self.is_proven {
             self.is_proven = true;
             self.proven += 1;

@@ -1,8 +1,6 @@
 //! A Unix socket through which QEMU gets a simulated device.
 
-use std::io::ErrorKind;
-use std::os::unix::fs::FileTypeExt as _;
-use std::os::unix::net::{UnixListener, UnixStream};
+use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
@@ -10,6 +8,7 @@ use anyhow::{Context, Result};
 use super::server::{LOOK, Service, is_later};
 use super::socket::{self, Change};
 use super::usbredir::UsbRedir;
+use crate::unix_socket;
 
 /// A Unix socket that hosts connect to; its file is removed when it is dropped.
 pub struct UnixServer {
@@ -24,17 +23,7 @@ impl UnixServer {
     /// Something else is at that path, or the folder is not writable.
     pub fn listen(path: &Path) -> Result<Self> {
         let name = path.display();
-        // A file that is not a socket refuses connections in the same way, and must not be removed.
-        let is_socket =
-            std::fs::symlink_metadata(path).is_ok_and(|metadata| metadata.file_type().is_socket());
-        let is_dead = || {
-            UnixStream::connect(path)
-                .is_err_and(|error| error.kind() == ErrorKind::ConnectionRefused)
-        };
-        if is_socket && is_dead() {
-            std::fs::remove_file(path).with_context(|| format!("{name}: cannot be replaced"))?;
-        }
-        let listener = UnixListener::bind(path).with_context(|| {
+        let listener = unix_socket::listen(path).with_context(|| {
             format!("{name}: cannot listen there: use a path that does not exist")
         })?;
         let path = path.to_owned();

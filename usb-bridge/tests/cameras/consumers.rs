@@ -6,6 +6,9 @@ use std::net::{TcpStream, UdpSocket};
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
+use eecvs_nostd::Sensor;
+use usb_bridge::forward::packet::Packet;
+
 use crate::support::{
     CAMERA, EVENTS, Folder, SENSOR, events, free_port, json, listening, read, shifted, sorted,
 };
@@ -209,6 +212,49 @@ fn a_receiver_is_not_held_by_a_connection_that_says_nothing() {
     assert_eq!(output.status.code(), Some(1));
     assert_eq!(shifted(read(&folder.path("a.eecvs"))), sorted(events()));
     drop((silent, strange));
+}
+
+/// Packets that no file can hold are counted and skipped, and their sender holds nobody up.
+#[test]
+fn a_receiver_skips_what_its_file_cannot_hold() {
+    let folder = Folder::new();
+    let port = free_port();
+    let to = format!("tcp://127.0.0.1:{port}");
+    let receiver = folder.start(&["receive", &to, "-o", "a.aedat4", "--once", "--json"]);
+    listening(port, "tcp");
+    let mut strange = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    for sequence in 0..3 {
+        let mut bytes = Vec::new();
+        Packet {
+            encoding: "\x1b[31m/new",
+            sensor: Sensor::new(4, 4).unwrap(),
+            sequence,
+            time_base_us: None,
+            after_loss: false,
+            events: 1,
+            words: &[0; 8],
+        }
+        .write(&mut bytes);
+        strange.write_all(&bytes).unwrap();
+    }
+    std::thread::sleep(Duration::from_millis(200));
+    folder.json(&[
+        "forward", "--device", CAMERA, "--rate", "max", "--as", "raw", "--to", &to, "--json",
+    ]);
+    let output = receiver.wait_with_output().unwrap();
+    let told = String::from_utf8(output.stderr).unwrap();
+    let said: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(
+        (&said["skipped_messages"], &said["lost_messages"]),
+        (&3.into(), &0.into())
+    );
+    assert!(
+        told.contains("newer version") && !told.contains('\x1b'),
+        "{told}"
+    );
+    assert_eq!(output.status.code(), Some(1));
+    assert_eq!(shifted(read(&folder.path("a.aedat4"))), sorted(events()));
+    drop(strange);
 }
 
 #[test]
