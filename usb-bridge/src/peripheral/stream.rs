@@ -301,19 +301,18 @@ impl Recording {
 
     /// Writes the words of time up to now.
     fn show_time(&mut self, elapsed: Duration) {
-        let passed_us = |since: Duration, factor: f64| {
-            (elapsed.saturating_sub(since).as_secs_f64() * 1e6 * factor) as u64
-        };
         let now_us = match (self.pace, self.origin_us, self.over) {
             (Pace::Recorded(factor), Some(origin_us), _) => {
-                origin_us.saturating_add(passed_us(Duration::ZERO, factor))
+                origin_us.saturating_add((elapsed.as_secs_f64() * 1e6 * factor) as u64)
             }
-            (_, _, Some(over)) => self.shown_us.saturating_add(passed_us(over, 1.0)),
+            // Without an event, there is no time that another pace would follow.
+            (_, _, Some(shown)) => {
+                let passed_us = elapsed.saturating_sub(shown).as_micros() as u64;
+                self.over = Some(shown + Duration::from_micros(passed_us));
+                self.shown_us.saturating_add(passed_us)
+            }
             _ => return,
         };
-        if self.over.is_some() && !matches!(self.pace, Pace::Recorded(_)) {
-            self.over = Some(elapsed);
-        }
         self.shown_us = self.shown_us.max(now_us);
         self.writer
             .advance(self.shown_us.saturating_sub(self.reset_us), &mut self.words);
@@ -613,6 +612,18 @@ mod tests {
         assert_eq!(words_at(&mut stream, 500), [0_u64; 0]);
         assert_eq!(words_at(&mut stream, 1_150), [TIME | 10_100]);
         assert_eq!(words_at(&mut stream, 5_050), [TIME | 14_000]);
+    }
+
+    #[test]
+    fn time_goes_on_as_the_clock_does_where_there_is_no_event() {
+        for pace in [Pace::Recorded(1.0), Pace::Recorded(0.1), Pace::Max] {
+            let mut stream = recording(&[], pace, None).stay(true);
+            let words: Vec<u64> = (0..1000)
+                .flat_map(|ms| words_at(&mut stream, ms * 1000))
+                .collect();
+            assert!(words.len() <= 1000, "{}", words.len());
+            assert_eq!(words.last(), Some(&(TIME | 999_000)));
+        }
     }
 
     #[test]
