@@ -21,7 +21,7 @@
 #   usb-recordings   every shared recording by every model that it fits, both ways: minutes, and only when
 #             it is named
 #   fuzz      every fuzz target for FUZZ_SECONDS (default 2), minutes, and only when it is named (the unit stage
-#             runs them on their seeds)
+#             runs them on their seeds and on random bytes)
 #   demo      the first command of the README
 #
 # What is missing is installed where that is possible; where it is not, the stage says so.
@@ -282,6 +282,8 @@ usb-recordings() {
 }
 
 fuzz() {
+    # Programs and seeds, which no other stage compiles.
+    cargo check --manifest-path fuzz/Cargo.toml --locked --all-targets --target-dir target
     if ! have c++; then
         skip "fuzz: libFuzzer needs a C++ compiler"
         return

@@ -9,7 +9,7 @@
 # SENSORS, RATE, RECEIVERS and WINDOW_US of the environment replace these numbers.
 #
 # With --record, it does so without and with --kill, has eecvs-hub simulate its 1,000 sensors, and writes the record
-# from which README.md's table is made. Run that on a machine that does nothing else.
+# from which the table of docs/hub.md is made. Run that on a machine that does nothing else.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 seconds=20 kill='' json='' record=''

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-use anyhow::{Context as _, Result, bail, ensure};
+use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use clap::builder::ValueParser;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, ValueEnum};
 use eecvs_cli::output::end;
@@ -149,7 +149,7 @@ pub fn run(operators: Vec<Box<dyn Operator>>) -> ExitCode {
     let ended = start(&operators).and_then(|()| {
         ensure!(
             !HAS_PANICKED.load(Ordering::Relaxed),
-            "a thread of this program ended by the error above: messages after it are lost; please report this"
+            "a thread of this program panicked, see above: messages after that are lost; please report this"
         );
         Ok(())
     });
@@ -336,7 +336,7 @@ fn composed(
     for (name, thread) in threads {
         let ended = match thread.join() {
             Ok(ended) => ended.context(name),
-            Err(_) => bail!("{name}: the node panicked: please report this"),
+            Err(_) => Err(anyhow!("{name}: the node panicked: please report this")),
         };
         if ended.as_ref().is_err_and(|error| !error.is::<Lost>()) {
             // The other nodes do not go on without it; one that has lost messages has come to its end.

@@ -80,7 +80,7 @@ fn check_token(token: &str) -> Result<()> {
         !token.is_empty() && token.chars().all(is_good) && !is_digit_first,
         "{token:?} is not a valid part of a ROS 2 name: use letters, digits and _, with no digit first"
     );
-    // The DDS used here has no names of topics and nodes with these.
+    // The DDS used here refuses names of topics and nodes that contain these.
     ensure!(
         !token.contains("__"),
         "{token:?} has two underscores in a row, which are not supported in names"

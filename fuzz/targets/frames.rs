@@ -1,5 +1,5 @@
-//! Reads any bytes as a stream of frames: no panic, no endless loop, every byte is accounted for, and every frame
-//! decodes to events or is refused.
+//! Reads any bytes as a stream of frames: no panic, no endless loop, no more damage than bytes, and every frame decodes
+//! to events or is refused.
 
 use eecvs::decode::{WindowEvents, WindowReader};
 use eecvs::frame_file::FrameReader;

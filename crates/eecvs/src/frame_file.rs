@@ -9,7 +9,7 @@ use eecvs_nostd::{
 use serde::Serialize;
 
 use crate::reconstruct::hybrid::Refused;
-use crate::search_budget::SearchBudget;
+use crate::stream_buffer::StreamBuffer;
 
 /// Bytes requested from the source at a time.
 const READ_BYTES: usize = 1 << 16;
@@ -211,13 +211,9 @@ fn order_of(orders: &mut Vec<(Sensor, FrameOrder)>, sensor: Sensor) -> &mut Fram
 /// Reads frames from a source of bytes; memory is bounded by the largest frame, and work by the bytes read.
 pub struct FrameReader<R> {
     source: R,
-    buffer: Vec<u8>,
-    /// Bytes of `buffer` that have been consumed.
-    start: usize,
-    /// Offset of `buffer[start]` in the source.
-    offset: u64,
-    in_damage: bool,
-    budget: SearchBudget,
+    buffer: StreamBuffer,
+    /// Room for the bytes of a read.
+    piece: Vec<u8>,
     ended: bool,
     /// Sensor of the first frame; a frame of another one ends the stream unless `takes_all_sensors` is set.
     sensor: Option<Sensor>,
@@ -232,11 +228,8 @@ impl<R: Read> FrameReader<R> {
     pub fn new(source: R) -> Self {
         Self {
             source,
-            buffer: Vec::new(),
-            start: 0,
-            offset: 0,
-            in_damage: false,
-            budget: SearchBudget::new(FRAME_BYTES_MAX),
+            buffer: StreamBuffer::new(FRAME_BYTES_MAX),
+            piece: vec![0; READ_BYTES],
             ended: false,
             sensor: None,
             takes_all_sensors: false,
@@ -269,13 +262,13 @@ impl<R: Read> FrameReader<R> {
     /// Returns the number of bytes consumed so far.
     #[must_use]
     pub const fn offset(&self) -> u64 {
-        self.offset
+        self.buffer.used()
     }
 
-    /// Returns the bytes of all damaged frames that were searched for others.
+    /// Returns the bytes of all damaged frames: the work of their checksums.
     #[must_use]
-    pub const fn searched_bytes(&self) -> u64 {
-        self.budget.searched()
+    pub const fn checked_bytes(&self) -> u64 {
+        self.buffer.checked_bytes()
     }
 
     /// Counts a frame whose payload does not decode.
@@ -289,60 +282,48 @@ impl<R: Read> FrameReader<R> {
     /// # Errors
     /// Only I/O errors; damage is reported by [`FrameReader::report`].
     pub fn next_frame(&mut self) -> std::io::Result<Option<Located<'_>>> {
-        let (header, payload_start, bytes) = loop {
+        let (header, payload, bytes) = loop {
             if self.report.other_sensor.is_some() {
                 return Ok(None);
             }
-            match scan(&self.buffer[self.start..]) {
+            let rest = self.buffer.rest();
+            match scan(rest) {
                 Scan::Frame(frame) => {
-                    let bytes = frame.bytes;
-                    let payload_start = self.start + bytes - frame.payload.len() - CRC_BYTES;
-                    let header = frame.header;
-                    let mut crc = [0; CRC_BYTES];
-                    let crc_start = payload_start + frame.payload.len();
-                    crc.copy_from_slice(&self.buffer[crc_start..crc_start + CRC_BYTES]);
-                    self.in_damage = false;
+                    let (header, payload, bytes) = (frame.header, frame.payload.len(), frame.bytes);
+                    let crc = rest[..bytes].last_chunk().copied().unwrap_or_default();
                     let Sensor { width, height } = header.sensor;
                     let sensor = *self.sensor.get_or_insert(header.sensor);
                     if header.sensor != sensor && !self.takes_all_sensors {
-                        let other = (self.offset, format!("{width}x{height}"));
+                        let other = (self.buffer.used(), format!("{width}x{height}"));
                         self.report.other_sensor = Some(other);
                         continue;
                     }
+                    self.buffer.take(bytes);
                     let order = order_of(&mut self.orders, header.sensor);
                     if order.take(&header, crc, &mut self.report) {
-                        break (header, payload_start, bytes);
+                        break (header, payload, bytes);
                     }
-                    self.advance(bytes);
                 }
                 Scan::Damage {
-                    error: error @ FrameError::Damaged(bytes),
+                    error: error @ FrameError::Damaged(checked),
                     skip,
-                } => {
-                    let is_allowed = self.budget.allows(bytes.into(), self.offset);
-                    self.skip(error, if is_allowed { skip } else { bytes as usize });
+                } => self.skip(error, skip, checked as usize),
+                Scan::Damage { error, skip } => self.skip(error, skip, 0),
+                // The frame that seemed to begin here is cut off, but others may lie inside it.
+                Scan::Incomplete if self.ended && !rest.is_empty() => {
+                    self.skip(FrameError::Incomplete, 1, 0);
                 }
-                Scan::Damage { error, skip } => self.skip(error, skip),
-                Scan::Incomplete if self.ended => {
-                    let left = self.buffer.len() - self.start;
-                    if left == 0 {
-                        return Ok(None);
-                    }
-                    // The frame that seemed to begin here is cut off, but others may lie inside it.
-                    self.skip(FrameError::Incomplete, 1);
-                }
+                Scan::Incomplete if self.ended => return Ok(None),
                 Scan::Incomplete => self.fill()?,
             }
         };
-        let offset = self.offset;
-        self.advance(bytes);
-        let payload_end = self.start - CRC_BYTES;
-        let payload = &self.buffer[payload_start..payload_end];
-        let frame_bytes = &self.buffer[self.start - bytes..self.start];
+        let offset = self.buffer.used() - bytes as u64;
+        let frame_bytes = self.buffer.last(bytes);
+        let payload_end = bytes - CRC_BYTES;
         Ok(Some(Located {
             frame: Frame {
                 header,
-                payload,
+                payload: &frame_bytes[payload_end - payload..payload_end],
                 bytes,
             },
             offset,
@@ -351,40 +332,23 @@ impl<R: Read> FrameReader<R> {
         }))
     }
 
-    fn advance(&mut self, bytes: usize) {
-        self.start += bytes;
-        self.offset += bytes as u64;
-    }
-
-    fn skip(&mut self, error: FrameError, bytes: usize) {
-        if !self.in_damage {
-            self.in_damage = true;
-            self.report.damaged_runs += 1;
-            self.report
-                .first_damage
-                .get_or_insert_with(|| (self.offset, error.to_string()));
-        }
-        self.report.damaged_bytes += bytes as u64;
-        self.advance(bytes);
+    fn skip(&mut self, error: FrameError, skip: usize, checked: usize) {
+        let offset = self.buffer.used();
+        let first = &mut self.report.first_damage;
+        first.get_or_insert_with(|| (offset, error.to_string()));
+        self.buffer.damage(skip, checked);
+        (self.report.damaged_bytes, self.report.damaged_runs) = self.buffer.damaged();
     }
 
     fn fill(&mut self) -> std::io::Result<()> {
-        // Moving the rest only when it is no longer than the consumed part keeps the copies linear, however little
-        // each read returns. `scan` never needs more than FRAME_BYTES_MAX bytes.
-        if self.start >= self.buffer.len() - self.start {
-            self.buffer.drain(..self.start);
-            self.start = 0;
-        }
-        let len = self.buffer.len();
-        self.buffer.resize(len + READ_BYTES, 0);
         let read = loop {
-            match self.source.read(&mut self.buffer[len..]) {
+            match self.source.read(&mut self.piece) {
                 Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
-                result => break result,
+                result => break result?,
             }
         };
-        self.buffer.truncate(len + *read.as_ref().unwrap_or(&0));
-        self.ended = read? == 0;
+        self.buffer.push(&self.piece[..read]);
+        self.ended = read == 0;
         Ok(())
     }
 }

@@ -43,6 +43,7 @@ pub mod hot_pixels;
 pub mod reconstruct;
 pub mod search_budget;
 pub mod storage;
+pub mod stream_buffer;
 #[cfg(feature = "thresholds")]
 pub mod thresholds_file;
 pub mod window_counts;

@@ -1,6 +1,6 @@
 //! The host's side of the event link: sends packets of events, receives frames and packets.
 
-use eecvs::search_budget::SearchBudget;
+use eecvs::stream_buffer::StreamBuffer;
 use eecvs_nostd::event_link::{self, BODY_BYTES_MAX, Kind, PACKET_BYTES_MAX, Packet, Receiver};
 use eecvs_nostd::evt2::Evt2Encoder;
 use eecvs_nostd::{Event, FrameError, Header, Scan, frame, scan};
@@ -23,16 +23,11 @@ enum Look {
     Incomplete,
 }
 
-/// Splits the received bytes into frames and packets; its memory is bounded by the largest frame.
+/// Splits the received bytes into frames and packets, within the bounds of a [`StreamBuffer`].
 #[derive(Debug)]
 pub struct Demultiplexer {
-    buffer: Vec<u8>,
-    /// Number of bytes of `buffer` that are used up.
-    start: usize,
+    buffer: StreamBuffer,
     frame_bytes: usize,
-    used: u64,
-    budget: SearchBudget,
-    damaged_bytes: u64,
 }
 
 /// Longest frame unless [`Demultiplexer::limit_frames`] sets another limit.
@@ -41,12 +36,8 @@ const FRAME_BYTES: usize = 1 << 16;
 impl Default for Demultiplexer {
     fn default() -> Self {
         Self {
-            buffer: Vec::new(),
-            start: 0,
+            buffer: StreamBuffer::new(FRAME_BYTES),
             frame_bytes: FRAME_BYTES,
-            used: 0,
-            budget: SearchBudget::new(FRAME_BYTES),
-            damaged_bytes: 0,
         }
     }
 }
@@ -55,49 +46,42 @@ impl Demultiplexer {
     /// Sets the maximum length of a frame; a longer frame counts as damage.
     pub const fn limit_frames(&mut self, frame_bytes: usize) {
         self.frame_bytes = frame_bytes;
-        self.budget = SearchBudget::new(frame_bytes);
+        self.buffer.limit(frame_bytes);
     }
 
     /// Appends received bytes.
     pub fn push(&mut self, bytes: &[u8]) {
-        // Moving the rest only when it is no longer than what is used up keeps the copies linear.
-        if self.start >= self.buffer.len() - self.start {
-            self.buffer.drain(..self.start);
-            self.start = 0;
-        }
-        self.buffer.extend_from_slice(bytes);
+        self.buffer.push(bytes);
     }
 
     /// Returns the number of bytes that belonged to no message.
     #[must_use]
     pub const fn damaged_bytes(&self) -> u64 {
-        self.damaged_bytes
+        self.buffer.damaged().0
     }
 
-    /// Returns the bytes of all damaged messages that were searched for others.
+    /// Returns the bytes of all damaged messages: the work of their checksums.
     #[must_use]
-    pub const fn searched_bytes(&self) -> u64 {
-        self.budget.searched()
+    pub const fn checked_bytes(&self) -> u64 {
+        self.buffer.checked_bytes()
     }
 
     /// Returns whether the buffer holds the beginning of a message.
     #[must_use]
-    pub const fn is_incomplete(&self) -> bool {
-        self.start < self.buffer.len()
+    pub fn is_incomplete(&self) -> bool {
+        !self.buffer.rest().is_empty()
     }
 
     /// Takes the bytes that have not been consumed, to pass them to another reader.
     #[must_use]
     pub fn take_rest(&mut self) -> Vec<u8> {
-        let rest = self.buffer.split_off(self.start);
-        (self.buffer, self.start) = (Vec::new(), 0);
-        rest
+        self.buffer.take_rest()
     }
 
     /// Gives up the message that has begun: other messages may start within the bytes received for it.
     pub fn give_up(&mut self) {
         if self.is_incomplete() {
-            self.damage(next_sync(self.rest()));
+            self.buffer.damage(next_sync(self.buffer.rest()), 0);
         }
     }
 
@@ -106,34 +90,17 @@ impl Demultiplexer {
         loop {
             match self.look() {
                 Look::Message(message, bytes) => {
-                    self.advance(bytes);
+                    self.buffer.take(bytes);
                     return Some(message);
                 }
-                Look::Damage(skip, checked) => {
-                    let is_allowed = self.budget.allows(checked as u64, self.used);
-                    self.damage(if is_allowed { skip } else { checked.max(skip) });
-                }
+                Look::Damage(skip, checked) => self.buffer.damage(skip, checked),
                 Look::Incomplete => return None,
             }
         }
     }
 
-    fn damage(&mut self, bytes: usize) {
-        self.damaged_bytes += bytes as u64;
-        self.advance(bytes);
-    }
-
-    fn advance(&mut self, bytes: usize) {
-        self.used += bytes as u64;
-        self.start += bytes;
-    }
-
-    fn rest(&self) -> &[u8] {
-        self.buffer.get(self.start..).unwrap_or_default()
-    }
-
     fn look(&self) -> Look {
-        let rest = self.rest();
+        let rest = self.buffer.rest();
         let Some(sync) = rest.get(..2) else {
             return match rest {
                 [] => Look::Incomplete,
@@ -162,12 +129,12 @@ impl Demultiplexer {
     fn look_at_packet(&self) -> Look {
         // An encoder sends few packets, so parsing from the start each time is cheap enough.
         let mut receiver = Receiver::new();
-        for (at, byte) in self.rest().iter().enumerate() {
+        for (at, byte) in self.buffer.rest().iter().enumerate() {
             let packet = receiver
                 .push(*byte)
                 .map(|packet| Message::Packet(packet.kind, packet.body.to_vec()));
             if receiver.damaged_bytes() > 0 {
-                return Look::Damage(next_sync(self.rest()), at + 1);
+                return Look::Damage(next_sync(self.buffer.rest()), at + 1);
             }
             if let Some(message) = packet {
                 return Look::Message(message, at + 1);
@@ -406,7 +373,7 @@ mod tests {
             prop_assert!(all(&mut incoming).iter().all(|m| matches!(m, Message::Packet(..))));
             prop_assert!(incoming.damaged_bytes() > 0);
             // At most an incomplete packet remains.
-            prop_assert!(incoming.rest().len() <= PACKET_BYTES_MAX);
+            prop_assert!(incoming.buffer.rest().len() <= PACKET_BYTES_MAX);
         }
     }
 

@@ -227,7 +227,7 @@ impl Report {
         }
         if self.refused > 0 {
             wrong.push(format!(
-                "{} messages are from sensors that there is no room for",
+                "{} messages have no valid name of a sensor, or are from sensors that there is no room for",
                 self.refused
             ));
         }
@@ -287,8 +287,8 @@ impl Report {
         }
         table
             + &format!(
-                "without a link {} times; {} frames found no room at first; {} messages from \
-                 sensors that there is no room for\n",
+                "without a link {} times; {} frames found no room at first; {} messages \
+                 without a valid name of a sensor, or from sensors that there is no room for\n",
                 self.outages, self.no_room, self.refused
             )
     }
@@ -401,7 +401,7 @@ mod tests {
             report.wrong(),
             [
                 "3 frames are lost",
-                "4 messages are from sensors that there is no room for",
+                "4 messages have no valid name of a sensor, or are from sensors that there is no room for",
                 "door: 2 sensors sent under this name at once"
             ]
         );

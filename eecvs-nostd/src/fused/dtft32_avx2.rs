@@ -67,7 +67,7 @@ pub struct InRegisters;
 
 impl Way for InRegisters {
     type Basis = Dtft;
-    type State<'p> = (Waves, &'p mut Shared);
+    type Memory<'p> = Waves;
 
     #[inline(always)]
     fn words_max(_: Shape) -> usize {
@@ -75,18 +75,14 @@ impl Way for InRegisters {
     }
 
     #[inline(always)]
-    fn begin<'p>(shared: &'p mut Shared, _: &'p mut Scratch<'_>) -> Option<Self::State<'p>> {
-        Some((Waves::new(shared.shape, shared.scale), shared))
-    }
-
-    #[inline(always)]
-    fn shared<'s>((_, shared): &'s mut Self::State<'_>) -> &'s mut Shared {
-        shared
+    fn memory(shared: &Shared, _: &mut Scratch<'_>) -> Option<Waves> {
+        Some(Waves::new(shared.shape, shared.scale))
     }
 
     #[inline(always)]
     fn encode<T: Trace>(
-        (waves, shared): &mut Self::State<'_>,
+        shared: &mut Shared,
+        waves: &mut Waves,
         pixel: Pixel,
         slots: &[Slot],
         writer: &mut BitWriter<'_>,

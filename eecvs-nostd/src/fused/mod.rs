@@ -230,13 +230,15 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         while writer.has_words(room) {
             trace.enter(Stage::Group);
             let crowded = 'chunk: {
-                let Some(mut state) = W::begin(&mut self.shared, self.scratch) else {
+                let shared = &mut self.shared;
+                let Some(mut memory) = W::memory(shared, self.scratch) else {
                     // Never reached: `Config::check` requires the memory.
                     break 'chunk None;
                 };
                 // A trace wants to know each stage, which a walk mixes.
                 if W::HAS_WALK && !T::LISTENS {
-                    let (some, places) = W::walk(&mut state, (group, window), (writer, room));
+                    let (some, places) =
+                        W::walk(shared, &mut memory, (group, window), (writer, room));
                     events += some;
                     pixels += places;
                 }
@@ -259,10 +261,9 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
                     }
                     let slots = window.slots();
                     if here == 1 {
-                        let shared = W::shared(&mut state);
                         encode_single::<W::Basis, T>(shared, pixel, slots, writer, trace);
                     } else {
-                        W::encode(&mut state, pixel, slots, writer, trace);
+                        W::encode(shared, &mut memory, pixel, slots, writer, trace);
                     }
                     events += here;
                     pixels += 1;
@@ -317,7 +318,8 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
 /// A way to encode the pixels of a frame in one go. Each way gives the bits of [`PixelEncoder::encode`].
 pub(crate) trait Way {
     type Basis: Basis;
-    type State<'p>;
+    /// What it has borrowed for its sums.
+    type Memory<'p>;
 
     /// Whether [`Self::walk`] encodes pixels, all up to a crowded one.
     const HAS_WALK: bool = false;
@@ -325,16 +327,14 @@ pub(crate) trait Way {
     /// Returns the largest number of words that a pixel of 1 event up to a chunk takes.
     fn words_max(shape: Shape) -> usize;
 
-    /// Returns the state for pixels up to a crowded one, or `None` if there is too little memory.
-    fn begin<'p>(shared: &'p mut Shared, scratch: &'p mut Scratch<'_>) -> Option<Self::State<'p>>;
-
-    /// Returns what [`Self::begin`] took.
-    fn shared<'s>(state: &'s mut Self::State<'_>) -> &'s mut Shared;
+    /// Borrows memory for pixels up to a crowded one; `None` if there is too little.
+    fn memory<'p>(shared: &Shared, scratch: &'p mut Scratch<'_>) -> Option<Self::Memory<'p>>;
 
     /// Encodes pixels up to the window's last one or to a crowded one, which the group then returns next, or until
     /// the output has less than `room` words left. Returns the number of events and of pixels.
     fn walk(
-        _: &mut Self::State<'_>,
+        _: &mut Shared,
+        _: &mut Self::Memory<'_>,
         _input: (&mut Group, &mut Window<'_>),
         _output: (&mut BitWriter<'_>, usize),
     ) -> (u32, u32) {
@@ -343,7 +343,8 @@ pub(crate) trait Way {
 
     /// Encodes a pixel of 2 events up to a chunk.
     fn encode<T: Trace>(
-        state: &mut Self::State<'_>,
+        shared: &mut Shared,
+        memory: &mut Self::Memory<'_>,
         pixel: Pixel,
         slots: &[Slot],
         writer: &mut BitWriter<'_>,
@@ -356,7 +357,7 @@ struct Few;
 
 impl Way for Few {
     type Basis = Dct;
-    type State<'p> = &'p mut Shared;
+    type Memory<'p> = ();
 
     const HAS_WALK: bool = cfg!(eecvs_dsp);
 
@@ -366,19 +367,15 @@ impl Way for Few {
     }
 
     #[inline(always)]
-    fn begin<'p>(shared: &'p mut Shared, _: &'p mut Scratch<'_>) -> Option<&'p mut Shared> {
-        Some(shared)
-    }
-
-    #[inline(always)]
-    fn shared<'s>(state: &'s mut &mut Shared) -> &'s mut Shared {
-        state
+    fn memory(_: &Shared, _: &mut Scratch<'_>) -> Option<()> {
+        Some(())
     }
 
     #[cfg(eecvs_dsp)]
     #[inline(always)]
     fn walk(
-        shared: &mut &mut Shared,
+        shared: &mut Shared,
+        (): &mut (),
         input: (&mut Group, &mut Window<'_>),
         output: (&mut BitWriter<'_>, usize),
     ) -> (u32, u32) {
@@ -387,7 +384,8 @@ impl Way for Few {
 
     #[inline(always)]
     fn encode<T: Trace>(
-        shared: &mut &mut Shared,
+        shared: &mut Shared,
+        (): &mut (),
         pixel: Pixel,
         slots: &[Slot],
         writer: &mut BitWriter<'_>,
@@ -418,7 +416,7 @@ struct HaarBytes<const W: usize>;
 
 impl<const W: usize> Way for HaarBytes<W> {
     type Basis = Dwt;
-    type State<'p> = &'p mut Shared;
+    type Memory<'p> = ();
 
     const HAS_WALK: bool = cfg!(eecvs_dsp) && W == 4;
 
@@ -428,19 +426,15 @@ impl<const W: usize> Way for HaarBytes<W> {
     }
 
     #[inline(always)]
-    fn begin<'p>(shared: &'p mut Shared, _: &'p mut Scratch<'_>) -> Option<&'p mut Shared> {
-        Some(shared)
-    }
-
-    #[inline(always)]
-    fn shared<'s>(state: &'s mut &mut Shared) -> &'s mut Shared {
-        state
+    fn memory(_: &Shared, _: &mut Scratch<'_>) -> Option<()> {
+        Some(())
     }
 
     #[cfg(eecvs_dsp)]
     #[inline(always)]
     fn walk(
-        shared: &mut &mut Shared,
+        shared: &mut Shared,
+        (): &mut (),
         input: (&mut Group, &mut Window<'_>),
         output: (&mut BitWriter<'_>, usize),
     ) -> (u32, u32) {
@@ -454,7 +448,8 @@ impl<const W: usize> Way for HaarBytes<W> {
 
     #[inline(always)]
     fn encode<T: Trace>(
-        shared: &mut &mut Shared,
+        shared: &mut Shared,
+        (): &mut (),
         pixel: Pixel,
         slots: &[Slot],
         writer: &mut BitWriter<'_>,

@@ -103,7 +103,7 @@ pub struct InRegisters;
 
 impl Way for InRegisters {
     type Basis = Dtft;
-    type State<'p> = (Waves<'p>, &'p mut Shared);
+    type Memory<'p> = Waves<'p>;
 
     const HAS_WALK: bool = true;
 
@@ -113,20 +113,15 @@ impl Way for InRegisters {
     }
 
     #[inline(always)]
-    fn begin<'p>(shared: &'p mut Shared, scratch: &'p mut Scratch<'_>) -> Option<Self::State<'p>> {
+    fn memory<'p>(shared: &Shared, scratch: &'p mut Scratch<'_>) -> Option<Waves<'p>> {
         let memory = (&mut *scratch.sums, &mut *scratch.magnitudes);
-        let waves = Waves::new(shared.shape, shared.scale, memory, &shared.packer)?;
-        Some((waves, shared))
-    }
-
-    #[inline(always)]
-    fn shared<'s>((_, shared): &'s mut Self::State<'_>) -> &'s mut Shared {
-        shared
+        Waves::new(shared.shape, shared.scale, memory, &shared.packer)
     }
 
     #[inline(always)]
     fn walk(
-        (waves, shared): &mut Self::State<'_>,
+        shared: &mut Shared,
+        waves: &mut Waves<'_>,
         input: (&mut Group, &mut Window<'_>),
         output: (&mut BitWriter<'_>, usize),
     ) -> (u32, u32) {
@@ -135,7 +130,8 @@ impl Way for InRegisters {
 
     #[inline(always)]
     fn encode<T: Trace>(
-        (waves, shared): &mut Self::State<'_>,
+        shared: &mut Shared,
+        waves: &mut Waves<'_>,
         pixel: Pixel,
         slots: &[Slot],
         writer: &mut BitWriter<'_>,

@@ -16,48 +16,34 @@ const EVENT_BYTES: usize = 8;
 /// Longest packet, in bytes of events: larger messages are more likely to be lost.
 const PACKET_BYTES: usize = DATA_BYTES as usize;
 
-/// The packets made from the messages of one topic.
+/// Makes packets from the messages of one topic.
 #[derive(Debug, Default)]
 pub struct Packets {
-    packet: EventPacket,
+    /// Number of the next packet.
+    seq: u64,
 }
 
 impl Packets {
-    /// Turns a message into packets, at least one, with consecutive sequence numbers; `put` receives each. Those of a
-    /// message that ends in an error must not be used.
+    /// Turns a message into packets, at least one, with consecutive sequence numbers.
     ///
     /// # Errors
-    /// The message is damaged, or has a row that the encoding cannot hold; the error names the byte. Otherwise, the
-    /// error of `put`.
-    pub fn convert(
-        &mut self,
-        cdr: &[u8],
-        put: &mut dyn FnMut(&EventPacket) -> Result<()>,
-    ) -> Result<()> {
-        let first = self.packet.seq;
-        let converted = self.convert_all(cdr, put);
-        if converted.is_err() {
-            // What was put is of no use: its numbers are those of the next message.
-            self.packet.seq = first;
-        }
-        converted
-    }
-
-    fn convert_all(
-        &mut self,
-        cdr: &[u8],
-        put: &mut dyn FnMut(&EventPacket) -> Result<()>,
-    ) -> Result<()> {
+    /// The message is damaged, or has a row that the encoding cannot hold; the error names the byte.
+    pub fn convert(&mut self, cdr: &[u8]) -> Result<Vec<EventPacket>> {
         let damaged = |at: usize, what: String| anyhow!("byte {at} of a message: {what}");
         let mut fields = Fields::new(cdr, Serialisation::Cdr).map_err(|what| damaged(0, what))?;
         let head = head(&mut fields).map_err(|what| damaged(fields.cursor.at, what))?;
         let (header, height, width, count) = head;
-        let packet = &mut self.packet;
-        packet.header = header;
-        (packet.height, packet.width) = (height, width);
-        packet.encoding = "mono".to_owned();
-        packet.events.clear();
-        for number in 0..count {
+        let begin = |seq: u64, time_base: u64| EventPacket {
+            header: header.clone(),
+            height,
+            width,
+            seq,
+            time_base,
+            encoding: "mono".to_owned(),
+            ..EventPacket::default()
+        };
+        let mut packets: Vec<EventPacket> = Vec::new();
+        for _ in 0..count {
             let at = fields.cursor.at;
             let event = event(&mut fields).map_err(|what| damaged(at, what))?;
             let (x, y, t_ns, is_on) = event;
@@ -65,25 +51,20 @@ impl Packets {
                 y < 1 << 15,
                 "byte {at} of a message: row {y} is beyond 32767"
             );
-            if number == 0 {
-                packet.time_base = t_ns;
-            }
-            let since_ns = t_ns.checked_sub(packet.time_base);
-            let since_ns = since_ns.and_then(|since_ns| u32::try_from(since_ns).ok());
-            let has_room = packet.events.len() + EVENT_BYTES <= PACKET_BYTES;
-            let since_ns = match since_ns.filter(|_| has_room) {
-                Some(since_ns) => since_ns,
-                None => {
-                    put(packet)?;
-                    packet.seq += 1;
-                    packet.events.clear();
-                    packet.time_base = t_ns;
-                    0
-                }
-            };
+            let since_ns = packets.last().and_then(|packet| {
+                let since_ns = t_ns.checked_sub(packet.time_base)?;
+                let since_ns = u32::try_from(since_ns).ok()?;
+                (packet.events.len() + EVENT_BYTES <= PACKET_BYTES).then_some(since_ns)
+            });
+            let since_ns = since_ns.unwrap_or_else(|| {
+                packets.push(begin(self.seq + packets.len() as u64, t_ns));
+                0
+            });
             let data = u32::from(x) | u32::from(y) << 16 | u32::from(is_on) << 31;
-            packet.events.extend_from_slice(&since_ns.to_le_bytes());
-            packet.events.extend_from_slice(&data.to_le_bytes());
+            if let Some(packet) = packets.last_mut() {
+                packet.events.extend_from_slice(&since_ns.to_le_bytes());
+                packet.events.extend_from_slice(&data.to_le_bytes());
+            }
         }
         let behind = fields.left();
         if count > 0 && behind > 3 {
@@ -91,9 +72,11 @@ impl Packets {
             let what = format!("{behind} bytes follow the events: the message has another layout");
             return Err(damaged(fields.cursor.at, what));
         }
-        put(packet)?;
-        packet.seq += 1;
-        Ok(())
+        if packets.is_empty() {
+            packets.push(begin(self.seq, 0));
+        }
+        self.seq += packets.len() as u64;
+        Ok(packets)
     }
 }
 
@@ -184,11 +167,7 @@ mod tests {
         let (first, second) = all.split_at(20_000);
         let (mut packets, mut put) = (Packets::default(), Vec::new());
         for part in [first, second, &[]] {
-            let mut keep = |packet: &EventPacket| {
-                put.push(packet.clone());
-                Ok(())
-            };
-            packets.convert(&array(part), &mut keep).unwrap();
+            put.extend(packets.convert(&array(part)).unwrap());
         }
         assert!(put.len() > 5);
         let mut got = Vec::new();
@@ -213,7 +192,7 @@ mod tests {
             polarity: true,
         }]);
         let convert = |cdr: &[u8]| {
-            let converted = Packets::default().convert(cdr, &mut |_| Ok(()));
+            let converted = Packets::default().convert(cdr);
             converted.unwrap_err().to_string()
         };
         assert!(convert(&cdr).contains("row 40000"));

@@ -219,15 +219,18 @@ impl McapReader {
                 Way::Linear(Box::new(LinearReader::new_with_options(options)))
             }
             Some(summary) => {
-                let longest = summary
-                    .chunk_indexes
-                    .iter()
-                    .map(|chunk| chunk.uncompressed_size);
-                let longest = longest.max().unwrap_or(0);
-                ensure!(
-                    longest <= RECORD_MAX as u64,
-                    "{name}: a chunk of {longest} bytes is too long: the file is damaged"
-                );
+                let mut chunks = BTreeMap::new();
+                for chunk in &summary.chunk_indexes {
+                    let records_at = chunk.compressed_data_offset();
+                    let records_at = records_at.map_err(|error| failed(&name, &error))?;
+                    let longest = chunk.chunk_length.max(chunk.uncompressed_size);
+                    ensure!(
+                        longest <= RECORD_MAX as u64,
+                        "{name}: a chunk of {longest} bytes is too long: the file is damaged"
+                    );
+                    let place = (chunk.chunk_start_offset, chunk.chunk_length as usize);
+                    chunks.insert(records_at, place);
+                }
                 channels.add_all(&summary);
                 let options = IndexedReaderOptions::new()
                     .with_order(ReadOrder::LogTime)
@@ -235,17 +238,6 @@ impl McapReader {
                     .starting_at(from_ns);
                 let reader = IndexedReader::new_with_options(&summary, options);
                 let reader = reader.map_err(|error| failed(&name, &error))?;
-                let mut chunks = BTreeMap::new();
-                for chunk in &summary.chunk_indexes {
-                    let records_at = chunk.compressed_data_offset();
-                    let records_at = records_at.map_err(|error| failed(&name, &error))?;
-                    let (start, length) = (chunk.chunk_start_offset, chunk.chunk_length);
-                    ensure!(
-                        length <= RECORD_MAX as u64,
-                        "{name}: a chunk of {length} bytes is too long: the file is damaged"
-                    );
-                    chunks.insert(records_at, (start, length as usize));
-                }
                 Way::Indexed(Box::new(reader), chunks)
             }
         };
@@ -278,7 +270,7 @@ fn read_chunk<'c>(
     records.context("the chunk is shorter than its index says")
 }
 
-/// Checks the CRC of a chunk's record, which the reader by the index does not.
+/// Checks the CRC of a chunk's record, which the reader by the index does not: the chunk is unpacked twice.
 fn check_chunk(record: &[u8]) -> Result<()> {
     let options = LinearReaderOptions::default()
         .with_skip_start_magic(true)

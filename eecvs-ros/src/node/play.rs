@@ -62,7 +62,7 @@ struct Played {
 
 impl Played {
     /// Announces a topic; if its messages are left out, says why.
-    fn new(context: &mut Context, topic: Topic, options: &Play) -> Result<Self> {
+    fn new(context: &mut Context, topic: Topic, options: &Play) -> Self {
         let mut played = Self {
             packets: None,
             publisher: None,
@@ -90,7 +90,6 @@ impl Played {
         } else {
             None
         };
-        let resolved = context.topic(name);
         let published = match (refusal, Kind::of(&kind)) {
             (Some(refusal), _) => Err(refusal),
             (None, Some(events)) => {
@@ -108,8 +107,9 @@ impl Played {
         };
         let qos = options.qos.qos();
         let published = published.and_then(|kind| {
-            let resolved = resolved.map_err(|error| format!("cannot be published: {error:#}"))?;
-            let publisher = context.publisher_of(&resolved, kind, qos);
+            let publisher = context
+                .topic(name)
+                .and_then(|topic| context.publisher_of(&topic, kind, qos));
             publisher.map_err(|error| format!("cannot be published: {error:#}"))
         });
         match published {
@@ -121,7 +121,7 @@ impl Played {
                 played.publisher = Some(publisher);
             }
         }
-        Ok(played)
+        played
     }
 
     /// Publishes a message; returns whether that was possible.
@@ -130,20 +130,18 @@ impl Played {
             return Ok(false);
         };
         if let Some(packets) = &mut self.packets {
-            // All of a message, or nothing.
-            let mut all = Vec::new();
-            let converted = packets.convert(cdr, &mut |packet| {
-                let mut bytes = Vec::new();
+            let packets = match packets.convert(cdr) {
+                Ok(packets) => packets,
+                Err(why) => {
+                    self.why.get_or_insert_with(|| format!("{why:#}"));
+                    return Ok(false);
+                }
+            };
+            let mut bytes = Vec::new();
+            for packet in &packets {
+                bytes.clear();
                 put_cdr(packet, &mut bytes);
-                all.push(bytes);
-                Ok(())
-            });
-            if let Err(why) = converted {
-                self.why.get_or_insert_with(|| format!("{why:#}"));
-                return Ok(false);
-            }
-            for bytes in &all {
-                publisher.publish(bytes)?;
+                publisher.publish(&bytes)?;
             }
             return Ok(true);
         }
@@ -223,7 +221,7 @@ impl Play {
             pacer.restart();
             while let Some(stored) = reader.next_message()? {
                 for topic in reader.topics().get(topics.len()..).unwrap_or_default() {
-                    topics.push(Played::new(context, topic.clone(), self)?);
+                    topics.push(Played::new(context, topic.clone(), self));
                 }
                 loop {
                     let is_disturbed = || context.stop.is_asked() || context.has_changed();

@@ -74,7 +74,7 @@ impl Screen for Pngs {
         let png = picture(frame, self.look).png()?;
         let mut file = OutputFile::create(&path)?;
         file.write_all(&png)?;
-        file.finish()?;
+        file.finish_unsynced()?;
         self.frames += 1;
         Ok(())
     }

@@ -31,7 +31,7 @@ pub struct Receive {
     #[arg(long)]
     overwrite: bool,
 
-    /// End when the first sender has disconnected; a sender that sent no complete message does not count
+    /// End when the first sender has disconnected; a sender of no message that the file can hold does not count
     #[arg(long)]
     once: bool,
 

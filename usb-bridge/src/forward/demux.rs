@@ -1,6 +1,6 @@
 //! Extracts frames and packets from a stream of bytes that may be damaged.
 
-use eecvs::search_budget::SearchBudget;
+use eecvs::stream_buffer::StreamBuffer;
 use eecvs_nostd::frame::SYNC as FRAME_SYNC;
 use eecvs_nostd::{FRAME_BYTES_MAX, Frame, FrameError, Scan, scan};
 
@@ -22,59 +22,44 @@ pub enum Message<'b> {
     Packet(Packet<'b>),
 }
 
-/// Splits a stream into messages. Memory is bounded by twice the longest message plus the bytes of one push, and work
-/// by the bytes of the stream.
+/// Splits a stream into messages, within the bounds of a [`StreamBuffer`].
 #[derive(Debug)]
 pub struct Demux {
-    buffer: Vec<u8>,
-    /// Bytes of `buffer`, and of the stream, that are used up.
-    used: usize,
-    used_of_stream: u64,
-    budget: SearchBudget,
-    damaged_bytes: u64,
+    buffer: StreamBuffer,
 }
 
 impl Default for Demux {
     fn default() -> Self {
         Self {
-            buffer: Vec::new(),
-            used: 0,
-            used_of_stream: 0,
-            budget: SearchBudget::new(MESSAGE_BYTES_MAX),
-            damaged_bytes: 0,
+            buffer: StreamBuffer::new(MESSAGE_BYTES_MAX),
         }
     }
 }
 
 impl Demux {
-    /// Appends received bytes, and drops those that are used up.
+    /// Appends received bytes.
     pub fn push(&mut self, bytes: &[u8]) {
-        // Moving the rest only when it is no longer than what is used up keeps the copies linear.
-        if self.used >= self.buffer.len() - self.used {
-            self.buffer.drain(..self.used);
-            self.used = 0;
-        }
-        self.buffer.extend_from_slice(bytes);
+        self.buffer.push(bytes);
     }
 
     /// Returns the number of bytes that belonged to no message.
     #[must_use]
     pub const fn damaged_bytes(&self) -> u64 {
-        self.damaged_bytes
+        self.buffer.damaged().0
     }
 
-    /// Returns the bytes of all damaged messages that were searched for others.
+    /// Returns the bytes of all damaged messages: the work of their checksums.
     #[must_use]
-    pub const fn searched_bytes(&self) -> u64 {
-        self.budget.searched()
+    pub const fn checked_bytes(&self) -> u64 {
+        self.buffer.checked_bytes()
     }
 
     /// Records that the stream was interrupted: the message that has begun will not be completed, but other
     /// messages may lie within its bytes.
     pub fn interrupt(&mut self) {
-        while self.used < self.buffer.len() {
+        while !self.buffer.rest().is_empty() {
             if self.next_at().is_none() {
-                self.search();
+                self.buffer.damage(next_sync(self.buffer.rest()), 0);
             } else {
                 return;
             }
@@ -84,29 +69,13 @@ impl Demux {
     /// Returns the number of bytes of the message that is not complete yet.
     #[must_use]
     pub fn rest_bytes(&self) -> usize {
-        self.buffer.len() - self.used
-    }
-
-    /// Goes on behind the first byte of what is no message.
-    fn search(&mut self) {
-        let rest = self.buffer.get(self.used..).unwrap_or_default();
-        self.skip(next_sync(rest));
-    }
-
-    fn skip(&mut self, bytes: usize) {
-        self.damaged_bytes += bytes as u64;
-        self.advance(bytes);
-    }
-
-    const fn advance(&mut self, bytes: usize) {
-        self.used += bytes;
-        self.used_of_stream += bytes as u64;
+        self.buffer.rest().len()
     }
 
     /// Returns the length of the next whole message; damage before it is skipped.
     fn next_at(&mut self) -> Option<usize> {
         loop {
-            let rest = self.buffer.get(self.used..).unwrap_or_default();
+            let rest = self.buffer.rest();
             if rest.is_empty() {
                 return None;
             }
@@ -126,37 +95,28 @@ impl Demux {
                 Scan::Incomplete | Scan::Damage { .. } => 0,
             };
             // A message of one kind is none of the other.
-            let checked = of_packet.max(of_frame);
-            if self.budget.allows(checked as u64, self.used_of_stream) {
-                self.search();
-            } else {
-                self.skip(checked);
-            }
+            self.buffer.damage(next_sync(rest), of_packet.max(of_frame));
         }
     }
 
     /// Returns the next whole message; `None` if more bytes are needed. Damage before it is skipped.
     pub fn next_message(&mut self) -> Option<Message<'_>> {
         let bytes = self.next_at()?;
-        let rest = self.buffer.get(self.used..).unwrap_or_default();
-        let message = match Packet::look(rest) {
-            Look::Packet(packet, _) => Message::Packet(packet),
-            _ => match scan(rest) {
-                Scan::Frame(frame) => Message::Frame(frame),
-                _ => return None,
+        self.buffer.take(bytes);
+        let message = self.buffer.last(bytes);
+        match Packet::look(message) {
+            Look::Packet(packet, _) => Some(Message::Packet(packet)),
+            _ => match scan(message) {
+                Scan::Frame(frame) => Some(Message::Frame(frame)),
+                _ => None,
             },
-        };
-        self.used += bytes;
-        self.used_of_stream += bytes as u64;
-        Some(message)
+        }
     }
 
     /// Returns the last `bytes` bytes consumed: the latest message, if that is its length.
     #[must_use]
     pub fn last(&self, bytes: usize) -> &[u8] {
-        self.buffer
-            .get(self.used.saturating_sub(bytes)..self.used)
-            .unwrap_or_default()
+        self.buffer.last(bytes)
     }
 }
 

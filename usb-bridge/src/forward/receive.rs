@@ -26,7 +26,7 @@ const WAIT: Duration = Duration::from_millis(50);
 /// When receiving ends.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Limits {
-    /// When the first sender of messages has disconnected.
+    /// When the first sender of a message that the file can hold has disconnected.
     pub once: bool,
     /// After a time, or a number of events.
     pub limits: session::Limits,
@@ -45,8 +45,8 @@ pub struct Received {
     pub lost_messages: u64,
     /// Duplicate messages, which were dropped.
     pub repeated_messages: u64,
-    /// Messages that the file cannot hold: packets of an encoding that this version does not know, messages of another
-    /// sensor than the first, or packets of raw events where the file holds frames.
+    /// Messages that the file cannot hold: packets of an encoding that this version does not know, in a
+    /// recording, messages of another sensor than its first; packets of raw events where the file holds frames.
     pub skipped_messages: u64,
     /// Bytes that belong to no whole message.
     pub damaged_bytes: u64,
@@ -151,7 +151,7 @@ impl Numbers {
 enum Output {
     /// A file of frames, written unchanged.
     Frames(BufWriter<File>),
-    /// A recording of one sensor; its writer is created with the first events.
+    /// A recording of one sensor; its writer is created with the first message.
     Events(Option<(Sensor, Box<dyn EventWriter>)>),
 }
 

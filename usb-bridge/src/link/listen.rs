@@ -149,7 +149,7 @@ pub struct Listening {
     name: String,
     listener: Listener,
     sender: Option<Connection>,
-    /// Whether a whole message came from the current sender.
+    /// Whether a whole message of use came from the current sender.
     is_proven: bool,
     waiting: VecDeque<Connection>,
     looked: Instant,
@@ -559,7 +559,7 @@ impl Listening {
         self.senders
     }
 
-    /// Returns whether a whole message came from any sender.
+    /// Returns whether a whole message of use came from any sender.
     #[must_use]
     pub const fn had_sender(&self) -> bool {
         self.proven > 0

@@ -152,7 +152,7 @@ pub struct Recording {
     shown_us: u64,
     /// Stream time at which the host last reset the device's clock.
     reset_us: u64,
-    /// When the recording was over, after the start.
+    /// After the recording's end: how long after the start the stream's time was shown last.
     over: Option<Duration>,
     due: Due,
     clock: Option<Instant>,
@@ -305,7 +305,7 @@ impl Recording {
             (Pace::Recorded(factor), Some(origin_us), _) => {
                 origin_us.saturating_add((elapsed.as_secs_f64() * 1e6 * factor) as u64)
             }
-            // Without an event, there is no time that another pace would follow.
+            // At another pace, or without an event, time goes on as the clock does.
             (_, _, Some(shown)) => {
                 let passed_us = elapsed.saturating_sub(shown).as_micros() as u64;
                 self.over = Some(shown + Duration::from_micros(passed_us));

@@ -42,6 +42,17 @@ impl OutputFile {
         output.keep()
     }
 
+    /// Finishes one of the many files of a run, like [`Output::keep_unsynced`].
+    ///
+    /// # Errors
+    /// The file cannot be written or renamed; the message names it.
+    pub fn finish_unsynced(mut self) -> Result<()> {
+        self.flush()?;
+        let Self { out, output } = self;
+        drop(out);
+        output.keep_unsynced().map(drop)
+    }
+
     /// Finishes a file that holds only what precedes damage in its input, like [`Output::keep_incomplete`]; returns
     /// its name.
     ///

@@ -215,28 +215,35 @@ impl Output {
     /// # Errors
     /// The file cannot be written to the disk or renamed; the message names it.
     pub fn keep(self) -> Result<()> {
-        let name = &self.name;
-        let (part, target) = match &self.place {
-            Place::Direct => return Ok(()),
-            Place::Part(part, target) => (part as &Path, target.clone()),
-            Place::Live(part, target) => (part.as_path(), target.clone()),
-        };
-        sync(part).with_context(|| format!("{}: cannot be written to the disk", name.display()))?;
-        let renamed = match self.place {
-            Place::Direct => Ok(()),
-            Place::Part(part, target) => part.persist(target).map_err(|error| error.error),
-            Place::Live(part, target) => {
-                like(&target, &part).and_then(|()| std::fs::rename(part, target))
+        let name = self.name.clone();
+        let sync_failed = || format!("{}: cannot be written to the disk", name.display());
+        if !self.is_direct() {
+            sync(self.path()).with_context(sync_failed)?;
+        }
+        match self.keep_unsynced()? {
+            Some(target) => sync_folder(folder(&target)).with_context(sync_failed),
+            None => Ok(()),
+        }
+    }
+
+    /// Gives the complete file its name without waiting for the disk: for the many files of a run that can be made
+    /// again. Returns the file, unless it is a device or a pipe.
+    ///
+    /// # Errors
+    /// The file cannot be renamed; the message names it.
+    pub fn keep_unsynced(self) -> Result<Option<PathBuf>> {
+        let (renamed, target) = match self.place {
+            Place::Direct => return Ok(None),
+            Place::Part(part, target) => {
+                (part.persist(&target).map_err(|error| error.error), target)
             }
+            Place::Live(part, target) => (
+                like(&target, &part).and_then(|()| std::fs::rename(part, &target)),
+                target,
+            ),
         };
         renamed.with_context(|| format!("{}: cannot be replaced", self.name.display()))?;
-        let synced = sync_folder(folder(&target));
-        synced.with_context(|| {
-            format!(
-                "{}: its name cannot be written to the disk",
-                self.name.display()
-            )
-        })
+        Ok(Some(target))
     }
 }
 

@@ -641,7 +641,7 @@ fn damage_anywhere() {
             }
             noticed += u32::from(error.is_some() || got != whole);
         };
-        // Most of a file is data; every seventh byte still meets every kind of structure.
+        // Most of a file is data: every seventh byte.
         for at in (0..bytes.len()).step_by(7).chain(0..200) {
             for flip in [0xff, 1 << (at % 8)] {
                 let mut damaged = bytes.clone();

@@ -1,6 +1,6 @@
 //! Extracts frames and packets from received bytes, which may be damaged.
 
-use eecvs::search_budget::SearchBudget;
+use eecvs::stream_buffer::StreamBuffer;
 use eecvs_nostd::event_link::{self, Kind, Receiver};
 use eecvs_nostd::frame::CRC_BYTES;
 use eecvs_nostd::{Frame, FrameError, Header, Scan, frame, scan};
@@ -33,29 +33,16 @@ enum Look {
     More,
 }
 
-/// A buffer of received bytes; at most one frame's bytes are kept.
+/// Received bytes, within the bounds of a [`StreamBuffer`].
 #[derive(Debug)]
 pub struct Messages {
-    buffer: Vec<u8>,
-    /// Number of bytes of `buffer` that are used up.
-    start: usize,
-    used: u64,
-    budget: SearchBudget,
-    damaged_bytes: u64,
-    damaged_runs: u64,
-    in_damage: bool,
+    buffer: StreamBuffer,
 }
 
 impl Default for Messages {
     fn default() -> Self {
         Self {
-            buffer: Vec::new(),
-            start: 0,
-            used: 0,
-            budget: SearchBudget::new(FRAME_BYTES_MAX),
-            damaged_bytes: 0,
-            damaged_runs: 0,
-            in_damage: false,
+            buffer: StreamBuffer::new(FRAME_BYTES_MAX),
         }
     }
 }
@@ -63,54 +50,43 @@ impl Default for Messages {
 impl Messages {
     /// Appends received bytes; call it after [`Messages::next`] has returned `None`.
     pub fn push(&mut self, bytes: &[u8]) {
-        // The rest is moved only when it is no longer than the used part, so that the copies cost linear time.
-        if self.start >= self.buffer.len() - self.start {
-            self.buffer.drain(..self.start);
-            self.start = 0;
-        }
-        self.buffer.extend_from_slice(bytes);
+        self.buffer.push(bytes);
     }
 
     /// Returns the number of bytes that belonged to no message, and the number of runs of such bytes.
     #[must_use]
     pub const fn damaged(&self) -> (u64, u64) {
-        (self.damaged_bytes, self.damaged_runs)
+        self.buffer.damaged()
     }
 
-    /// Returns the bytes of all damaged messages that were searched for others.
+    /// Returns the bytes of all damaged messages: the work of their checksums.
     #[must_use]
-    pub const fn searched_bytes(&self) -> u64 {
-        self.budget.searched()
+    pub const fn checked_bytes(&self) -> u64 {
+        self.buffer.checked_bytes()
     }
 
     /// Returns the next whole message; `None` if more bytes are needed.
     #[expect(clippy::should_implement_trait, reason = "it lends")]
     pub fn next(&mut self) -> Option<Message<'_>> {
         loop {
-            match look(&self.buffer[self.start..]) {
+            match look(self.buffer.rest()) {
                 Look::Frame(header, payload, length) => {
-                    self.advance(length);
-                    self.in_damage = false;
-                    let crc_at = self.start - CRC_BYTES;
-                    let mut crc = [0; CRC_BYTES];
-                    crc.copy_from_slice(&self.buffer[crc_at..self.start]);
+                    self.buffer.take(length);
+                    let bytes = self.buffer.last(length);
+                    let (before, crc) = bytes.split_last_chunk()?;
                     let frame = Frame {
                         header,
-                        payload: &self.buffer[crc_at - payload..crc_at],
+                        payload: &before[before.len() - payload..],
                         bytes: length,
                     };
-                    let bytes = &self.buffer[self.start - length..self.start];
+                    let crc = *crc;
                     return Some(Message::Frame { frame, crc, bytes });
                 }
                 Look::Packet(kind, length) => {
-                    self.advance(length);
-                    self.in_damage = false;
+                    self.buffer.take(length);
                     return Some(Message::Packet(kind));
                 }
-                Look::Damage(skip, checked) => {
-                    let is_allowed = self.budget.allows(checked as u64, self.used);
-                    self.damage(if is_allowed { skip } else { checked.max(skip) });
-                }
+                Look::Damage(skip, checked) => self.buffer.damage(skip, checked),
                 Look::More => return None,
             }
         }
@@ -118,28 +94,15 @@ impl Messages {
 
     /// Gives up the message that has begun; other messages may lie within its bytes.
     pub fn give_up(&mut self) {
-        let rest = &self.buffer[self.start..];
-        if !rest.is_empty() {
-            self.damage(next_sync(rest));
+        if self.has_begun() {
+            self.buffer.damage(next_sync(self.buffer.rest()), 0);
         }
     }
 
     /// Returns whether a message has begun.
     #[must_use]
     pub fn has_begun(&self) -> bool {
-        self.start < self.buffer.len()
-    }
-
-    fn advance(&mut self, bytes: usize) {
-        self.start += bytes;
-        self.used += bytes as u64;
-    }
-
-    fn damage(&mut self, bytes: usize) {
-        self.damaged_runs += u64::from(!self.in_damage);
-        self.in_damage = true;
-        self.damaged_bytes += bytes as u64;
-        self.advance(bytes);
+        !self.buffer.rest().is_empty()
     }
 }
 
