@@ -22,6 +22,7 @@ use anyhow::{Context, Result};
 use eecvs::decode::{FrameCounts, Windows};
 use eecvs::encode::{Codec, EncodeSummary, Limits, encode};
 use eecvs::reconstruct::DecodedWindow;
+use eecvs::window_limit::WindowLimit;
 use eecvs_cli::codec::CodecOptions;
 use eecvs_nostd::{Event, Sensor};
 use event_files::{EventReader, Pause};
@@ -107,8 +108,8 @@ pub trait Operator: Send + Sync {
         put: &mut dyn FnMut(Encoded<'_>) -> Result<()>,
     ) -> Result<EncodeSummary>;
 
-    /// Returns a new decoder, for the frames of one encoder.
-    fn decoder(&self) -> Box<dyn Decoder>;
+    /// Returns a new decoder, for the frames of one encoder, that refuses windows beyond `limit`.
+    fn decoder(&self, limit: WindowLimit) -> Box<dyn Decoder>;
 }
 
 /// The known operators, the project's own first.
@@ -174,8 +175,8 @@ impl Operator for Eecvs {
         frames.finish(encoded.map_err(Into::into))
     }
 
-    fn decoder(&self) -> Box<dyn Decoder> {
-        Box::new(EecvsDecoder(Windows::default()))
+    fn decoder(&self, limit: WindowLimit) -> Box<dyn Decoder> {
+        Box::new(EecvsDecoder(Windows::new(limit)))
     }
 }
 
@@ -240,7 +241,7 @@ impl Decoder for EecvsDecoder {
         let taken = self
             .0
             .take(&parsed, |window| ready(Decoded::Window(window)));
-        taken.map_err(|refused| anyhow::anyhow!("{refused:?}"))
+        Ok(taken?)
     }
 
     fn end(&mut self, ready: Ready<'_>) {
@@ -324,8 +325,9 @@ impl<C: WindowCoder + 'static> Operator for Windowed<C> {
         }
     }
 
-    fn decoder(&self) -> Box<dyn Decoder> {
+    fn decoder(&self, limit: WindowLimit) -> Box<dyn Decoder> {
         Box::new(WindowDecoder {
+            limit,
             coder: std::sync::Arc::clone(&self.0),
             counts: FrameCounts::default(),
         })
@@ -408,6 +410,7 @@ impl<C: WindowCoder> WindowCut<'_, C> {
 }
 
 struct WindowDecoder<C> {
+    limit: WindowLimit,
     coder: std::sync::Arc<C>,
     counts: FrameCounts,
 }
@@ -429,6 +432,11 @@ impl<C: WindowCoder> Decoder for WindowDecoder<C> {
             t0_us: frame.t0_us,
             duration_us: frame.duration_us,
         };
+        anyhow::ensure!(
+            u64::from(frame.events) <= self.limit.events_max(frame.duration_us),
+            "the window has {} events, more than a sensor sends or --max-events-per-window allows",
+            frame.events
+        );
         let events = self.coder.decode(span, &frame.data)?;
         anyhow::ensure!(
             events.len() == frame.events as usize,

@@ -1,9 +1,9 @@
 //! Reads any bytes as a stream of frames: no panic, no endless loop, no more damage than bytes, and every frame decodes
 //! to events or is refused.
 
-use eecvs::decode::{WindowEvents, WindowReader};
+use eecvs::decode::WindowReader;
 use eecvs::frame_file::FrameReader;
-use eecvs::reconstruct::events::Finder;
+use eecvs::reconstruct::events::{EventDecoder, Finder};
 use eecvs_nostd::Mode;
 
 /// Runs one input.
@@ -27,7 +27,7 @@ pub fn run(data: &[u8]) {
         }
         for finder in [Finder::Exact, Finder::Peaks] {
             let mut window = window.clone();
-            WindowEvents::new(finder).fill(&mut window);
+            EventDecoder::new(finder).fill(&mut window);
             assert_eq!(window.events.len() as u64, events);
             assert!(
                 window

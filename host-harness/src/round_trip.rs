@@ -87,20 +87,12 @@ pub fn decode(
 ) -> Result<Vec<Event>> {
     let mut windows = WindowReader::new(FrameReader::new(file));
     let mut events = Vec::new();
-    let mut decoder: Option<EventDecoder> = None;
-    while let Some(window) = windows.next_window()? {
-        let header = &window.header;
-        let decoder = match &mut decoder {
-            Some(decoder) if decoder.fits(&window) => decoder,
-            _ => decoder.insert(EventDecoder::new(
-                header.transform,
-                header.grid,
-                header.m,
-                finder,
-            )),
-        };
-        events.extend(decoder.window(&window));
+    let mut decoder = EventDecoder::new(finder);
+    while let Some(mut window) = windows.next_window()? {
         each(&window)?;
+        decoder.fill(&mut window);
+        events.append(&mut window.events);
+        windows.reuse(window);
     }
     ensure!(
         windows.report().is_clean(),

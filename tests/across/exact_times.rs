@@ -208,8 +208,9 @@ fn measure(open: &dyn Fn() -> Box<dyn EventReader>, step_log2: i8, name: &str) -
             (Finder::Exact, &mut outcome.exact),
             (Finder::Peaks, &mut outcome.peaks),
         ] {
-            let decoder = EventDecoder::new(Transform::Dtft, u16::from(M), M, finder);
-            let (mut found, confidences) = decoder.window_with_confidence(&window);
+            let mut solved = window.clone();
+            let confidences = EventDecoder::new(finder).fill(&mut solved);
+            let mut found = solved.events;
             found.sort_unstable_by_key(pixel_order);
             tally(&truth, &found, tallies);
             if finder == Finder::Exact {

@@ -3,6 +3,7 @@
 
 use eecvs::decode::WindowReader;
 use eecvs::frame_file::FrameReader;
+use eecvs::window_limit::WindowLimit;
 use eecvs_nostd::frame::{HEADER_BYTES_MAX, seal};
 use eecvs_nostd::pack::bits_lsb_first::BitWriter;
 use eecvs_nostd::{
@@ -46,19 +47,25 @@ fn header() -> Header {
 
 /// A frame of a pixel with one ON event at the sensor's last place.
 fn frame(header: &Header) -> Vec<u8> {
-    let mut out = vec![0; 1000];
-    let mut writer = BitWriter::new(&mut out[HEADER_BYTES_MAX..]);
-    let descriptor = Descriptor {
-        x: header.sensor.width - 1,
-        y: header.sensor.height - 1,
+    let Sensor { width, height } = header.sensor;
+    let last = Descriptor {
+        x: width - 1,
+        y: height - 1,
         on: 1,
         off: 0,
         coded: Coded::Cell(0),
     };
-    header
-        .packing()
-        .pack(&descriptor, &mut 0, &mut writer)
-        .expect("room");
+    frame_of(header, &[last])
+}
+
+/// A frame of these pixels.
+fn frame_of(header: &Header, pixels: &[Descriptor]) -> Vec<u8> {
+    let mut out = vec![0; 1000];
+    let mut writer = BitWriter::new(&mut out[HEADER_BYTES_MAX..]);
+    let (packing, mut next) = (header.packing(), 0);
+    for pixel in pixels {
+        packing.pack(pixel, &mut next, &mut writer).expect("room");
+    }
     let payload_bytes = writer.finish();
     let range = seal(header, payload_bytes, &mut out).expect("room");
     out[range].to_vec()
@@ -185,6 +192,70 @@ fn a_payload_that_contradicts_its_header_is_refused() {
     assert!(windows.next_window().expect("memory").is_some());
     assert!(windows.next_window().expect("memory").is_none());
     assert_eq!(windows.report().frames_malformed, 1);
+}
+
+/// A frame of 40 bytes states as many events as its header can hold: what no sensor sends is refused, before it is
+/// decoded, unless the caller asks for it.
+#[test]
+fn windows_that_no_sensor_sends_are_refused_and_counted() {
+    let of = |events: u32, pixels: u16, duration_us: u32| {
+        let header = Header {
+            window_events: events,
+            events,
+            pixels: pixels.into(),
+            duration_us,
+            last: true,
+            ..header()
+        };
+        let of_each = events / u32::from(pixels);
+        let pixels: Vec<_> = (0..pixels)
+            .map(|pixel| Descriptor {
+                x: pixel % header.sensor.width,
+                y: pixel / header.sensor.width,
+                on: of_each,
+                off: 0,
+                coded: Coded::Levels(Default::default()),
+            })
+            .collect();
+        frame_of(&header, &pixels)
+    };
+    let read = |frame: &[u8], limit| {
+        let mut windows = WindowReader::new(FrameReader::new(frame)).with_limit(limit);
+        let window = windows.next_window().expect("memory");
+        assert!(windows.next_window().expect("memory").is_none());
+        let report = windows.report();
+        assert_eq!(
+            report.frames_crowded,
+            u64::from(window.is_none()),
+            "{report:?}"
+        );
+        assert_eq!(report.has_loss(), window.is_none());
+        window.is_some()
+    };
+    let most = of((1 << 24) - 1, 1, 20_000);
+    assert!(most.len() <= 40, "{} bytes", most.len());
+    assert!(!read(&most, WindowLimit::Sensor));
+    assert!(read(&most, WindowLimit::Events((1 << 24) - 1)));
+    assert!(!read(&most, WindowLimit::Events((1 << 24) - 2)));
+    // All events of a window: 2^20, or 1100 a microsecond.
+    let all = |events, duration_us| read(&of(events, 64, duration_us), WindowLimit::Sensor);
+    assert!(all(1 << 20, 9) && !all((1 << 20) + 64, 9));
+    assert!(all(64 * 17_187, 1000) && !all(64 * 17_188, 1000));
+    // Those of one pixel: 2^16, and one every 10 us.
+    let one = |events, duration_us| read(&of(events, 1, duration_us), WindowLimit::Sensor);
+    assert!(one(1 << 16, 9) && !one((1 << 16) + 1, 9));
+    assert!(one((1 << 16) + 70_000, 700_000) && !one((1 << 16) + 70_001, 700_000));
+    // What follows is read.
+    let good = Header {
+        sequence: 1,
+        last: true,
+        ..header()
+    };
+    let stream = [most, frame(&good)].concat();
+    let mut windows = WindowReader::new(FrameReader::new(&stream[..]));
+    let window = windows.next_window().expect("memory").expect("the second");
+    assert_eq!(window.header.sequence, 1);
+    assert_eq!(windows.report().frames_crowded, 1);
 }
 
 /// Headers of the windows that frames with these headers, numbered in order, make; and how many

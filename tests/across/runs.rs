@@ -2,10 +2,10 @@
 
 use std::num::{NonZeroU32, NonZeroUsize};
 
-use eecvs::decode::{WindowEvents, WindowReader};
+use eecvs::decode::WindowReader;
 use eecvs::encode::{EncodeSummary, Limits, encode};
 use eecvs::frame_file::FrameReader;
-use eecvs::reconstruct::events::Finder;
+use eecvs::reconstruct::events::{EventDecoder, Finder};
 use eecvs_nostd::{
     Coder, Config, Event, Hybrid, Mode, OUTPUT_BYTES_MIN, Polarity, Sensor, Transform,
 };
@@ -84,7 +84,7 @@ fn frames(
 /// The events, and the runs that frames begin.
 fn decoded(bytes: &[u8]) -> (Vec<Event>, u64) {
     let mut windows = WindowReader::new(FrameReader::new(bytes));
-    let mut finder = WindowEvents::new(Finder::default());
+    let mut finder = EventDecoder::new(Finder::default());
     let (mut events, mut runs) = (Vec::new(), 0);
     while let Some(mut window) = windows.next_window().expect("no errors") {
         finder.fill(&mut window);

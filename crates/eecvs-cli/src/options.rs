@@ -8,6 +8,7 @@ use clap::Args;
 use clap::builder::RangedU64ValueParser;
 use eecvs::frame_file::LinkReport;
 use eecvs::thresholds_file::ThresholdsFile;
+use eecvs::window_limit::WindowLimit;
 use eecvs_nostd::{Sensor, Thresholds};
 use event_files::input::growing::Follow;
 use event_files::output::Kind;
@@ -53,6 +54,30 @@ pub struct ReadingOptions {
     /// first one
     #[arg(long)]
     pub leave_out_bad_events: bool,
+
+    /// The largest windows of frames.
+    #[command(flatten)]
+    pub window_limit: WindowLimitOptions,
+}
+
+/// How many events a window of frames may have.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub struct WindowLimitOptions {
+    /// Largest number of events in a window of .eecvs frames; frames of windows with more are left out and counted
+    /// [default: what a sensor can send in the window's time: 1048576, or 1100 per microsecond if that is more, and
+    /// from one pixel 65536 and 1 more every 10 us]
+    #[arg(long, value_name = "N",
+          value_parser = clap::value_parser!(u32).range(1..=eecvs_nostd::window::EVENTS_MAX as i64))]
+    max_events_per_window: Option<u32>,
+}
+
+impl WindowLimitOptions {
+    /// Returns the limit.
+    #[must_use]
+    pub fn limit(self) -> WindowLimit {
+        let events = self.max_events_per_window;
+        events.map_or(WindowLimit::Sensor, WindowLimit::Events)
+    }
 }
 
 /// Whether an existing file may be replaced.
@@ -172,6 +197,7 @@ impl ReadingOptions {
             } else {
                 BadEvents::Refuse
             },
+            window_events_max: self.window_limit.max_events_per_window,
         }
     }
 }

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::io::Read;
 use std::time::{Duration, Instant};
 
-use eecvs_nostd::{Frame, Header, Mode, Sensor};
+use eecvs_nostd::{Event, Frame, Mode, Sensor};
 use event_types::stream::{Context, Error, EventWriter, Result};
 use serde::Serialize;
 
@@ -13,9 +13,9 @@ use crate::reconstruct::arrival::Arrivals;
 use crate::reconstruct::coefficients::CoefficientDecoder;
 use crate::reconstruct::events::{EventDecoder, Finder};
 use crate::reconstruct::hybrid::{HybridDecoder, Refused};
-use crate::reconstruct::order::ByTime;
 use crate::reconstruct::recover::Confidences;
-use crate::reconstruct::{DecodedWindow, pixels};
+use crate::reconstruct::{DecodedWindow, Pixel, pixels};
+use crate::window_limit::WindowLimit;
 
 /// Reads the windows of a stream of frames, one at a time.
 pub struct WindowReader<R> {
@@ -30,6 +30,7 @@ pub struct WindowReader<R> {
 /// Assembles windows from their frames as the frames arrive.
 #[derive(Default)]
 pub struct Windows {
+    limit: WindowLimit,
     pending: Option<DecodedWindow>,
     /// Events received for `pending`.
     pending_events: u32,
@@ -71,6 +72,13 @@ impl<R: Read> WindowReader<R> {
             ready: VecDeque::new(),
             busy: Duration::ZERO,
         }
+    }
+
+    /// Sets the largest number of events of a window; frames of windows with more are counted and skipped.
+    #[must_use]
+    pub fn with_limit(mut self, limit: WindowLimit) -> Self {
+        self.windows.limit = limit;
+        self
     }
 
     /// Returns the report on the frames so far.
@@ -123,6 +131,15 @@ impl<R: Read> WindowReader<R> {
 }
 
 impl Windows {
+    /// Creates an assembler of windows of at most as many events as `limit` allows.
+    #[must_use]
+    pub fn new(limit: WindowLimit) -> Self {
+        Self {
+            limit,
+            ..Self::default()
+        }
+    }
+
     /// Returns the event counts from the frame headers so far.
     #[must_use]
     pub const fn counts(&self) -> FrameCounts {
@@ -158,6 +175,9 @@ impl Windows {
         mut ready: impl FnMut(DecodedWindow),
     ) -> Result<(), Refused> {
         let header = frame.header;
+        if u64::from(header.window_events) > self.limit.events_max(header.duration_us) {
+            return Err(Refused::Crowded);
+        }
         let decoded = match header.mode {
             Mode::Transform => match pixels(frame) {
                 Ok(pixels) => Ok((pixels, vec![])),
@@ -172,6 +192,15 @@ impl Windows {
                 events.map(|events| (vec![], events))
             }
         };
+        let decoded = decoded.and_then(|(pixels, events)| {
+            let limit = self.limit.pixel_events_max(header.duration_us);
+            let is_crowded =
+                u64::from(header.events) > limit && most_of_a_pixel(&pixels, &events) > limit;
+            if is_crowded {
+                return Err(Refused::Crowded);
+            }
+            Ok((pixels, events))
+        });
         // A limit on malicious input: frames that claim to be parts of one window must not exceed its number of
         // events.
         let mut window = self.pending.as_mut().filter(|window| {
@@ -241,47 +270,14 @@ impl Windows {
     }
 }
 
-/// Recovers the events of windows, whether they were sent as events or as coefficients.
-#[derive(Debug)]
-pub struct WindowEvents {
-    finder: Finder,
-    /// Tables for the shape of the last window of coefficients.
-    decoder: Option<EventDecoder>,
-    by_time: ByTime,
-}
-
-impl WindowEvents {
-    /// Creates a decoder of events; `finder` applies to windows of coefficients.
-    #[must_use]
-    pub fn new(finder: Finder) -> Self {
-        Self {
-            finder,
-            decoder: None,
-            by_time: ByTime::default(),
-        }
-    }
-
-    /// Stores the window's events in it, sorted by time; returns the confidence counts of the times that were
-    /// solved for.
-    pub fn fill(&mut self, window: &mut DecodedWindow) -> Confidences {
-        if !window.events.is_empty() {
-            self.by_time.sort(&window.header, &mut window.events);
-            return Confidences::default();
-        }
-        let decoder = match &mut self.decoder {
-            Some(decoder) if decoder.fits(window) => decoder,
-            _ => {
-                let Header {
-                    transform, grid, m, ..
-                } = window.header;
-                self.decoder
-                    .insert(EventDecoder::new(transform, grid, m, self.finder))
-            }
-        };
-        let confidences;
-        (window.events, confidences) = decoder.window_with_confidence(window);
-        confidences
-    }
+/// Returns the largest number of events of one pixel in a frame; its events are in raster order.
+fn most_of_a_pixel(pixels: &[Pixel], events: &[Event]) -> u64 {
+    let counts = pixels
+        .iter()
+        .map(|pixel| u64::from(pixel.on) + u64::from(pixel.off));
+    let runs = events.chunk_by(|a, b| (a.x, a.y) == (b.x, b.y));
+    let runs = runs.map(|run| run.len() as u64);
+    counts.chain(runs).max().unwrap_or_default()
 }
 
 /// Counts and times of a decoding run, as `eecvs decode` reports them; the fields are the JSON keys.
@@ -324,7 +320,7 @@ pub fn decode<R: Read, E: From<Error>>(
     let mut summary = DecodeSummary::default();
     let mut decoding = Duration::ZERO;
     let mut writer: Option<Option<Box<dyn EventWriter>>> = None;
-    let mut events = WindowEvents::new(finder);
+    let mut events = EventDecoder::new(finder);
     while let Some(mut window) = windows.next_window()? {
         each(summary.windows, &window)?;
         let output = match &mut writer {

@@ -43,6 +43,8 @@ pub struct LinkReport {
     pub frames_malformed: u64,
     /// Undamaged frames that depend on a missing frame, up to the next key frame.
     pub frames_dependent: u64,
+    /// Undamaged frames of windows with more events than the decoder accepts.
+    pub frames_crowded: u64,
     /// Offset of the first frame of another sensor, and the size of that sensor. Nothing from there on was used.
     pub other_sensor: Option<(u64, String)>,
 }
@@ -62,8 +64,11 @@ impl LinkReport {
     /// loss.
     #[must_use]
     pub const fn has_loss(&self) -> bool {
-        let missing =
-            self.damaged_bytes + self.frames_lost + self.frames_malformed + self.frames_dependent;
+        let missing = self.damaged_bytes
+            + self.frames_lost
+            + self.frames_malformed
+            + self.frames_dependent
+            + self.frames_crowded;
         missing > 0 || self.other_sensor.is_some()
     }
 
@@ -72,6 +77,7 @@ impl LinkReport {
         match refused {
             Refused::Malformed => self.frames_malformed += 1,
             Refused::Dependent => self.frames_dependent += 1,
+            Refused::Crowded => self.frames_crowded += 1,
         }
     }
 
@@ -95,6 +101,10 @@ impl LinkReport {
             (self.frames_reordered, "out of order"),
             (self.frames_malformed, "malformed"),
             (self.frames_dependent, "that depend on missing ones"),
+            (
+                self.frames_crowded,
+                "with more events than a sensor sends or --max-events-per-window allows",
+            ),
         ] {
             if frames > 0 {
                 met.push(format!("frames {what}: {frames}"));

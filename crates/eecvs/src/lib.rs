@@ -8,13 +8,13 @@
 //! ```no_run
 //! use std::fs::File;
 //!
-//! use eecvs::decode::{WindowEvents, WindowReader};
+//! use eecvs::decode::WindowReader;
 //! use eecvs::frame_file::FrameReader;
-//! use eecvs::reconstruct::events::Finder;
+//! use eecvs::reconstruct::events::{EventDecoder, Finder};
 //!
 //! fn main() -> Result<(), eecvs::Error> {
 //!     let mut windows = WindowReader::new(FrameReader::new(File::open("recording.eecvs")?));
-//!     let mut events = WindowEvents::new(Finder::Exact);
+//!     let mut events = EventDecoder::new(Finder::Exact);
 //!     while let Some(mut window) = windows.next_window()? {
 //!         events.fill(&mut window);
 //!         println!("{} us: {} events", window.header.t0_us, window.events.len());
@@ -47,5 +47,6 @@ pub mod stream_buffer;
 #[cfg(feature = "thresholds")]
 pub mod thresholds_file;
 pub mod window_counts;
+pub mod window_limit;
 
 pub use event_types::stream::{Error, ErrorKind};

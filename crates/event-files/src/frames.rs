@@ -11,18 +11,19 @@
 
 use std::io::Read;
 
-use eecvs::decode::{WindowEvents, WindowReader};
+use eecvs::decode::WindowReader;
 use eecvs::frame_file::{FrameReader, LinkReport};
 use eecvs::reconstruct::DecodedWindow;
-use eecvs::reconstruct::events::Finder;
+use eecvs::reconstruct::events::{EventDecoder, Finder};
+use eecvs::window_limit::WindowLimit;
 use eecvs_nostd::frame::SYNC;
 use event_types::stream::{Context, Result};
 use event_types::{Event, Sensor, bail};
 
-use crate::Skipped;
 pub use crate::format::FRAMES_ENDING as ENDING;
 use crate::format::{FRAMES, FRAMES_SYNC, Format, Limits, Opening};
 use crate::input::{Batch, Decode, ReadSeek, Reader};
+use crate::{Reading, Skipped};
 
 const _: () = assert!(FRAMES_SYNC[0] == SYNC[0] && FRAMES_SYNC[1] == SYNC[1]);
 
@@ -32,7 +33,15 @@ pub const FORMAT: Format = Format {
     title: "EECVS frames",
     endings: &[ENDING],
     detect: |start| start.begins(&FRAMES_SYNC) || start.is_named(ENDING),
-    open: |Opening { source, name, .. }| Ok(Box::new(FramesReader::new(source, name)?)),
+    open: |opening| {
+        let Opening {
+            source,
+            name,
+            reading,
+            ..
+        } = opening;
+        Ok(Box::new(FramesReader::new(source, name, &reading)?))
+    },
     has_places: false,
     is_table: false,
     grows: false,
@@ -45,20 +54,23 @@ pub const FORMAT: Format = Format {
 pub struct FrameEvents<R> {
     name: String,
     windows: WindowReader<R>,
-    events: WindowEvents,
+    events: EventDecoder,
     sensor: Sensor,
     /// A decoded window that is returned next.
     ahead: Option<DecodedWindow>,
 }
 
 impl<R: Read> FrameEvents<R> {
-    /// Reads up to the first window with events, or to the end if there is none.
+    /// Reads up to the first window with events, or to the end if there is none; windows have at most
+    /// [`Reading::window_events_max`] events.
     ///
     /// # Errors
     /// I/O; there is no frame.
-    pub fn new(source: R, name: &str) -> Result<Self> {
-        let mut windows = WindowReader::new(FrameReader::new(source));
-        let mut events = WindowEvents::new(Finder::default());
+    pub fn new(source: R, name: &str, reading: &Reading) -> Result<Self> {
+        let limit = reading.window_events_max;
+        let limit = limit.map_or(WindowLimit::Sensor, WindowLimit::Events);
+        let mut windows = WindowReader::new(FrameReader::new(source)).with_limit(limit);
+        let mut events = EventDecoder::new(Finder::default());
         let mut first = windows.next_window().with_context(|| name.to_owned())?;
         if let Some(window) = &mut first {
             events.fill(window);
@@ -131,10 +143,10 @@ impl FramesReader {
     ///
     /// # Errors
     /// Those of [`FrameEvents::new`].
-    pub fn new(mut source: Box<dyn ReadSeek>, name: &str) -> Result<Self> {
+    pub fn new(mut source: Box<dyn ReadSeek>, name: &str, reading: &Reading) -> Result<Self> {
         source.rewind().with_context(|| name.to_owned())?;
         Ok(Self::around(FramesDecoder {
-            frames: FrameEvents::new(source, name)?,
+            frames: FrameEvents::new(source, name, reading)?,
             window: None,
             given: 0,
             skipped: Skipped::default(),

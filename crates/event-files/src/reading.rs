@@ -18,6 +18,9 @@ pub struct Reading {
     pub columns: Option<Columns>,
     /// What to do with an invalid event.
     pub bad_events: BadEvents,
+    /// Largest number of events of a window of EECVS frames, or `None` for what a sensor can send. Frames of windows
+    /// with more are left out and counted.
+    pub window_events_max: Option<u32>,
 }
 
 impl From<Option<Sensor>> for Reading {

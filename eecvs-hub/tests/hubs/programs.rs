@@ -5,9 +5,9 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
-use eecvs::decode::{WindowEvents, WindowReader};
+use eecvs::decode::WindowReader;
 use eecvs::frame_file::FrameReader;
-use eecvs::reconstruct::events::Finder;
+use eecvs::reconstruct::events::{EventDecoder, Finder};
 use eecvs_nostd::Event;
 use event_emulator::{Preset, SceneConfig, emulate};
 use event_files::EventReader;
@@ -69,7 +69,7 @@ fn scene(seed: u64) -> Vec<Event> {
 /// The events of a file of frames, in which nothing is missing.
 fn decoded(path: &Path) -> Vec<Event> {
     let mut windows = WindowReader::new(FrameReader::new(std::fs::File::open(path).unwrap()));
-    let mut finder = WindowEvents::new(Finder::Exact);
+    let mut finder = EventDecoder::new(Finder::Exact);
     let mut events = Vec::new();
     while let Some(mut window) = windows.next_window().unwrap() {
         finder.fill(&mut window);

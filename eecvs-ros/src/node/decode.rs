@@ -4,10 +4,11 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 use clap::{Args, ValueEnum};
-use eecvs::decode::{FrameCounts, WindowEvents};
+use eecvs::decode::FrameCounts;
 use eecvs::reconstruct::DecodedWindow;
-use eecvs::reconstruct::events::Finder;
+use eecvs::reconstruct::events::{EventDecoder, Finder};
 use eecvs::reconstruct::volume::{Channels, Maker, Weights};
+use eecvs_cli::options::WindowLimitOptions;
 use eecvs_cli::values::finder;
 use eecvs_cli::volume::VolumeOptions;
 use eecvs_nostd::{Event, Polarity};
@@ -50,6 +51,9 @@ pub struct Decode {
     /// End after this many seconds without frames, once one has arrived
     #[arg(long, value_name = "S")]
     idle_s: Option<u32>,
+
+    #[command(flatten)]
+    window_limit: WindowLimitOptions,
 
     #[command(flatten)]
     packets: PacketOptions,
@@ -99,7 +103,8 @@ impl Decode {
     /// The transport fails, a volume cannot be computed, or something was lost and the options do not allow it.
     pub fn run(self, mut context: Context, operators: &Operators) -> Result<()> {
         let qos = self.qos.qos();
-        let mut frames = FrameReader::new(&mut context, operators, qos, self.idle_s)?;
+        let limit = self.window_limit.limit();
+        let mut frames = FrameReader::new(&mut context, operators, qos, limit, self.idle_s)?;
         let mut outputs = Outputs {
             events: context.publisher("decoded/events", qos)?,
             volume: context.publisher("volume", qos)?,
@@ -159,7 +164,7 @@ impl Totals {
 /// Turns windows into messages.
 struct Making<'o> {
     options: &'o Decode,
-    finder: WindowEvents,
+    finder: EventDecoder,
     packer: Option<((u32, u32), crate::packing::Packer)>,
     volumes: Maker,
     volume_seq: u64,
@@ -170,7 +175,7 @@ impl<'o> Making<'o> {
     fn new(options: &'o Decode) -> Self {
         Self {
             options,
-            finder: WindowEvents::new(options.events),
+            finder: EventDecoder::new(options.events),
             packer: None,
             volumes: Maker::new(options.form.form(), options.events),
             volume_seq: 0,

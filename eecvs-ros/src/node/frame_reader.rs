@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail};
 use eecvs::decode::FrameCounts;
+use eecvs::window_limit::WindowLimit;
 
 use super::{Context, Now};
 use crate::message::{Frame, Message as _, from_cdr, sequence_of};
@@ -65,6 +66,7 @@ impl Account {
 pub struct FrameReader<'o> {
     subscription: OnePublisher,
     operators: &'o Operators,
+    limit: WindowLimit,
     decoder: Option<(String, Box<dyn Decoder>)>,
     idle: Option<Duration>,
     latest: Instant,
@@ -75,7 +77,7 @@ pub struct FrameReader<'o> {
 }
 
 impl<'o> FrameReader<'o> {
-    /// Subscribes to `frames`. The stream ends after `idle_s` seconds without frames, once there was one.
+    /// Subscribes to `frames`; frames of windows beyond `limit` are left out. The stream ends after `idle_s` seconds without frames, once there was one.
     ///
     /// # Errors
     /// The transport refuses the topic.
@@ -83,11 +85,13 @@ impl<'o> FrameReader<'o> {
         context: &mut Context,
         operators: &'o Operators,
         qos: Qos,
+        limit: WindowLimit,
         idle_s: Option<u32>,
     ) -> Result<Self> {
         Ok(Self {
             subscription: context.one_publisher::<Frame>("frames", qos)?,
             operators,
+            limit,
             decoder: None,
             idle: idle_s.map(|s| Duration::from_secs(s.into())),
             latest: Instant::now(),
@@ -159,7 +163,7 @@ impl<'o> FrameReader<'o> {
                 );
             };
             self.end(ready);
-            self.decoder = Some((frame.operator_name.clone(), operator.decoder()));
+            self.decoder = Some((frame.operator_name.clone(), operator.decoder(self.limit)));
         }
         match &mut self.decoder {
             Some((_, decoder)) => decoder.take(frame, &mut |window| ready.push(window)),

@@ -197,7 +197,7 @@ struct DdsPublisher {
 }
 
 /// Time within which the sending thread has certainly sent what was published.
-const LEAVES: Duration = Duration::from_millis(200);
+pub(super) const LEAVES: Duration = Duration::from_millis(200);
 
 /// Waits until the latest message has been sent, since the thread that sends it ends with the participant.
 impl Drop for DdsPublisher {

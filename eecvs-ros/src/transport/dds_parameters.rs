@@ -4,7 +4,7 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
 use std::thread::{self, JoinHandle};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, anyhow};
 use mio::event::Source;
@@ -22,7 +22,7 @@ use ros2_client::{
     ServiceTypeName,
 };
 
-use super::dds::Shared;
+use super::dds::{LEAVES, Shared};
 use super::queue::lock;
 use crate::names::NodeName;
 use crate::parameters::{Descriptor, Parameters, Range, Value};
@@ -113,6 +113,7 @@ impl Services {
         let (node, parameters) = (Arc::downgrade(node), Arc::clone(parameters));
         let serve = move || {
             let mut events = Events::with_capacity(16);
+            let mut latest = None;
             while node.strong_count() > 0 && !is_over.load(Ordering::Relaxed) {
                 if let Err(error) = poll.poll(&mut events, Some(LOOK))
                     && error.kind() != std::io::ErrorKind::Interrupted
@@ -125,8 +126,14 @@ impl Services {
                 };
                 // A wake-up may stand for several requests, and may have been missed.
                 for service in &mut self.0 {
-                    service.answer(&asked);
+                    if service.answer(&asked) {
+                        latest = Some(Instant::now());
+                    }
                 }
+            }
+            // The change that was answered last may be why the node ends.
+            if let Some(latest) = latest {
+                thread::sleep(LEAVES.saturating_sub(latest.elapsed()));
             }
         };
         let thread = thread::Builder::new().name("parameters".to_owned());
@@ -161,8 +168,8 @@ struct Asked<'a> {
 trait Serve: Send {
     fn source(&mut self) -> &mut dyn Source;
 
-    /// Answers the requests that have arrived.
-    fn answer(&mut self, asked: &Asked<'_>);
+    /// Answers the requests that have arrived; returns whether there was one.
+    fn answer(&mut self, asked: &Asked<'_>) -> bool;
 }
 
 struct Service<Q: Message, R: Message> {
@@ -204,11 +211,13 @@ where
         &mut self.server
     }
 
-    fn answer(&mut self, asked: &Asked<'_>) {
+    fn answer(&mut self, asked: &Asked<'_>) -> bool {
+        let mut has_answered = false;
         for _ in 0..ROW {
             match self.server.receive_request() {
-                Ok(None) => return,
+                Ok(None) => break,
                 Ok(Some((id, request))) => {
+                    has_answered = true;
                     let answer = (self.answer)(asked, request);
                     // Whoever asked may be gone.
                     let _ = self.server.send_response(id, answer);
@@ -217,6 +226,7 @@ where
                 Err(_) => {}
             }
         }
+        has_answered
     }
 }
 

@@ -47,8 +47,8 @@ fn publish(publisher: &mut dyn Publisher, messages: &[Vec<u8>], subscribers: usi
         );
         std::thread::sleep(Duration::from_millis(20));
     }
-    // They may discover this publisher a little later.
-    std::thread::sleep(Duration::from_millis(500));
+    // They may discover this publisher later, which cannot be seen from here.
+    std::thread::sleep(Duration::from_secs(2));
     for message in messages {
         publisher.publish(message).unwrap();
         std::thread::sleep(Duration::from_millis(20));

@@ -8,7 +8,7 @@ use eecvs::decode::{DecodeSummary, WindowReader, decode};
 use eecvs::frame_file::FrameReader;
 use eecvs::reconstruct::events::Finder;
 use eecvs::reconstruct::volume::Maker;
-use eecvs_cli::options::{FormatOptions, OutputOptions, tell_link};
+use eecvs_cli::options::{FormatOptions, OutputOptions, WindowLimitOptions, tell_link};
 use eecvs_cli::output::{Place, rows};
 use eecvs_cli::progress::Progress;
 use eecvs_cli::values::finder;
@@ -49,6 +49,9 @@ pub struct Decode {
 
     #[command(flatten)]
     form: VolumeOptions,
+
+    #[command(flatten)]
+    window_limit: WindowLimitOptions,
 
     #[command(flatten)]
     format: FormatOptions,
@@ -103,7 +106,8 @@ impl Decode {
             }
         };
         let mut maker = Maker::new(self.form.form(), self.events);
-        let mut windows = WindowReader::new(FrameReader::new(open_bytes(&self.input)?));
+        let windows = WindowReader::new(FrameReader::new(open_bytes(&self.input)?));
+        let mut windows = windows.with_limit(self.window_limit.limit());
         let progress = Progress::new("events");
         let summary = decode(
             &mut windows,

@@ -28,7 +28,8 @@ impl Input {
     pub fn open(path: &Path, reading: &Reading) -> Result<Self> {
         Ok(match Content::of(path)? {
             Content::Frames(source) => {
-                Self::Frames(Box::new(FrameEvents::new(source, &name_of(path))?))
+                let frames = FrameEvents::new(source, &name_of(path), reading)?;
+                Self::Frames(Box::new(frames))
             }
             Content::Recording(recording) => Self::recording(recording.open(reading)?),
         })

@@ -208,14 +208,13 @@ fn decoded_times_are_exact_in_any_epoch() {
             let events: Vec<Event> = (0..40).map(event).collect();
             let frames = encode(config, &events, 100, FRAME_BYTES);
             let frame = parse(&frames[0]);
-            let window = DecodedWindow {
+            let mut window = DecodedWindow {
                 header: frame.header,
                 pixels: pixels(&frame).expect("the encoder's own payload"),
                 events: vec![],
             };
-            let header = frame.header;
-            let decoder = EventDecoder::new(transform, header.grid, header.m, Finder::Exact);
-            let mut found = decoder.window(&window);
+            EventDecoder::new(Finder::Exact).fill(&mut window);
+            let mut found = window.events;
             found.sort_by_key(|event| event.x);
             assert_eq!(found.len(), events.len());
             for (found, event) in found.iter().zip(&events) {

@@ -5,14 +5,15 @@
 //! Haar coefficients are inverted to signed counts per bin, and events are assigned one by one to the bin with the
 //! largest remaining count.
 
-use eecvs_nostd::{Event, Header, Polarity, Transform};
+use eecvs_nostd::{Event, Header, Mode, Polarity, Transform};
 use rayon::prelude::*;
 
+use super::order::ByTime;
 use super::pursuit::{Peaks, Placed};
 use super::recover::{self, Confidence, Confidences};
 use super::refine::Work;
 use super::volume::inverse::Inverse;
-use super::{DecodedWindow, Pixel, order};
+use super::{DecodedWindow, Pixel};
 
 /// Method that finds event times in the coefficients of the DCT and the DTFT.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -55,9 +56,46 @@ impl Finder {
     }
 }
 
-/// Decodes pixels of one transform, grid size K and M to events.
+/// Recovers the events of windows, whether they were sent as events or as coefficients.
 #[derive(Debug)]
 pub struct EventDecoder {
+    finder: Finder,
+    /// Tables for the shape of the last window of coefficients.
+    times: Option<TimeDecoder>,
+    by_time: ByTime,
+}
+
+impl EventDecoder {
+    /// Creates a decoder of events; `finder` applies to windows of coefficients.
+    #[must_use]
+    pub fn new(finder: Finder) -> Self {
+        Self {
+            finder,
+            times: None,
+            by_time: ByTime::default(),
+        }
+    }
+
+    /// Stores the window's events in it, sorted by time; returns the confidence counts of the times that were
+    /// solved for.
+    pub fn fill(&mut self, window: &mut DecodedWindow) -> Confidences {
+        if let Mode::Hybrid(_) = window.header.mode {
+            self.by_time.sort(&window.header, &mut window.events);
+            return Confidences::default();
+        }
+        let times = match &mut self.times {
+            Some(times) if times.fits(&window.header) => times,
+            times => times.insert(TimeDecoder::new(&window.header, self.finder)),
+        };
+        let confidences;
+        (window.events, confidences) = times.window(window);
+        confidences
+    }
+}
+
+/// Decodes pixels sent as coefficients of one transform, grid size K and M to events.
+#[derive(Debug)]
+struct TimeDecoder {
     transform: Transform,
     grid: usize,
     /// r = min(M, K).
@@ -75,19 +113,19 @@ enum Way {
     Bins(Inverse),
 }
 
-impl EventDecoder {
-    /// Creates the tables for windows of this transform, grid size K = `grid` and M = `m`.
-    #[must_use]
-    pub fn new(transform: Transform, grid: u16, m: u8, finder: Finder) -> Self {
-        let kept = usize::from(m).min(usize::from(grid));
-        let way = if transform == Transform::Dwt {
-            Way::Bins(Inverse::new(transform, grid, usize::from(grid)))
+impl TimeDecoder {
+    /// Creates the tables for windows of the header's transform, grid size K and M.
+    fn new(header: &Header, finder: Finder) -> Self {
+        let grid = usize::from(header.grid);
+        let kept = usize::from(header.m).min(grid);
+        let way = if header.transform == Transform::Dwt {
+            Way::Bins(Inverse::new(header.transform, header.grid, grid))
         } else {
-            Way::Peaks(Peaks::new(transform, usize::from(grid), kept))
+            Way::Peaks(Peaks::new(header.transform, grid, kept))
         };
         Self {
-            transform,
-            grid: usize::from(grid),
+            transform: header.transform,
+            grid,
             kept,
             finder,
             way,
@@ -95,28 +133,14 @@ impl EventDecoder {
     }
 
     /// Returns whether the tables fit a window's transform, grid size and M.
-    #[must_use]
-    pub fn fits(&self, window: &DecodedWindow) -> bool {
-        let header = &window.header;
+    fn fits(&self, header: &Header) -> bool {
         self.transform == header.transform
             && self.grid == usize::from(header.grid)
             && self.kept == usize::from(header.m).min(self.grid)
     }
 
-    /// Returns a window's events, sorted by time, row and column.
-    #[must_use]
-    pub fn window(&self, window: &DecodedWindow) -> Vec<Event> {
-        self.window_with_confidence(window).0
-    }
-
-    /// Returns a window's events, sorted by time, row and column, and the confidence counts of its pixels; only
-    /// pixels sent as coefficients are counted.
-    #[must_use]
-    pub fn window_with_confidence(&self, window: &DecodedWindow) -> (Vec<Event>, Confidences) {
-        if !window.events.is_empty() {
-            let events = order::by_time(&window.header, &window.events);
-            return (events, Confidences::default());
-        }
+    /// Returns a window's events, sorted by time, row and column, and the confidence counts of its pixels.
+    fn window(&self, window: &DecodedWindow) -> (Vec<Event>, Confidences) {
         let header = &window.header;
         let (mut events, confidences) = window
             .pixels
@@ -152,7 +176,7 @@ impl EventDecoder {
 
     /// Calls `each` for each of a pixel's `on` ON events and `off` OFF events, in no particular order, with the
     /// offset in microseconds (0 to T - 1) and whether the event is ON. Returns the confidence of the times.
-    pub fn pixel(
+    fn pixel(
         &self,
         header: &Header,
         pixel: &Pixel,
@@ -245,10 +269,6 @@ mod tests {
     use super::*;
     use crate::reconstruct::test_header::header;
 
-    fn peaks(transform: Transform) -> EventDecoder {
-        EventDecoder::new(transform, 16, 16, Finder::Peaks)
-    }
-
     /// Returns the coefficients of one OFF event.
     fn coefficients(u: f64) -> Vec<(u16, f64, f64)> {
         let of = |k: u16| {
@@ -260,10 +280,10 @@ mod tests {
 
     #[test]
     fn times_are_rounded_to_the_nearest_microsecond() {
-        let (decoder, duration_us) = (peaks(Transform::Dtft), 1000);
+        let (mut decoder, duration_us) = (EventDecoder::new(Finder::Peaks), 1000);
         for offset_us in (0..duration_us).step_by(37).chain([duration_us - 1]) {
             let u = f64::from(offset_us) / f64::from(duration_us);
-            let window = DecodedWindow {
+            let mut window = DecodedWindow {
                 header: header(duration_us),
                 pixels: vec![Pixel {
                     x: 3,
@@ -281,7 +301,11 @@ mod tests {
                 y: 1,
                 polarity: Polarity::Off,
             };
-            assert_eq!(decoder.window(&window), [event]);
+            // Twice is as good as once.
+            for _ in 0..2 {
+                decoder.fill(&mut window);
+                assert_eq!(window.events, [event]);
+            }
         }
     }
 
@@ -292,7 +316,12 @@ mod tests {
             .into_iter()
             .flat_map(|transform| [(transform, Finder::Exact), (transform, Finder::Peaks)])
         {
-            let decoder = EventDecoder::new(transform, 16, 8, finder);
+            let header = Header {
+                transform,
+                m: 8,
+                ..header
+            };
+            let decoder = TimeDecoder::new(&header, finder);
             for (on, off) in [(3, 0), (0, 5), (40, 2), (70, 30)] {
                 let pixel = Pixel {
                     x: 0,
@@ -301,11 +330,6 @@ mod tests {
                     off,
                     coefficients: vec![(3, 1.0, 2.0)],
                     single_u: None,
-                };
-                let header = Header {
-                    transform,
-                    m: 8,
-                    ..header
                 };
                 let (mut found_on, mut found_off) = (0, 0);
                 decoder.pixel(&header, &pixel, &mut Work::default(), |offset_us, is_on| {

@@ -23,7 +23,23 @@ pub enum Refused {
     Malformed,
     /// The frame depends on a frame that did not arrive.
     Dependent,
+    /// The window has more events than the [`WindowLimit`](crate::window_limit::WindowLimit).
+    Crowded,
 }
+
+impl std::fmt::Display for Refused {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Malformed => "the frame's payload contradicts its header",
+            Self::Dependent => "the frame depends on a frame that did not arrive",
+            Self::Crowded => {
+                "the window has more events than a sensor sends or --max-events-per-window allows"
+            }
+        })
+    }
+}
+
+impl std::error::Error for Refused {}
 
 /// Decodes hybrid frames in the order in which they arrive.
 #[derive(Debug, Default)]

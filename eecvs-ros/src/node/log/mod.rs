@@ -10,6 +10,7 @@ mod window;
 use anyhow::{Result, ensure};
 use clap::Args;
 use eecvs::decode::FrameCounts;
+use eecvs_cli::options::WindowLimitOptions;
 
 use super::frame_reader::{Account, FrameReader};
 use super::{Context, LossOptions, QosOptions, refuse_losses};
@@ -40,6 +41,9 @@ pub struct Log {
     idle_s: Option<u32>,
 
     #[command(flatten)]
+    window_limit: WindowLimitOptions,
+
+    #[command(flatten)]
     losses: LossOptions,
 
     #[command(flatten)]
@@ -61,7 +65,8 @@ impl Log {
             self.features.is_some() || self.coefficients.is_some(),
             "nothing to write: give --features FILE, --coefficients FILE, or both"
         );
-        let mut frames = FrameReader::new(&mut context, operators, self.qos.qos(), self.idle_s)?;
+        let (qos, limit) = (self.qos.qos(), self.window_limit.limit());
+        let mut frames = FrameReader::new(&mut context, operators, qos, limit, self.idle_s)?;
         let topic = |name: &str| context.topic(name);
         let files = Files::create(&[
             (self.features.as_ref(), FEATURES, topic(FEATURES.name)?),

@@ -66,6 +66,11 @@ impl Program {
         assert!(status.unwrap().success());
     }
 
+    /// Whether it has ended.
+    pub fn has_ended(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_some()
+    }
+
     /// Waits for its end; its output and errors, where it ended well and in time.
     pub fn finish(self, most: Duration) -> (String, String) {
         self.ends_with(0, most)

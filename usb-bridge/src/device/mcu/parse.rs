@@ -3,15 +3,13 @@
 //! Events come window by window, ordered by time, with the last frame of each window. If frames hold coefficients,
 //! the events have the times that [`EventDecoder`] finds. A frame that is damaged, lost or refused costs only its
 //! own events, but with the dense coder also those of the frames up to the next key frame. A frame may hold more
-//! events than its bytes suggest, but never more than [`WINDOW_EVENTS`].
+//! events than its bytes suggest, but never more than a sensor sends, see
+//! [`eecvs::window_limit`].
 
 use eecvs::decode::Windows;
-use eecvs::encode::WINDOW_EVENTS;
 use eecvs::frame_file::{FrameOrder, LinkReport};
 use eecvs::reconstruct::DecodedWindow;
 use eecvs::reconstruct::events::{EventDecoder, Finder};
-use eecvs::reconstruct::hybrid::Refused;
-use eecvs::reconstruct::order::ByTime;
 use eecvs_nostd::event_link::Kind;
 use eecvs_nostd::{Event, Sensor};
 use event_files::Skipped;
@@ -32,8 +30,7 @@ pub struct McuParser {
     ready: Vec<DecodedWindow>,
     /// Events found at a break, which the next call returns.
     late: Vec<Event>,
-    decoder: Option<EventDecoder>,
-    by_time: ByTime,
+    decoder: EventDecoder,
     time_us: Option<u64>,
     events: u64,
     statuses: u64,
@@ -54,8 +51,7 @@ impl McuParser {
             windows: Windows::default(),
             ready: Vec::new(),
             late: Vec::new(),
-            decoder: None,
-            by_time: ByTime::default(),
+            decoder: EventDecoder::new(Finder::Exact),
             time_us: None,
             events: 0,
             statuses: 0,
@@ -90,10 +86,6 @@ impl McuParser {
                 self.other_sensors += 1;
                 continue;
             }
-            if header.window_events as usize > WINDOW_EVENTS {
-                self.report.count_refused(Refused::Malformed);
-                continue;
-            }
             self.sensor = Some(header.sensor);
             let end_us = header.t0_us.saturating_add(u64::from(header.duration_us));
             match self.windows.take(&frame, |window| self.ready.push(window)) {
@@ -101,27 +93,13 @@ impl McuParser {
                 Err(refused) => self.report.count_refused(refused),
             }
             for mut window in self.ready.drain(..) {
-                let before = events.len();
-                if window.pixels.is_empty() {
-                    self.by_time.sort(&window.header, &mut window.events);
-                    events.extend_from_slice(&window.events);
-                } else {
-                    let decoder = match &mut self.decoder {
-                        Some(decoder) if decoder.fits(&window) => decoder,
-                        decoder => decoder.insert(decoder_of(&window)),
-                    };
-                    events.extend(decoder.window(&window));
-                }
-                self.events += (events.len() - before) as u64;
+                self.decoder.fill(&mut window);
+                self.events += window.events.len() as u64;
+                events.extend_from_slice(&window.events);
                 self.windows.reuse(window);
             }
         }
     }
-}
-
-fn decoder_of(window: &DecodedWindow) -> EventDecoder {
-    let header = &window.header;
-    EventDecoder::new(header.transform, header.grid, header.m, Finder::Exact)
 }
 
 impl Parse for McuParser {
@@ -182,6 +160,10 @@ impl Parse for McuParser {
             (
                 "frames without those they go on from",
                 self.report.frames_dependent,
+            ),
+            (
+                "frames with more events than a sensor sends",
+                self.report.frames_crowded,
             ),
             ("frames of another sensor", self.other_sensors),
             ("events too late for their window", counts.events_late),

@@ -708,14 +708,14 @@ impl Discovery {
     // but better make sure.
     // TODO: Check if there can acually be any. If not, then this code is
     // unnecessary.
-    let db = discovery_db_read(&self.discovery_db);
-    for reader in db.get_all_local_topic_readers() {
+    // EECVS: the lock is not held while something is sent, see README.md.
+    let (readers, writers) = self.local_readers_and_writers();
+    for reader in &readers {
       self.sedp_publish_single_user_reader(reader);
     }
-    for writer in db.get_all_local_topic_writers() {
+    for writer in &writers {
       self.sedp_publish_single_user_writer(writer);
     }
-    drop(db);
 
     if self.discovery_started_sender.send(Ok(())).is_err() {
       error!("Discovery start notification send failed: main thread receiver dropped");
@@ -1143,13 +1143,14 @@ impl Discovery {
   }
 
   fn on_participant_shutting_down(&mut self) {
-    let db = discovery_db_read(&self.discovery_db);
+    // EECVS: the lock is not held while something is sent, see README.md.
+    let (readers, writers) = self.local_readers_and_writers();
 
-    for reader in db.get_all_local_topic_readers() {
+    for reader in &readers {
       self.send_endpoint_dispose_message(reader.reader_proxy.remote_reader_guid);
     }
 
-    for writer in db.get_all_local_topic_writers() {
+    for writer in &writers {
       self.send_endpoint_dispose_message(writer.writer_proxy.remote_writer_guid);
     }
 
@@ -1829,50 +1830,71 @@ impl Discovery {
     }
   }
 
+  /// EECVS: copies, so that the lock is not held while something is sent.
+  fn local_readers_and_writers(&self) -> (Vec<DiscoveredReaderData>, Vec<DiscoveredWriterData>) {
+    let db = discovery_db_read(&self.discovery_db);
+    (
+      db.get_all_local_topic_readers().cloned().collect(),
+      db.get_all_local_topic_writers().cloned().collect(),
+    )
+  }
+
   fn add_local_writer(&self, guid: GUID) {
     // Get writer data from db
-    let db = discovery_db_read(&self.discovery_db);
-    let writer_data = match db.get_local_topic_writer(guid) {
-      Some(d) => d,
-      None => {
-        warn!("Did not find a local writer {guid:?}");
-        return;
-      }
+    // EECVS: copies, so that the lock is not held while something is sent.
+    let (writer_data, existing_readers) = {
+      let db = discovery_db_read(&self.discovery_db);
+      let writer_data = match db.get_local_topic_writer(guid) {
+        Some(d) => d.clone(),
+        None => {
+          warn!("Did not find a local writer {guid:?}");
+          return;
+        }
+      };
+      let topic_name = writer_data.publication_topic_data.topic_name();
+      let existing_readers: Vec<DiscoveredReaderData> =
+        db.readers_on_topic(topic_name).into_iter().cloned().collect();
+      (writer_data, existing_readers)
     };
 
     // Publish it to SEDP (if needed)
-    self.sedp_publish_single_user_writer(writer_data);
+    self.sedp_publish_single_user_writer(&writer_data);
 
     // Send the ReaderUpdated notification on any existing readers on the writer's
     // topic This will result in matching the endpoints if possible
-    let existing_readers = db.readers_on_topic(writer_data.publication_topic_data.topic_name());
-    for reader in existing_readers {
+    for discovered_reader_data in existing_readers {
       self.send_discovery_notification(DiscoveryNotificationType::ReaderUpdated {
-        discovered_reader_data: reader.clone(),
+        discovered_reader_data,
       });
     }
   }
 
   fn add_local_reader(&self, guid: GUID) {
     // Get reader data from db
-    let db = discovery_db_read(&self.discovery_db);
-    let reader_data = match db.get_local_topic_reader(guid) {
-      Some(d) => d,
-      None => {
-        warn!("Did not find a local reader {guid:?}");
-        return;
-      }
+    // EECVS: copies, so that the lock is not held while something is sent.
+    let (reader_data, existing_writers) = {
+      let db = discovery_db_read(&self.discovery_db);
+      let reader_data = match db.get_local_topic_reader(guid) {
+        Some(d) => d.clone(),
+        None => {
+          warn!("Did not find a local reader {guid:?}");
+          return;
+        }
+      };
+      let topic_name = reader_data.subscription_topic_data.topic_name();
+      let existing_writers: Vec<DiscoveredWriterData> =
+        db.writers_on_topic(topic_name).into_iter().cloned().collect();
+      (reader_data, existing_writers)
     };
 
     // Publish it to SEDP (if needed)
-    self.sedp_publish_single_user_reader(reader_data);
+    self.sedp_publish_single_user_reader(&reader_data);
 
     // Send the WriterUpdated notification on any existing writers on the readers's
     // topic This will result in matching the endpoints if possible
-    let existing_writers = db.writers_on_topic(reader_data.subscription_topic_data.topic_name());
-    for writer in existing_writers {
+    for discovered_writer_data in existing_writers {
       self.send_discovery_notification(DiscoveryNotificationType::WriterUpdated {
-        discovered_writer_data: writer.clone(),
+        discovered_writer_data,
       });
     }
   }
@@ -1930,11 +1952,14 @@ impl Discovery {
   }
 
   pub fn sedp_publish_topic(&self, topic_name: &str) {
-    let db = discovery_db_read(&self.discovery_db);
     // We might have multiple topics with the same name (but different Qos etc..),
     // and the following call gets just one of them. Should we publish all of
     // them or is this enough?
-    let topic_data = match db.get_topic(topic_name) {
+    // EECVS: a copy, so that the lock is not held while something is sent.
+    let topic_data = discovery_db_read(&self.discovery_db)
+      .get_topic(topic_name)
+      .cloned();
+    let topic_data = match topic_data {
       Some(data) => data,
       None => {
         warn!("Did not find topic data with topic name {topic_name}");

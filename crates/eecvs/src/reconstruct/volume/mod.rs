@@ -24,8 +24,7 @@ use self::normalise::Scale;
 pub use self::voxel::Weights;
 use self::voxel::{Form as VoxelForm, Voxels};
 use super::DecodedWindow;
-use super::events::Finder;
-use crate::decode::WindowEvents;
+use super::events::{EventDecoder, Finder};
 
 /// Meaning of a volume's channels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -59,7 +58,7 @@ pub struct Form {
 pub struct Maker {
     form: Form,
     /// Recovers the events of windows sent as coefficients.
-    events: WindowEvents,
+    events: EventDecoder,
     /// Table for the shape of the last window.
     inverse: Option<Inverse>,
 }
@@ -86,7 +85,7 @@ impl Maker {
     pub fn new(form: Form, finder: Finder) -> Self {
         Self {
             form,
-            events: WindowEvents::new(finder),
+            events: EventDecoder::new(finder),
             inverse: None,
         }
     }
