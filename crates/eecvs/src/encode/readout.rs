@@ -23,6 +23,11 @@ const SPECTRUM_US: usize = 1 << 14;
 const SHORT_US: usize = 1 << 11;
 /// Shortest and longest period that is detected, in microseconds.
 const PERIOD_US: (f64, f64) = (16.0, 250.0);
+/// Smallest fit of the differences of more than half a period.
+const COMB_MIN: f64 = PEAK_MIN / 2.0;
+/// Correction of the period in microseconds after which it is not corrected again over the same differences: 2^-24,
+/// a small part of the resolution of 2^-16 of a [`Readout`].
+const SETTLED_US: f64 = 1.0 / 16_777_216.0;
 /// Smallest share of the differences that must contribute to a peak.
 const PEAK_MIN: f64 = 0.4;
 
@@ -125,14 +130,17 @@ fn differences(lines: &[Vec<u64>], most_us: u64) -> impl Iterator<Item = u64> {
 
 /// Returns the period in microseconds at the first high peak of the spectrum.
 fn first_peak(lines: &[Vec<u64>]) -> Option<f64> {
-    let mut spectrum = vec![Complex::new(0.0, 0.0); SPECTRUM_US];
-    let mut total = 0.0;
+    let mut counts = vec![0_u32; SHORT_US];
     for difference in differences(lines, SHORT_US as u64 - 1) {
-        spectrum[difference as usize].re += 1.0;
-        total += 1.0;
+        counts[difference as usize] += 1;
     }
+    let total: f64 = counts.iter().copied().map(f64::from).sum();
     if total < EVENTS_MIN as f64 / 8.0 {
         return None;
+    }
+    let mut spectrum = vec![Complex::new(0.0, 0.0); SPECTRUM_US];
+    for (value, count) in spectrum.iter_mut().zip(&counts) {
+        value.re = f64::from(*count);
     }
     FftPlanner::new()
         .plan_fft_forward(SPECTRUM_US)
@@ -150,42 +158,68 @@ fn first_peak(lines: &[Vec<u64>]) -> Option<f64> {
     while range.contains(&(at + 1)) && height(at + 1) > height(at) {
         at += 1;
     }
-    Some(SPECTRUM_US as f64 / at as f64)
+    let period = SPECTRUM_US as f64 / at as f64;
+    (comb(&counts, period) > COMB_MIN).then_some(period)
+}
+
+/// Returns how well the differences of more than half a period fit its multiples: the mean of their cosines, from -1
+/// to 1. Where events follow each other closely, shorter differences fit any long period.
+fn comb(counts: &[u32], period: f64) -> f64 {
+    let (mut total, mut fit) = (0.0, 0.0);
+    for (difference, count) in counts.iter().enumerate().skip((period / 2.0) as usize + 1) {
+        let count = f64::from(*count);
+        total += count;
+        fit += count * (TAU * difference as f64 / period).cos();
+    }
+    fit / f64::max(total, 1.0)
 }
 
 /// Refines the period over longer and longer differences: the error after each step stays well below a period over
 /// differences of four times the length.
 fn refine(mut period: f64, lines: &[Vec<u64>]) -> f64 {
-    let mut longest = SHORT_US as f64;
+    let mut longest_us = SHORT_US as u64;
     for _ in 0..6 {
         for _ in 0..3 {
-            // Least squares fit of difference - n period over n.
-            let (mut dot, mut square) = (0.0, 0.0);
-            for times in lines {
-                let mut from = 0;
-                for (to, time) in times.iter().enumerate() {
-                    while (time - times[from]) as f64 > longest {
-                        from += 1;
-                    }
-                    if from == to {
-                        continue;
-                    }
-                    let difference = (time - times[from]) as f64;
-                    let n = (difference / period).round();
-                    let off = difference - n * period;
-                    if off.abs() < 4.0 {
-                        dot += n * off;
-                        square += n * n;
-                    }
-                }
-            }
-            if square > 0.0 {
-                period += dot / square;
+            let correction = correction(period, longest_us, lines);
+            period += correction;
+            if correction.abs() < SETTLED_US {
+                break;
             }
         }
-        longest *= 2.0;
+        longest_us *= 2;
     }
     period
+}
+
+/// Returns the least squares fit of difference - n period over n, with the differences of each line's times from the
+/// earliest ones at most `longest_us` before them, those left out that are no multiple of the period.
+fn correction(period: f64, longest_us: u64, lines: &[Vec<u64>]) -> f64 {
+    let per_us = 1.0 / period;
+    let (mut dot, mut square) = (0.0, 0.0);
+    for times in lines {
+        let mut earliest = times.iter();
+        let Some(mut from) = earliest.next() else {
+            continue;
+        };
+        for time in times {
+            while time - from > longest_us {
+                let Some(next) = earliest.next() else {
+                    break;
+                };
+                from = next;
+            }
+            // At most 2^16: conversions of shorter integers, and without a call that rounds, take the fewest
+            // instructions. A difference of 0 adds nothing, and halfway between multiples none is close enough.
+            let difference = f64::from((time - from) as i32);
+            let n = f64::from((difference * per_us + 0.5) as i32);
+            let off = difference - n * period;
+            if off.abs() < 4.0 {
+                dot += n * off;
+                square += n * n;
+            }
+        }
+    }
+    if square > 0.0 { dot / square } else { 0.0 }
 }
 
 /// Returns the score (how well neighbouring lines agree, 0 to 1) and the shift from line to line in microseconds.
@@ -297,6 +331,21 @@ mod tests {
                 assert!((found - slope).abs() < 0.005, "{found} {slope}");
             }
         }
+    }
+
+    /// Differences that are short beside every period fit all of them.
+    #[test]
+    fn there_is_none_where_events_follow_closely() {
+        let (mut events, sensor) = events(Axis::Columns, None);
+        for event in &mut events {
+            event.t_us = 1_000_000 + (event.t_us - 1_000_000) / 100;
+        }
+        for axis in [Axis::Columns, Axis::Rows] {
+            let lines = times_of_lines(axis, &events, sensor);
+            assert!(differences(&lines, 40).count() > EVENTS_MIN);
+            assert_eq!(first_peak(&lines), None);
+        }
+        assert_eq!(find(&events, sensor), None);
     }
 
     #[test]
