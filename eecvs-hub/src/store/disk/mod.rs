@@ -20,7 +20,10 @@ mod tests;
 
 use std::collections::VecDeque;
 use std::fs;
-use std::io;
+use std::io::{
+    self,
+    ErrorKind::{QuotaExceeded, StorageFull},
+};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -102,6 +105,14 @@ impl Disk {
         );
         let at = || folder.display().to_string();
         fs::create_dir_all(folder).with_context(at)?;
+        // A folder that was just created outlasts a power cut, as far as those above it may be read.
+        for above in fs::canonicalize(folder)
+            .with_context(at)?
+            .ancestors()
+            .skip(1)
+        {
+            let _ = medium.sync_folder(above);
+        }
         let mut paths = Vec::new();
         for entry in fs::read_dir(folder).with_context(at)? {
             let entry = entry.with_context(at)?;
@@ -209,6 +220,10 @@ impl Disk {
         if let Err(error) = file.write(&record, place) {
             // A part may be written: it is cut off, or else overwritten by what is written next.
             let _ = file.cut(place);
+            if !matches!(error.kind(), StorageFull | QuotaExceeded) {
+                // The place itself may be what is wrong.
+                self.close();
+            }
             return Err(error);
         }
         last.push(number, kept.frame.len() as u32, place);
