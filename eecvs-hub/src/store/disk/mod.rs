@@ -154,8 +154,10 @@ impl Disk {
                 segment.set_aside();
             }
             disk.figures.frames += segment.frames();
-            disk.figures.bytes += segment.bytes_on_disk();
-            disk.figures.damaged_bytes += segment.damaged_bytes;
+            // Sparse files may claim to be of any length.
+            disk.figures.bytes = disk.figures.bytes.saturating_add(segment.bytes_on_disk());
+            let damaged_bytes = &mut disk.figures.damaged_bytes;
+            *damaged_bytes = damaged_bytes.saturating_add(segment.damaged_bytes);
             disk.segments.push_back(segment);
         }
         tally.end();
@@ -189,7 +191,9 @@ impl Disk {
             .rev()
             .find_map(|segment| Some((segment.run, segment.ends()?.1)))
             .is_none_or(|last| last < (run, number));
-        let record = record::to_bytes(kept, ordinal).filter(|_| is_next && number < u64::MAX);
+        // What follows the highest number, or ordinal, must fit into 64 bits too.
+        let is_next = is_next && number < u64::MAX && ordinal < u64::MAX;
+        let record = record::to_bytes(kept, ordinal).filter(|_| is_next);
         let record = record.ok_or(io::ErrorKind::InvalidInput)?;
         let record_bytes = record.len() as u64;
         let segment_max = (self.bytes_max / SEGMENTS).min(SEGMENT_BYTES_MAX);
@@ -251,7 +255,7 @@ impl Disk {
         if more > self.bytes_max {
             return Err(io::ErrorKind::FileTooLarge.into());
         }
-        while self.figures.bytes + more > self.bytes_max && self.segments.len() > stay {
+        while self.figures.bytes > self.bytes_max - more && self.segments.len() > stay {
             let Some(oldest) = self.segments.front() else {
                 break;
             };
@@ -260,8 +264,13 @@ impl Disk {
                 _ => {}
             }
             self.figures.frames -= oldest.frames();
-            self.figures.bytes -= oldest.bytes_on_disk();
-            self.figures.damaged_bytes -= oldest.damaged_bytes;
+            let Figures {
+                bytes,
+                damaged_bytes,
+                ..
+            } = &mut self.figures;
+            *bytes = bytes.saturating_sub(oldest.bytes_on_disk());
+            *damaged_bytes = damaged_bytes.saturating_sub(oldest.damaged_bytes);
             self.figures.let_go += oldest.frames();
             self.segments.pop_front();
         }

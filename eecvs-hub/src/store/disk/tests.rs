@@ -8,8 +8,9 @@ use std::process::{Child, Command, Stdio};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
+use proptest::prelude::*;
 use rand_xoshiro::Xoshiro256PlusPlus;
-use rand_xoshiro::rand_core::{Rng as _, SeedableRng as _};
+use rand_xoshiro::rand_core::SeedableRng as _;
 
 use super::record::{HEAD, TAIL};
 use super::*;
@@ -33,7 +34,7 @@ fn kept(run: u64, number: u64, bytes: usize) -> Kept {
         stamp: Stamp {
             run,
             number,
-            end_us: number * 3,
+            end_us: number.wrapping_mul(3),
             up_us: 0,
         },
         frame: frame.into(),
@@ -585,6 +586,59 @@ fn what_is_written_is_synced() {
                 .sum();
             assert_eq!(synced, (number + 1) * 148);
         }
+    }
+}
+
+/// Numbers and ordinals, with the ends of their range.
+fn ends() -> impl Strategy<Value = u64> {
+    prop_oneof![0..5u64, u64::MAX - 2..=u64::MAX, any::<u64>()]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(100))]
+
+    /// Files of any names with records of any fields, among other bytes: what is said to be there is there.
+    #[test]
+    fn any_folder_is_opened(
+        files in prop::collection::vec(
+            (ends(), ends(), any::<bool>(), prop::collection::vec(
+                (ends(), ends(), 0..40usize, any::<u16>(), prop::collection::vec(any::<u8>(), 0..9)), 0..6)),
+            0..5),
+        run in ends(), number in ends(),
+    ) {
+        let folder = tempfile::tempdir().unwrap();
+        for (run, ordinal, is_damaged, records) in files {
+            let mut bytes = Vec::new();
+            for (number, ordinal, frame_bytes, flip, rubbish) in records {
+                let mut record = record::to_bytes(&kept(run, number, frame_bytes), ordinal).unwrap();
+                // Most are undamaged.
+                if let Some(byte) = record.get_mut(usize::from(flip) % 300) {
+                    *byte ^= 1;
+                }
+                bytes.extend_from_slice(&record);
+                bytes.extend_from_slice(&rubbish[..rubbish.len() / 5]);
+            }
+            let ending = if is_damaged { "damaged" } else { "kept" };
+            fs::write(folder.path().join(format!("{run:020}-{ordinal:020}.{ending}")), bytes).unwrap();
+        }
+        let mut disk = Disk::open(folder.path(), SETTINGS).unwrap();
+        let (before, ranges) = (disk.figures(), disk.held(run, usize::MAX));
+        let mut found = 0;
+        for of in ranges.iter().map(|(of, _)| *of).chain([run]).collect::<BTreeSet<u64>>() {
+            let mut from = 0;
+            while let Some(next) = disk.next_held(of, from) {
+                let got = disk.get(of, next).map(|kept| kept.stamp.number);
+                prop_assert_eq!(got, Some(next));
+                found += 1;
+                from = next + 1;
+            }
+        }
+        // A number that is in two files is sent once.
+        prop_assert!(found <= before.frames);
+        disk.append(&kept(run, number, 10));
+        let figures = disk.figures();
+        prop_assert_eq!(figures.frames + figures.failures, before.frames + 1);
+        prop_assert_eq!(figures.bytes, on_disk_of(folder.path()));
     }
 }
 
