@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 /// Version of these messages.
-const VERSION: u8 = 2;
+const VERSION: u8 = 3;
 
 /// Maximum number of ranges of frame numbers in one [`Wish`].
 pub const RANGES_MAX: usize = 64;
@@ -139,12 +139,16 @@ pub struct Stored {
     pub memory_bytes: u64,
     /// Number of frames on disk.
     pub disk_frames: u64,
-    /// Bytes of the frames on disk.
+    /// Bytes that the store takes on disk.
     pub disk_bytes: u64,
     /// Frames made while there was no link, or just before it failed, that are no longer held.
     pub let_go_frames: u64,
-    /// Frames that could not be written to disk.
+    /// Frames that could not be written to disk, or of which it is not known that they are there.
     pub disk_failures: u64,
+    /// Frames on disk that are damaged or missing.
+    pub disk_damaged_frames: u64,
+    /// Bytes of damaged records on disk.
+    pub disk_damaged_bytes: u64,
 }
 
 /// Frames of an earlier run that a sensor's store holds.

@@ -198,6 +198,12 @@ const METRICS: &[Metric] = &[
         |row| one(row.losses.disk_failures as f64),
     ),
     counter(
+        "disk_damaged_frames",
+        "Frames in the sensor's store on disk that are damaged or missing",
+        "",
+        |row| one(row.losses.disk_damaged_frames as f64),
+    ),
+    counter(
         "malformed_messages",
         "Messages that could not be read",
         "",
@@ -228,7 +234,7 @@ const METRICS: &[Metric] = &[
     ),
     gauge(
         "store_bytes",
-        "Bytes of the frames that the sensor holds",
+        "Bytes that the sensor's store takes",
         "place",
         |row| {
             vec![
@@ -236,6 +242,12 @@ const METRICS: &[Metric] = &[
                 ("disk", row.store_disk_bytes as f64),
             ]
         },
+    ),
+    gauge(
+        "store_damaged_bytes",
+        "Bytes of damaged records among those on disk",
+        "",
+        |row| one(row.store_damaged_bytes as f64),
     ),
 ];
 

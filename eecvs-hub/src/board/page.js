@@ -32,7 +32,7 @@ const named = parts => parts.filter(([, value]) => value > 0).map(([name, value]
 
 // Of all causes: frames weigh as much as events, which there are more of.
 const losses = ({ losses: l }) => l.frames_missing + l.frames_missing_before + l.frames_damaged + l.frames_let_go
-  + l.disk_failures + l.events_late + l.events_dropped + l.events_thinned;
+  + l.disk_failures + l.disk_damaged_frames + l.events_late + l.events_dropped + l.events_thinned;
 const age = row => Math.min(row.frame_age_s ?? Infinity, row.status_age_s ?? Infinity);
 
 const state = row => {
@@ -110,7 +110,8 @@ const draw = (card, row) => {
   write(parts.latency, took);
   mark(parts.latency, how);
   const frames = named([["missing", l.frames_missing], ["missing from earlier runs", l.frames_missing_before], ["damaged", l.frames_damaged],
-    ["dropped by its store", l.frames_let_go], ["not written to disk", l.disk_failures], ["unreadable messages", l.malformed]]);
+    ["dropped by its store", l.frames_let_go], ["not written to disk", l.disk_failures],
+    ["damaged on disk", l.disk_damaged_frames], ["unreadable messages", l.malformed]]);
   write(parts.frames, frames || "all here");
   mark(parts.frames, frames ? "bad" : "");
   const lost = named([["late", l.events_late], ["dropped", l.events_dropped], ["thinned", l.events_thinned]]);

@@ -58,8 +58,10 @@ pub struct Row {
     pub is_congested: bool,
     /// Bytes of frames in memory in the sensor's store.
     pub store_memory_bytes: u64,
-    /// Bytes of frames on disk in the sensor's store.
+    /// Bytes that the sensor's store takes on disk.
     pub store_disk_bytes: u64,
+    /// Bytes of damaged records among them.
+    pub store_damaged_bytes: u64,
     /// Identifies the picture: it changes with the picture. `None` if there is none.
     pub picture: Option<u64>,
 }
@@ -151,6 +153,8 @@ pub struct Losses {
     pub frames_let_go: u64,
     /// Frames that the sensor could not write to disk.
     pub disk_failures: u64,
+    /// Frames in the sensor's store on disk that are damaged or missing.
+    pub disk_damaged_frames: u64,
     /// Messages under the sensor's name that could not be read.
     pub malformed: u64,
     /// Number of times that the sensor's link failed.

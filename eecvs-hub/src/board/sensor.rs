@@ -316,6 +316,7 @@ impl State {
                 frames_repeated: self.repeated,
                 frames_let_go: stored.let_go_frames,
                 disk_failures: stored.disk_failures,
+                disk_damaged_frames: stored.disk_damaged_frames,
                 malformed: self.malformed,
                 outages: status.outages,
                 outages_s: status.outages_us as f64 / 1e6,
@@ -326,6 +327,7 @@ impl State {
             is_congested: status.is_congested,
             store_memory_bytes: stored.memory_bytes,
             store_disk_bytes: stored.disk_bytes,
+            store_damaged_bytes: stored.disk_damaged_bytes,
             picture: self.kept.picture(),
         }
     }

@@ -28,6 +28,7 @@ use crate::clock::Clock;
 use crate::frames::FrameSink;
 use crate::key::Name;
 use crate::source::Live;
+use crate::store::disk::Settings;
 use crate::uplink::{Options, Summary, Uplink};
 
 /// Encode the events of a camera, a recording or a scene, and send them to a hub; while there is no link, frames
@@ -90,6 +91,12 @@ pub struct Sensor {
           value_parser = clap::value_parser!(u32).range(1..))]
     store_mib: u32,
 
+    /// Milliseconds between syncs of this folder: a power cut costs the frames that were written to it since the last;
+    /// 0 syncs every frame, at the disk's speed
+    #[arg(long, value_name = "MS", default_value_t = 1000, requires = "store",
+          value_parser = clap::value_parser!(u32).range(..=3_600_000))]
+    sync_ms: u32,
+
     /// Maximum bytes of a frame: larger windows are split into several frames
     #[arg(long, value_name = "BYTES", default_value_t = 98_000,
           value_parser = clap::value_parser!(u32)
@@ -133,6 +140,8 @@ struct Sent {
     frames_let_go: u64,
     frames_on_disk: u64,
     disk_failures: u64,
+    disk_damaged_frames: u64,
+    disk_damaged_bytes: u64,
     outages: u64,
     outages_s: f64,
 }
@@ -164,6 +173,8 @@ impl Sensor {
             frames_let_go: status.stored.let_go_frames,
             frames_on_disk: status.stored.disk_frames,
             disk_failures: status.stored.disk_failures,
+            disk_damaged_frames: status.stored.disk_damaged_frames,
+            disk_damaged_bytes: status.stored.disk_damaged_bytes,
             outages: status.outages,
             outages_s: status.outages_us as f64 * 1e-6,
             encoding,
@@ -186,14 +197,18 @@ impl Sensor {
             name: self.name.clone(),
             sensor,
             memory_bytes: usize::from(self.memory_mib) << 20,
-            disk: self
-                .store
-                .clone()
-                .map(|folder| (folder, u64::from(self.store_mib) << 20)),
+            disk: self.store.clone().map(|folder| (folder, self.settings())),
             bytes_per_second: self.codec.config(sensor)?.bytes_per_second.map(u32::from),
             clock,
         };
         Uplink::start(&options, &self.client.links())
+    }
+
+    fn settings(&self) -> Settings {
+        Settings {
+            bytes_max: u64::from(self.store_mib) << 20,
+            sync_ms: self.sync_ms,
+        }
     }
 
     fn finish(&self, uplink: Uplink) -> Summary {
@@ -314,6 +329,7 @@ impl Sent {
             ("  dropped by the store", self.frames_let_go.to_string()),
             ("  on disk", self.frames_on_disk.to_string()),
             ("  not written to disk", self.disk_failures.to_string()),
+            ("  damaged on disk", self.disk_damaged_frames.to_string()),
             ("bytes", encoding.bytes_out.to_string()),
             ("bits per event", format!("{:.2}", encoding.bits_per_event)),
             (

@@ -3,7 +3,7 @@
 //! The newest frames are in memory, as many as fit. Frames that leave it go to disk, if there is one, provided that
 //! they were made while there was no link, or so shortly before that they may have been lost with it: nothing is
 //! written while all is well. Both places are bounded; frames that have to be dropped, the oldest first, are
-//! counted.
+//! counted, as are those that the disk does not take or has damaged.
 
 pub mod claim;
 pub mod disk;
@@ -198,6 +198,8 @@ impl Store {
             disk_bytes: disk.bytes,
             let_go_frames: self.let_go + disk.let_go,
             disk_failures: disk.failures,
+            disk_damaged_frames: disk.damaged,
+            disk_damaged_bytes: disk.damaged_bytes,
         }
     }
 
@@ -211,12 +213,21 @@ impl Store {
         while !self.memory.is_empty() {
             self.spill();
         }
+        if let Some(disk) = &self.disk {
+            disk.sync();
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use disk::Settings;
+
+    const SETTINGS: Settings = Settings {
+        bytes_max: 1 << 20,
+        sync_ms: 1000,
+    };
 
     fn frame(number: u64, bytes: usize) -> Arc<[u8]> {
         vec![number as u8; bytes].into()
@@ -236,7 +247,7 @@ mod tests {
     #[test]
     fn without_an_outage_nothing_is_written() {
         let folder = tempfile::tempdir().unwrap();
-        let disk = Disk::open(folder.path(), 1 << 20).unwrap();
+        let disk = Disk::open(folder.path(), SETTINGS).unwrap();
         let mut store = Store::new(1, 1000, Some(disk));
         fill(&mut store, Instant::now(), 50);
         let stored = store.stored();
@@ -277,7 +288,7 @@ mod tests {
     fn what_an_outage_may_have_lost_is_held_on_disk() {
         let folder = tempfile::tempdir().unwrap();
         let start = Instant::now();
-        let disk = Disk::open(folder.path(), 1 << 20).unwrap();
+        let disk = Disk::open(folder.path(), SETTINGS).unwrap();
         let mut store = Store::new(7, 1000, Some(disk));
         let mut now = fill(&mut store, start, 200);
         store.link(false, now);
@@ -303,7 +314,7 @@ mod tests {
         assert_eq!(store.stored().let_go_frames, 0);
         drop(store);
         // The next run can send them.
-        let disk = Disk::open(folder.path(), 1 << 20).unwrap();
+        let disk = Disk::open(folder.path(), SETTINGS).unwrap();
         let mut store = Store::new(8, 1000, Some(disk));
         assert_eq!(store.held(9), [(7, Range { from: 190, to: 380 })]);
         assert_eq!(store.get(7, 200).unwrap().frame, frame(200, 100));
@@ -324,13 +335,13 @@ mod tests {
     fn what_is_in_memory_at_the_end_is_there_for_the_next_run() {
         let folder = tempfile::tempdir().unwrap();
         let start = Instant::now();
-        let disk = Disk::open(folder.path(), 1 << 20).unwrap();
+        let disk = Disk::open(folder.path(), SETTINGS).unwrap();
         let mut store = Store::new(1, 1 << 20, Some(disk));
         store.link(false, start);
         fill(&mut store, start, 30);
         store.end(false);
         drop(store);
-        let disk = Disk::open(folder.path(), 1 << 20).unwrap();
+        let disk = Disk::open(folder.path(), SETTINGS).unwrap();
         let store = Store::new(2, 1000, Some(disk));
         assert_eq!(store.held(9), [(1, Range { from: 0, to: 30 })]);
     }

@@ -29,7 +29,7 @@ use crate::link::{Client, Links, said};
 use crate::message::{Budget, Events, HELD_MAX, Held, Message, RANGES_MAX, Status, Time, Wish};
 use crate::store::Store;
 use crate::store::claim::Claim;
-use crate::store::disk::Disk;
+use crate::store::disk::{Disk, Settings};
 use link::Link;
 
 /// Options of a sensor.
@@ -41,8 +41,8 @@ pub struct Options {
     pub sensor: Sensor,
     /// Maximum bytes of frames in memory.
     pub memory_bytes: usize,
-    /// Folder for frames, and the maximum bytes in it.
-    pub disk: Option<(PathBuf, u64)>,
+    /// Folder for frames, and how they are kept there.
+    pub disk: Option<(PathBuf, Settings)>,
     /// Maximum bytes of frames per second.
     pub bytes_per_second: Option<u32>,
     /// The clock of the run, which began when this was started; the ends of windows are told by it.
@@ -134,9 +134,9 @@ impl Uplink {
     /// sensor's.
     pub fn start(options: &Options, links: &Links) -> Result<Self> {
         let (claim, disk) = match &options.disk {
-            Some((folder, bytes)) => {
+            Some((folder, settings)) => {
                 let claim = Claim::new(folder, &options.name)?;
-                (Some(claim), Some(Disk::open(folder, *bytes)?))
+                (Some(claim), Some(Disk::open(folder, *settings)?))
             }
             None => (None, None),
         };

@@ -374,6 +374,53 @@ fn what_is_wrong_is_said() {
     }
 }
 
+/// The folder of a sensor's store is one process's: its bound is one, and nobody deletes another's frames.
+#[test]
+fn a_second_process_on_a_store_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = folder.path().join("kept");
+    let hub = format!("tcp/127.0.0.1:{}", fleet::port());
+    let line = [
+        "sensor",
+        "door",
+        "--connect",
+        &hub,
+        "--scene",
+        "motorcycle",
+        "--width",
+        "32",
+        "--height",
+        "24",
+        "--repeat",
+        "--linger-s",
+        "0",
+        "--store",
+        store.to_str().unwrap(),
+        "--sync-ms",
+        "10",
+        "--json",
+    ];
+    let mut first = Program::start(&line);
+    until("the first has its folder", || {
+        assert!(first.is_running());
+        std::fs::read(store.join("sensor")).is_ok_and(|name| name == b"door\n")
+    });
+    let output = Program::start(&line).end();
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{told}");
+    assert!(told.contains("another process uses it"), "{told}");
+    first.signal("-TERM");
+    let output = first.end();
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{told}");
+    // Without a hub, all that was made is there for the next run.
+    let said: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(said["frames_on_disk"], said["frames"], "{said}");
+    for what in ["disk_failures", "disk_damaged_frames", "disk_damaged_bytes"] {
+        assert_eq!(said[what], 0, "{said}");
+    }
+}
+
 /// A small fleet: every frame is compared with the one that was sent.
 #[test]
 fn a_simulated_fleet_is_whole() {

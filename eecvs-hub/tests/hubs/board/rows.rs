@@ -163,6 +163,8 @@ fn losses_have_causes() {
             disk_bytes: 12,
             let_go_frames: 13,
             disk_failures: 14,
+            disk_damaged_frames: 15,
+            disk_damaged_bytes: 16,
             ..Stored::default()
         },
         ..Status::default()
@@ -182,9 +184,11 @@ fn losses_have_causes() {
     assert_eq!((losses.frames_missing, losses.frames_repeated), (2, 1));
     assert_eq!((losses.frames_damaged, losses.malformed), (3, 1));
     assert_eq!((losses.frames_let_go, losses.disk_failures), (13, 14));
+    assert_eq!(losses.disk_damaged_frames, 15);
     assert_eq!((losses.outages, losses.outages_s), (2, 2.5));
     assert_eq!((row.budget, row.is_congested), (Some(1000), true));
     assert_eq!((row.store_memory_bytes, row.store_disk_bytes), (11, 12));
+    assert_eq!(row.store_damaged_bytes, 16);
     // What a status says exists has until the next status to come.
     let later = Status { next: 12, ..status };
     board.status(&cam, later.clone());

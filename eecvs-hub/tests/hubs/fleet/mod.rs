@@ -15,11 +15,18 @@ use eecvs_hub::clock::Clock;
 use eecvs_hub::downlink::{self, Downlink};
 use eecvs_hub::hub::{self, Hub};
 use eecvs_hub::link::Links;
+use eecvs_hub::store::disk::Settings;
 use eecvs_hub::uplink::{self, Uplink};
 use eecvs_nostd::{
     Coder, Config, Density, Fidelity, Hybrid, Mode, Sensor, Thresholds, WindowConfig,
 };
 use event_emulator::{Preset, SceneConfig, emulate};
+
+/// How frames are kept on disk.
+const SETTINGS: Settings = Settings {
+    bytes_max: 64 << 20,
+    sync_ms: 100,
+};
 
 /// Longest wait for what has to happen; a machine may be busy.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -132,7 +139,7 @@ impl Fleet {
             name: name.parse().unwrap(),
             sensor: SENSOR,
             memory_bytes: 1 << 20,
-            disk: store.map(|folder| (folder.to_owned(), 64 << 20)),
+            disk: store.map(|folder| (folder.to_owned(), SETTINGS)),
             bytes_per_second: None,
             clock,
         };
