@@ -16,6 +16,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
+use event_types::stream::small_file::read_text;
 use serde::{Deserialize, Serialize};
 
 use crate::key::{self, Kind, Name};
@@ -108,6 +109,9 @@ const ALL_MESSAGES: &[&str] = &[
     "declare_liveliness_subscriber",
 ];
 
+/// Largest list, in bytes.
+const BYTES_MAX: u64 = 16 << 20;
+
 impl Access {
     /// Reads the list in a folder; returns an empty one if there is no file.
     ///
@@ -115,13 +119,10 @@ impl Access {
     /// The file cannot be read, or is not a valid list.
     pub fn read(folder: &Path) -> Result<Self> {
         let path = file(folder);
-        let text = match std::fs::read_to_string(&path) {
-            Ok(text) => text,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                return Ok(Self::default());
-            }
-            Err(error) => return Err(error).with_context(|| path.display().to_string()),
-        };
+        if !path.exists() {
+            return Ok(Self::default());
+        }
+        let text = read_text(&path, BYTES_MAX)?;
         // Some editors put a byte-order mark in front.
         let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
         let access: Self = toml::from_str(text).with_context(|| path.display().to_string())?;
@@ -142,7 +143,7 @@ impl Access {
              from it has no access.\n{}",
             toml::to_string(self)?
         );
-        std::fs::write(&path, text).with_context(|| path.display().to_string())
+        Ok(event_files::output::write(&path, text)?)
     }
 
     /// Adds a member to the list; a receiver with the names that it may receive.

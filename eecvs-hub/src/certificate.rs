@@ -3,13 +3,14 @@
 //! Keys are elliptic, on P-256. A hub's certificate contains the hosts under which it is reached; a client's
 //! certificate contains only its identity.
 
-use std::fs::{self, OpenOptions};
-use std::io::Write as _;
+use std::fs;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use anyhow::{Context as _, Result, ensure};
+use event_files::output::{sync_folder, write, write_private};
+use event_types::stream::small_file::read_text;
 use rcgen::{
     BasicConstraints, CertificateParams, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair,
     KeyUsagePurpose,
@@ -21,6 +22,9 @@ use crate::access::{Access, Role};
 const AUTHORITY_KEY: &str = "authority-key.pem";
 /// The authority's certificate, which every member has.
 const AUTHORITY: &str = "ca.pem";
+
+/// Largest file of a key or a certificate, in bytes.
+const PEM_BYTES_MAX: u64 = 1 << 20;
 
 /// How far clocks of two machines may differ: certificates are valid from this long before their creation.
 const CLOCKS: Duration = Duration::from_secs(24 * 3600);
@@ -35,28 +39,46 @@ impl Authority {
     /// Opens the authority in a folder, or creates one whose certificate is valid for `days`.
     ///
     /// # Errors
-    /// The folder cannot be written, or it has the authority's key or certificate without the other.
+    /// The folder cannot be written, or it has the authority's certificate without its key.
     pub fn open(folder: &Path, days: u32) -> Result<Self> {
         let authority = Self {
             folder: folder.to_owned(),
         };
-        let there = [AUTHORITY_KEY, AUTHORITY].map(|name| folder.join(name).exists());
+        let [of_key, of_certificate] = [AUTHORITY_KEY, AUTHORITY].map(|name| folder.join(name));
         ensure!(
-            there[0] == there[1],
-            "{}: {AUTHORITY_KEY} and {AUTHORITY} belong together, but one of them is missing",
+            of_key.exists() || !of_certificate.exists(),
+            "{}: {AUTHORITY} is there without {AUTHORITY_KEY}: put that key back, or name another folder",
             folder.display()
         );
-        if !there[0] {
+        if !of_certificate.exists() {
             fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-            let key = KeyPair::generate()?;
+            let key = match of_key.exists() {
+                // The creation was cut short, or the certificate was lost: another one of the same key and the same
+                // name stands for the same authority.
+                true => authority.key()?,
+                false => {
+                    let key = KeyPair::generate()?;
+                    write_private(&of_key, key.serialize_pem())?;
+                    key
+                }
+            };
             let mut params = params("authority", days)?;
             params.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
             params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
             let certificate = params.self_signed(&key)?;
-            write_secret(&folder.join(AUTHORITY_KEY), &key.serialize_pem())?;
-            write(&folder.join(AUTHORITY), &certificate.pem())?;
+            write(&of_certificate, certificate.pem())?;
         }
         Ok(authority)
+    }
+
+    fn read(&self, name: &str) -> Result<String> {
+        Ok(read_text(&self.folder.join(name), PEM_BYTES_MAX)?)
+    }
+
+    fn key(&self) -> Result<KeyPair> {
+        let pem = self.read(AUTHORITY_KEY)?;
+        KeyPair::from_pem(&pem)
+            .with_context(|| self.folder.join(AUTHORITY_KEY).display().to_string())
     }
 
     /// Makes keys and a certificate for a member, adds it to the list, and returns the folder with its keys. A hub
@@ -77,13 +99,8 @@ impl Authority {
             "{} already exists: remove it to make new keys",
             folder.display()
         );
-        let read = |name: &str| {
-            let path = self.folder.join(name);
-            fs::read_to_string(&path).with_context(|| path.display().to_string())
-        };
-        let authority = read(AUTHORITY)?;
-        let authority_key = KeyPair::from_pem(&read(AUTHORITY_KEY)?)
-            .with_context(|| self.folder.join(AUTHORITY_KEY).display().to_string())?;
+        let authority = self.read(AUTHORITY)?;
+        let authority_key = self.key()?;
         let issuer = Issuer::from_ca_cert_pem(&authority, authority_key)
             .with_context(|| self.folder.join(AUTHORITY).display().to_string())?;
         let key = KeyPair::generate()?;
@@ -104,13 +121,40 @@ impl Authority {
         let certificate = params.signed_by(&key, &issuer)?;
         let mut access = Access::read(&self.folder)?;
         access.add(role, hears);
-        fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
-        write_secret(&folder.join("key.pem"), &key.serialize_pem())?;
-        write(&folder.join("cert.pem"), &certificate.pem())?;
-        write(&folder.join(AUTHORITY), &authority)?;
-        access.write(&self.folder)?;
+        let files = Files {
+            key: key.serialize_pem(),
+            certificate: certificate.pem(),
+            authority,
+        };
+        self.put(&folder, &files, &access)
+            .with_context(|| folder.display().to_string())?;
         Ok(folder)
     }
+
+    /// Makes a member's folder, which appears under its name only when it is complete.
+    ///
+    /// The list is written first: a listed member without keys can do nothing, and gets its keys by the next attempt.
+    fn put(&self, folder: &Path, files: &Files, access: &Access) -> Result<()> {
+        let part = tempfile::Builder::new()
+            .prefix(".")
+            .suffix(".part")
+            .tempdir_in(&self.folder)?;
+        write_private(&part.path().join("key.pem"), &files.key)?;
+        write(&part.path().join("cert.pem"), &files.certificate)?;
+        write(&part.path().join(AUTHORITY), &files.authority)?;
+        access.write(&self.folder)?;
+        fs::rename(part.path(), folder)?;
+        // It is no longer there to be removed.
+        let _ = part.keep();
+        Ok(sync_folder(&self.folder)?)
+    }
+}
+
+/// The files of a member, as text.
+struct Files {
+    key: String,
+    certificate: String,
+    authority: String,
 }
 
 /// Returns a member's folder: `sensor-hall-1.left` for the sensor `hall-1/left`. Names contain no dots, so folders
@@ -128,21 +172,4 @@ fn params(common_name: &str, days: u32) -> Result<CertificateParams> {
     params.not_before = (now - CLOCKS).into();
     params.not_after = (now + Duration::from_secs(u64::from(days) * 24 * 3600)).into();
     Ok(params)
-}
-
-fn write(path: &Path, text: &str) -> Result<()> {
-    fs::write(path, text).with_context(|| path.display().to_string())
-}
-
-/// Writes a new file that only its owner may read.
-fn write_secret(path: &Path, text: &str) -> Result<()> {
-    let mut options = OpenOptions::new();
-    options.write(true).create_new(true);
-    #[cfg(unix)]
-    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    let mut file = options
-        .open(path)
-        .with_context(|| path.display().to_string())?;
-    file.write_all(text.as_bytes())
-        .with_context(|| path.display().to_string())
 }

@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use eecvs_cli::output::end;
+use eecvs_cli::output::{end, parse};
 use eecvs_cli::variable::have_zenoh_threads;
 use usb_bridge::stop::Stop;
 
@@ -32,7 +32,7 @@ enum Command {
 #[must_use]
 pub fn run() -> ExitCode {
     have_zenoh_threads();
-    let line = EecvsHub::parse();
+    let line = parse::<EecvsHub>();
     let stop = match Stop::on_signals() {
         Ok(stop) => stop,
         Err(error) => return end("eecvs-hub", Err(error)),

@@ -17,6 +17,7 @@ use std::ffi::{OsStr, OsString};
 use std::path::Path;
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
+use event_types::stream::small_file::read_text;
 use serde::Deserialize;
 
 use crate::names::NodeName;
@@ -325,13 +326,7 @@ const FILE_BYTES_MAX: u64 = 1 << 20;
 /// of the node's name.
 fn file(path: &Path) -> Result<Vec<Assignment>> {
     let name = path.display();
-    let length = std::fs::metadata(path).map(|data| data.len());
-    let length = length.with_context(|| format!("{name}: cannot be read"))?;
-    ensure!(
-        length <= FILE_BYTES_MAX,
-        "{name}: {length} bytes are too many for a parameter file"
-    );
-    let text = std::fs::read_to_string(path).with_context(|| format!("{name}: cannot be read"))?;
+    let text = read_text(path, FILE_BYTES_MAX).context("not a parameter file")?;
     // Some editors put a byte-order mark in front.
     let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
     let nodes: BTreeMap<String, Yaml> = serde_saphyr::from_str(text)

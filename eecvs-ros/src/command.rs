@@ -11,7 +11,8 @@ use std::time::Duration;
 use anyhow::{Context as _, Result, anyhow, bail, ensure};
 use clap::builder::ValueParser;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, ValueEnum};
-use eecvs_cli::output::end;
+use eecvs_cli::output::{end, exit_at};
+use eecvs_cli::say;
 use eecvs_cli::variable::have_zenoh_threads;
 use usb_bridge::stop::Stop;
 
@@ -181,7 +182,7 @@ fn start(operators: &Arc<Operators>) -> Result<()> {
     // A first pass, to find the node: only then are its parameters known, which become flags too.
     let first = command_line().ignore_errors(true);
     let first = first.try_get_matches_from(&rest);
-    let first = first.unwrap_or_else(|error| error.exit());
+    let first = first.unwrap_or_else(|error| exit_at(&error));
     let name = match first.subcommand_name() {
         Some(name) if is_node(name) => name.to_owned(),
         _ => {
@@ -211,7 +212,7 @@ fn start(operators: &Arc<Operators>) -> Result<()> {
 fn parsed(matches: clap::error::Result<clap::ArgMatches>) -> Result<EecvsRos> {
     match matches.and_then(|matches| EecvsRos::from_arg_matches(&matches)) {
         Ok(line) => Ok(line),
-        Err(error) => error.exit(),
+        Err(error) => exit_at(&error),
     }
 }
 
@@ -245,7 +246,7 @@ fn parse(
     descriptor::put_flags(&declared, &node.parameters, &mut given)
         .map_err(|why| Usage(anyhow::anyhow!("--ros-args: {}: {why}", node.name.full())))?;
     let matches = command_line().try_get_matches_from(with_flags(&line, &given, &[]));
-    let matches = matches.unwrap_or_else(|error| error.exit());
+    let matches = matches.unwrap_or_else(|error| exit_at(&error));
     let of_node = matches.subcommand().map(|(_, matches)| matches.clone());
     let all = declared.clone();
     let accept: Accept = Box::new(move |set| {
@@ -279,7 +280,7 @@ fn named(ros: &RosArguments, commands: &[String]) -> Result<Vec<(NodeArguments, 
         .map(|(node, declared)| (node.name.clone(), declared.as_slice()))
         .collect();
     ros.check(&all, |node, name| {
-        eprintln!("eecvs-ros: --ros-args: {node}: no node here has the parameter {name}");
+        say!("eecvs-ros: --ros-args: {node}: no node here has the parameter {name}");
     })
     .map_err(Usage)?;
     Ok(nodes)
@@ -355,12 +356,12 @@ fn route(options: &LinkOptions, stop: &Stop) -> Result<()> {
     } else {
         links.listen.join(", ")
     };
-    eprintln!("eecvs-ros: a router listens on {listens}");
+    say!("eecvs-ros: a router listens on {listens}");
     let mut told = (0, 0);
     while !stop.is_asked() {
         let (routers, others) = router.connected();
         if (routers, others) != told {
-            eprintln!("eecvs-ros: connected: {routers} routers, {others} others");
+            say!("eecvs-ros: connected: {routers} routers, {others} others");
             told = (routers, others);
         }
         thread::sleep(LOOK);

@@ -9,6 +9,7 @@ use std::collections::HashMap;
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
+use eecvs_cli::say;
 
 use crate::transport::{Known, NAMED, PUBLISHERS_MAX, PublisherId, Subscription, UNNAMED};
 
@@ -242,7 +243,7 @@ impl From<Box<dyn Subscription>> for OnePublisher {
         Self::new(
             subscription,
             "the topic",
-            Box::new(|line| eprintln!("eecvs-ros: {line}")),
+            Box::new(|line| say!("eecvs-ros: {line}")),
         )
     }
 }

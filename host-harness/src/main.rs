@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use eecvs_cli::output::end;
+use eecvs_cli::output::{end, parse};
 use eecvs_cli::stop::end_on_signals;
 use host_harness::cmd;
 
@@ -39,7 +39,7 @@ fn main() -> ExitCode {
         return end("eecvs", Err(error));
     }
     // Bad usage ends here, with exit status 2.
-    let result = match Eecvs::parse().command {
+    let result = match parse::<Eecvs>().command {
         Command::Demo(command) => command.run(),
         Command::Info(command) => command.run(),
         Command::Emulate(command) => command.run(),

@@ -3,7 +3,7 @@
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
-use eecvs_cli::output::end;
+use eecvs_cli::output::{end, parse};
 use usb_bridge::cmd;
 
 /// Event cameras and the encoder's microcontroller on USB: capture, forward, simulate
@@ -26,7 +26,7 @@ enum Command {
 
 fn main() -> ExitCode {
     // Wrong usage ends the process here, with exit status 2.
-    let result = match EecvsUsb::parse().command {
+    let result = match parse::<EecvsUsb>().command {
         Command::List(command) => command.run(),
         Command::Capture(command) => command.run(),
         Command::Forward(command) => command.run(),

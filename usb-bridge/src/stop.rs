@@ -4,6 +4,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result};
+use event_files::output::remove_parts;
+
+/// Exit status of a process that a second signal ended.
+const ENDED: i32 = 130;
 
 /// A stop request that any thread can see; clones share it.
 #[derive(Debug, Clone, Default)]
@@ -17,9 +21,13 @@ impl Stop {
     pub fn on_signals() -> Result<Self> {
         let stop = Self::default();
         let wish = stop.clone();
+        // Not the wish itself, which the program may set as well, at its end.
+        let is_signalled = AtomicBool::new(false);
         ctrlc::set_handler(move || {
-            if wish.0.swap(true, Ordering::Relaxed) {
-                std::process::exit(1);
+            wish.ask();
+            if is_signalled.swap(true, Ordering::Relaxed) {
+                remove_parts();
+                std::process::exit(ENDED);
             }
         })
         .context("handling Ctrl-C")?;

@@ -99,6 +99,9 @@ enum Task {
         #[arg(long)]
         list: bool,
     },
+    /// Let every call by which a command writes a file fail, one at a time; kill every command at every such call and at
+    /// random moments
+    Faults,
     /// Build the images of a microcontroller: firmware/build.sh
     BuildImage {
         /// Machine, program, `portable`
@@ -157,6 +160,7 @@ fn main() -> Result<ExitCode> {
         Task::Fuzz {
             seconds, targets, ..
         } => fuzz::run(seconds, &targets),
+        Task::Faults => tests::faults(),
         Task::BuildImage { arguments } => tree::script("firmware/build.sh", &arguments),
         Task::HubLoad { arguments } => tree::script("eecvs-hub/load.sh", &arguments),
         Task::HubKills { arguments } => tree::script("eecvs-hub/kills.sh", &arguments),

@@ -1,7 +1,7 @@
 //! Sending a recording through an encoder: the flags and the report shared by `eecvs mcu` and `eecvs-usb mcu`.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::Args;
@@ -108,15 +108,18 @@ pub struct Prepared<'o> {
 }
 
 impl JobOptions {
-    /// Opens the recording and derives the configuration, before any encoder is started.
+    /// Opens the recording and derives the configuration, before any encoder is started; `files` are further inputs of
+    /// the command.
     ///
     /// # Errors
     /// A recording that cannot be read, an output that cannot be written, or options that an encoder on a
     /// microcontroller does not support.
-    pub fn prepare(&self) -> Result<Prepared<'_>> {
+    pub fn prepare<'f>(
+        &'f self,
+        files: impl IntoIterator<Item = &'f Path>,
+    ) -> Result<Prepared<'f>> {
         if let Some(output) = &self.output {
-            let input = self.input.iter().map(PathBuf::as_path);
-            let inputs = input.chain(self.codec.files());
+            let inputs = self.inputs().chain(files);
             self.overwrite.check(output, Kind::Frames, inputs)?;
         }
         let recording = match &self.input {
@@ -133,6 +136,12 @@ impl JobOptions {
             config,
             hot: self.codec.hot_pixels(sensor)?,
         })
+    }
+
+    /// Returns the files that are read.
+    pub fn inputs(&self) -> impl Iterator<Item = &Path> {
+        let input = self.input.iter().map(PathBuf::as_path);
+        input.chain(self.codec.files())
     }
 
     /// Returns the name of the recording for messages.

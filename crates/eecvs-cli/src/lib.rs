@@ -6,6 +6,7 @@
 pub mod codec;
 pub mod folder;
 pub mod job;
+pub mod memory;
 pub mod options;
 pub mod order;
 pub mod output;

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use crate::say;
 use anyhow::{Result, ensure};
 use clap::Args;
 use clap::builder::RangedU64ValueParser;
@@ -259,7 +260,7 @@ pub fn tell_damage(
         None => String::new(),
     };
     ensure!(followed, "{damage}{kept}");
-    eprintln!("eecvs: {damage}{kept}");
+    say!("eecvs: {damage}{kept}");
     Ok(())
 }
 
@@ -270,7 +271,7 @@ pub fn tell_damage(
 pub fn tell_link(name: &str, link: &LinkReport) -> Result<()> {
     if let Some(warning) = link.warning() {
         ensure!(!link.has_loss(), "{name}: {warning}");
-        eprintln!("eecvs: {name}: {warning}");
+        say!("eecvs: {name}: {warning}");
     }
     Ok(())
 }

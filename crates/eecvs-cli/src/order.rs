@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::say;
 use anyhow::{Result, bail};
 use clap::Args;
 use eecvs::encode::EncodeSummary;
@@ -89,7 +90,7 @@ impl OrderOptions {
 pub fn tell_disorder(input: &Path, summary: &EncodeSummary, order: OrderOptions) -> Result<()> {
     let name = input.display().to_string();
     if summary.runs > 1 {
-        eprintln!(
+        say!(
             "eecvs: {name}: times run backwards further than --reorder-us puts in order: the \
              frames form {} runs and hold all events; if this is one recording out of order, \
              --sort or a longer --reorder-us needs fewer bytes",
@@ -98,7 +99,7 @@ pub fn tell_disorder(input: &Path, summary: &EncodeSummary, order: OrderOptions)
     }
     let late = (summary.events_late, summary.events_in);
     order.refuse_late(&name, late, "--reorder-us or --sort", |line| {
-        eprintln!("eecvs: {line}");
+        say!("eecvs: {line}");
     })
 }
 

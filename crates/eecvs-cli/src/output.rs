@@ -4,8 +4,9 @@ use std::io::{ErrorKind, Write, stderr, stdout};
 use std::path::Path;
 use std::process::ExitCode;
 
-use anyhow::{Context, Error, Result};
+use anyhow::{Context, Error, Result, bail};
 use event_files::output::{Output, is_stdout};
+use event_types::plain;
 use serde::Serialize;
 
 /// Ends a program: an error is printed as one line on stderr and gives exit status 1; a closed pipe is a success.
@@ -14,10 +15,40 @@ pub fn end(program: &str, result: Result<()>) -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if is_closed_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("{program}: {error:#}");
+            say(&format!("{program}: {error:#}"));
             ExitCode::FAILURE
         }
     }
+}
+
+/// Prints one line on stderr, in which a terminal acts on nothing: see [`plain`].
+pub fn say(line: &str) {
+    // If stderr is gone, nobody can be informed of it.
+    let _ = writeln!(stderr(), "{}", plain::line(line));
+}
+
+/// Prints one line on stderr, with the arguments of [`format!`]; like [`say()`].
+#[macro_export]
+macro_rules! say {
+    ($($argument:tt)*) => {
+        $crate::output::say(&format!($($argument)*))
+    };
+}
+
+/// Ends the process at an error of the command line, or after the help or the version that it asked for.
+pub fn exit_at(error: &clap::Error) -> ! {
+    if error.use_stderr() {
+        // It may quote the name of a file.
+        eprint!("{}", plain::lines(&error.render().to_string()));
+        std::process::exit(error.exit_code());
+    }
+    error.exit()
+}
+
+/// Parses the command line of this process; bad usage ends it with exit status 2.
+#[must_use]
+pub fn parse<P: clap::Parser>() -> P {
+    P::try_parse().unwrap_or_else(|error| exit_at(&error))
 }
 
 /// Returns whether the error is a closed pipe: the reader of stdout, such as `head`, has stopped reading.
@@ -34,11 +65,15 @@ pub fn io_causes(error: &Error) -> impl Iterator<Item = &std::io::Error> {
     })
 }
 
-/// Prints text to stdout unchanged.
+/// Prints text of several lines to stdout, in which a terminal acts on nothing but newlines and tabs: see [`plain`].
 ///
 /// # Errors
 /// Stdout cannot be written; [`end`] treats a closed pipe as a success.
 pub fn print(text: &str) -> Result<()> {
+    write(&plain::lines(text))
+}
+
+fn write(text: &str) -> Result<()> {
     let mut out = stdout().lock();
     out.write_all(text.as_bytes())
         .and_then(|()| out.flush())
@@ -50,7 +85,12 @@ pub fn print(text: &str) -> Result<()> {
 /// # Errors
 /// As for [`print()`].
 pub fn print_json(value: &impl Serialize) -> Result<()> {
-    print(&format!("{}\n", serde_json::to_string(value)?))
+    write(&json_line(value)?)
+}
+
+fn json_line(value: &impl Serialize) -> Result<String> {
+    let text = serde_json::to_string(value)?;
+    Ok(format!("{}\n", plain::json(&text)))
 }
 
 /// Where a command prints its report: stdout, unless the command writes a data stream there.
@@ -89,18 +129,22 @@ impl Place {
         table: impl FnOnce() -> String,
     ) -> Result<()> {
         if json {
-            return self.print(&format!("{}\n", serde_json::to_string(report)?));
+            return self.put(&json_line(report)?);
         }
         self.print(&table())
     }
 
-    /// Prints text unchanged.
+    /// Prints text of several lines, like [`print()`].
     ///
     /// # Errors
     /// As for [`print()`]; errors of stderr are ignored.
     pub fn print(self, text: &str) -> Result<()> {
+        self.put(&plain::lines(text))
+    }
+
+    fn put(self, text: &str) -> Result<()> {
         match self {
-            Self::Stdout => print(text),
+            Self::Stdout => write(text),
             // If stderr is gone, nobody can be informed of it.
             Self::Stderr => {
                 let _ = stderr().write_all(text.as_bytes());
@@ -116,7 +160,7 @@ pub fn rows<'a>(rows: impl IntoIterator<Item = (&'a str, String)>) -> String {
     let rows: Vec<_> = rows.into_iter().collect();
     let width = rows.iter().map(|(name, _)| name.len()).max().unwrap_or(0);
     rows.iter()
-        .map(|(name, value)| format!("{name:<width$}  {value}\n"))
+        .map(|(name, value)| format!("{name:<width$}  {}\n", plain::line(value)))
         .collect()
 }
 
@@ -124,9 +168,14 @@ pub fn rows<'a>(rows: impl IntoIterator<Item = (&'a str, String)>) -> String {
 /// mentions, and an empty file is removed.
 ///
 /// # Errors
-/// The error of `outcome`, or the file cannot be renamed.
+/// The error of `outcome`; nothing arrived, and an empty file is not one of its format; or the file cannot be renamed.
 pub fn keep_or_mark<T>(output: Output, outcome: Result<T>) -> Result<T> {
     match outcome {
+        Ok(_) if output.is_empty() => {
+            let name = output.name().display().to_string();
+            let _ = output.leave();
+            bail!("{name}: not written, since nothing arrived")
+        }
         Ok(done) => Ok(output.keep().map(|()| done)?),
         Err(error) => match output.leave() {
             Some(part) => {

@@ -124,6 +124,9 @@ impl LinkReport {
     }
 }
 
+/// Most bytes that are searched for the first frame of a stream.
+const FRAMELESS_BYTES_MAX: u64 = 64 << 20;
+
 /// A frame with its position in the source.
 #[derive(Debug, Clone, Copy)]
 pub struct Located<'r> {
@@ -351,6 +354,11 @@ impl<R: Read> FrameReader<R> {
     }
 
     fn fill(&mut self) -> std::io::Result<()> {
+        // Whatever this is, it is no stream of frames, and it may have no end.
+        if self.sensor.is_none() && self.report.damaged_bytes > FRAMELESS_BYTES_MAX {
+            let text = format!("no frame in the first {FRAMELESS_BYTES_MAX} bytes");
+            return Err(std::io::Error::other(text));
+        }
         let read = loop {
             match self.source.read(&mut self.piece) {
                 Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use eecvs_nostd::Sensor;
 use event_types::ensure;
+use event_types::stream::small_file::read_text;
 use event_types::stream::{Context, Result};
 
 /// Largest file accepted, in bytes.
@@ -16,16 +17,7 @@ const BYTES_MAX: u64 = 64 << 20;
 /// Fails if the file cannot be read or is too large, or if a line is not a pixel of the sensor.
 pub fn read(path: &Path, sensor: Sensor) -> Result<Vec<(u16, u16)>> {
     let name = path.display();
-    let size = std::fs::metadata(path)
-        .with_context(|| format!("{name}: cannot read the hot pixels"))?
-        .len();
-    ensure!(
-        size <= BYTES_MAX,
-        Damaged,
-        "{name}: {size} bytes are too many for a list of pixels"
-    );
-    let text = std::fs::read_to_string(path)
-        .with_context(|| format!("{name}: cannot read the hot pixels"))?;
+    let text = read_text(path, BYTES_MAX).context("cannot read the hot pixels")?;
     let mut pixels = Vec::new();
     // Some editors put a byte-order mark in front.
     let text = text.trim_start_matches('\u{feff}');

@@ -5,10 +5,10 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use event_types::stream::{Context, Result};
-use tempfile::{NamedTempFile, TempPath};
 
-use crate::format::FRAMES_SYNC;
+use crate::format::{FRAMES_SYNC, refuse_unknown};
 use crate::input::piped::{Piped, is_stream, name_of, open_bytes};
+use crate::output::temporary::{Temporary, copy};
 use crate::{EventReader, Reading};
 
 /// What a path leads to, decided by [`Content::of`].
@@ -83,7 +83,7 @@ pub struct Rereadable {
     path: PathBuf,
     name: String,
     /// The temporary file of a pipe, removed when this is dropped.
-    whole: Option<TempPath>,
+    whole: Option<Temporary>,
 }
 
 impl Rereadable {
@@ -101,11 +101,12 @@ impl Rereadable {
             });
         }
         let unkept = || format!("{name}: cannot be copied to a temporary file");
-        let mut whole = NamedTempFile::new().with_context(unkept)?;
-        std::io::copy(&mut open_bytes(path)?, &mut whole).with_context(unkept)?;
-        let whole = whole.into_temp_path();
+        let mut pipe = Piped::open(path)?;
+        refuse_unknown(&mut pipe, &name)?;
+        let (mut file, whole) = Temporary::create().with_context(unkept)?;
+        copy(&mut pipe, &mut file, &name).with_context(unkept)?;
         Ok(Self {
-            path: whole.to_path_buf(),
+            path: whole.path().to_owned(),
             name,
             whole: Some(whole),
         })

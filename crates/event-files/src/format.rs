@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 
 use event_types::stream::{Context, Error, Result};
 use event_types::{Event, Sensor, bail, ensure, error};
-use tempfile::{NamedTempFile, TempPath};
 
 #[cfg(feature = "aedat4")]
 use crate::aedat::aedat4;
@@ -26,6 +25,7 @@ use crate::input::{Input, ReadSeek, adjusted};
 use crate::mat;
 #[cfg(feature = "npz")]
 use crate::numpy::npz;
+use crate::output::temporary::Temporary;
 use crate::output::{Output, is_stdout};
 #[cfg(feature = "parquet")]
 use crate::parquet;
@@ -327,6 +327,7 @@ pub fn open_source(
 /// # Errors
 /// Those of [`open`].
 pub fn open_pipe(mut pipe: Piped, name: &str, reading: &Reading) -> Result<Box<dyn EventReader>> {
+    refuse_unknown(&mut pipe, name)?;
     let front = pipe.front(START_BYTES);
     let front = front.with_context(|| format!("{name}: cannot be read"))?;
     let front = front.to_vec();
@@ -338,6 +339,21 @@ pub fn open_pipe(mut pipe: Piped, name: &str, reading: &Reading) -> Result<Box<d
         Box::new(whole(pipe, name)?)
     };
     open_source(source, name, reading.clone())
+}
+
+/// Refuses a pipe whose first bytes are those of no format, before all of it is copied: it may have no end.
+///
+/// # Errors
+/// The format is not known, or the pipe cannot be read.
+pub(crate) fn refuse_unknown(pipe: &mut Piped, name: &str) -> Result<()> {
+    let front = pipe.front(START_BYTES);
+    let front = front.with_context(|| format!("{name}: cannot be read"))?;
+    // A shorter pipe has ended, and says more of itself when it is opened.
+    if front.len() < START_BYTES {
+        return Ok(());
+    }
+    let front = Cursor::new(front.to_vec());
+    tell(&mut Input::new(Box::new(front), name)?).map(drop)
 }
 
 /// Returns whether a recording can be opened by its first bytes, and read as a stream, whatever follows them.
@@ -514,14 +530,13 @@ pub fn create_as(path: &Path, format: &Format, sensor: Sensor) -> Result<Box<dyn
         .with_context(|| format!("{}: {} cannot be written", path.display(), format.title))?;
     let output = Output::begin(path)?;
     if output.is_direct() && !format.streams {
-        let file = NamedTempFile::new().with_context(|| {
+        let (_, file) = Temporary::create().with_context(|| {
             format!(
                 "{}: no temporary file can be created for it",
                 path.display()
             )
         })?;
-        let file = file.into_temp_path();
-        let writer = create(&file, sensor)?;
+        let writer = create(file.path(), sensor)?;
         return Ok(Box::new(Later {
             writer,
             file,
@@ -571,7 +586,7 @@ impl EventWriter for Kept {
 struct Later {
     // Declared first, so that the writer is dropped before the file is removed.
     writer: Box<dyn EventWriter>,
-    file: TempPath,
+    file: Temporary,
     output: Output,
 }
 
@@ -588,7 +603,7 @@ impl EventWriter for Later {
         } = *self;
         writer.finish()?;
         let name = output.name().display();
-        let mut file = File::open(&file)
+        let mut file = File::open(file.path())
             .with_context(|| format!("{name}: its temporary file cannot be opened"))?;
         let mut pipe = output.file()?;
         io::copy(&mut file, &mut pipe).with_context(|| format!("{name}: cannot be written"))?;

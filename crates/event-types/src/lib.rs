@@ -13,11 +13,14 @@
 //! which an encoder receives over a link.
 //!
 //! The types are `no_std` and need no allocator. The feature `std` adds [`stream`]: the traits of event sources
-//! (files, cameras, emulated scenes, decoded frames) and of event sinks.
+//! (files, cameras, emulated scenes, decoded frames) and of event sinks; and [`plain`], which makes text from outside
+//! harmless for a terminal.
 #![cfg_attr(not(feature = "std"), no_std)]
 
 mod event;
 pub mod evt2;
+#[cfg(feature = "std")]
+pub mod plain;
 #[cfg(feature = "std")]
 pub mod stream;
 #[cfg(feature = "test-events")]

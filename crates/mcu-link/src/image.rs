@@ -5,11 +5,14 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use event_types::bail;
-use event_types::stream::{Context, Result};
+use event_types::stream::{Context, Result, small_file};
 use object::read::elf::ElfFile32;
 use object::{Object, ObjectSection, SectionFlags, elf};
 
 use super::qemu::Machine;
+
+/// Largest image, in bytes.
+pub(crate) const BYTES_MAX: u64 = 256 << 20;
 
 /// Folder of the firmware, relative to these sources.
 const FIRMWARE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../firmware");
@@ -116,7 +119,7 @@ impl ImageSizes {
     /// A file that cannot be read or is not a 32-bit ELF file.
     pub fn read(path: &Path) -> Result<Self> {
         let name = path.display();
-        let image = std::fs::read(path).with_context(|| format!("{name}: cannot be read"))?;
+        let image = small_file::read(path, BYTES_MAX)?;
         Self::of(&image).with_context(|| format!("{name}"))
     }
 }

@@ -5,8 +5,8 @@ use std::io::{Read, Write};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use defmt_decoder::{DecodeError, Locations, Table};
-use event_types::error;
 use event_types::stream::Result;
+use event_types::{error, plain};
 
 /// Number of lines kept for error messages.
 const KEPT_LINES: usize = 20;
@@ -99,7 +99,7 @@ fn show(level: &str, message: &str, place: &str, all: bool, lines: &LogLines) {
     let line = format!("{level:<5} {message}{place}");
     if all || ["warn", "error"].contains(&level) {
         // A closed stderr is no reason to stop reading: the emulator would stall.
-        let _ = writeln!(std::io::stderr(), "mcu: {line}");
+        let _ = writeln!(std::io::stderr(), "mcu: {}", plain::line(&line));
     }
     lines.push(line);
 }

@@ -8,9 +8,10 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use event_types::bail;
-use event_types::stream::{Context, Result};
+use event_types::stream::{Context, Result, small_file};
 use tempfile::TempDir;
 
+use super::image::BYTES_MAX;
 use super::log::{LogDecoder, LogLines};
 
 const PROGRAM: &str = "qemu-system-arm";
@@ -178,8 +179,7 @@ impl Qemu {
         let image_path = image
             .canonicalize()
             .with_context(|| format!("{name}: no such image"))?;
-        let bytes =
-            std::fs::read(&image_path).with_context(|| format!("{name}: cannot be read"))?;
+        let bytes = small_file::read(&image_path, BYTES_MAX)?;
         let decoder = LogDecoder::new(&bytes).with_context(|| format!("{name}"))?;
         let folder =
             tempfile::tempdir().context("cannot create a folder for the emulator's socket")?;

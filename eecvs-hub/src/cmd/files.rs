@@ -8,6 +8,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
 use eecvs_cli::output::io_causes;
+use eecvs_cli::say;
+use event_files::output;
 use serde::Serialize;
 
 use crate::key::Name;
@@ -63,6 +65,7 @@ impl Files {
                 let path = self.paths.get(&who).map(|(path, _)| path);
                 let path = path.unwrap_or(&self.folder);
                 first.flush().with_context(|| path.display().to_string())?;
+                sync(path)?;
             }
             let file = match self.paths.get(&who) {
                 Some((path, _)) => append(path, false)?,
@@ -98,14 +101,14 @@ impl Files {
                 None => {
                     let file = append(&path, false)?;
                     if file.metadata().is_ok_and(|data| data.len() > 0) {
-                        eprintln!(
+                        say!(
                             "eecvs-hub: {} exists: frames are appended to it",
                             path.display()
                         );
                     }
                     return Ok((path, file));
                 }
-                Some(other) => eprintln!(
+                Some(other) => say!(
                     "eecvs-hub: {} and {other} are the same file on this file system: the file of \
                      {name} gets a number",
                     path.display()
@@ -141,16 +144,20 @@ impl Files {
         Ok(alias_among(&names, file_name))
     }
 
-    /// Writes all that is left, and returns what was written.
+    /// Writes all that is left to the disk, and returns what was written.
     ///
     /// # Errors
-    /// A file cannot be written.
+    /// The first error, after all files have been written as far as possible.
     pub(super) fn finish(&mut self) -> Result<Vec<Written>> {
+        let mut outcome = Ok(());
         for (who, file) in &mut self.open {
             let path = self.paths.get(who).map(|(path, _)| path);
             let path = path.unwrap_or(&self.folder);
-            file.flush().with_context(|| path.display().to_string())?;
+            let flushed = file.flush().with_context(|| path.display().to_string());
+            let written = flushed.and_then(|()| sync(path));
+            outcome = outcome.and(written);
         }
+        outcome?;
         let paths = self.paths.iter();
         Ok(paths
             .map(|((name, _), (path, frames))| Written {
@@ -171,6 +178,11 @@ fn alias_among(names: &[String], file_name: &str) -> Option<String> {
     let mut names = names.iter();
     let other = names.find(|name| name.eq_ignore_ascii_case(file_name));
     Some(other.map_or("another name", String::as_str).to_owned())
+}
+
+/// Writes what the system still holds of a file to the disk.
+fn sync(path: &Path) -> Result<()> {
+    output::sync(path).with_context(|| format!("{}: cannot be written to the disk", path.display()))
 }
 
 /// Opens a file to append to it, for this process alone; with `is_new` only if it is not there.

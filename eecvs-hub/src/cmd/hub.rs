@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context as _, Result, ensure};
 use clap::Args;
+use eecvs_cli::say;
 use usb_bridge::stop::Stop;
 
 use crate::access::{Access, FILE};
@@ -137,21 +138,21 @@ impl Hub {
             access,
         };
         let hub = hub::Hub::start(options, &links, page)?;
-        eprintln!("eecvs-hub: {} listens on {}", self.name, listen.join(", "));
+        say!("eecvs-hub: {} listens on {}", self.name, listen.join(", "));
         if let Some(address) = address {
-            eprintln!("eecvs-hub: its page is http://{address}/");
+            say!("eecvs-hub: its page is http://{address}/");
         }
         let mut told = 0;
         let mut shared = BTreeMap::new();
         while !stop.is_asked() && !hub.has_ended() {
             let routers = hub.routers();
             if routers != told {
-                eprintln!("eecvs-hub: {routers} other hubs are connected");
+                say!("eecvs-hub: {routers} other hubs are connected");
                 told = routers;
             }
             for (name, sensors) in hub.board().shared_names() {
                 if shared.insert(name.clone(), sensors) != Some(sensors) {
-                    eprintln!(
+                    say!(
                         "eecvs-hub: {name}: {sensors} sensors send under this name at once: give each a name of its own"
                     );
                 }

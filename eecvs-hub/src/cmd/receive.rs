@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, Result, bail};
 use clap::Args;
 use eecvs_cli::output::{print, print_json};
+use eecvs_cli::say;
 use serde::Serialize;
 use usb_bridge::stop::Stop;
 
@@ -155,7 +156,7 @@ impl Receive {
         if !self.allow_loss {
             bail!("{wrong}; with --allow-loss this is not an error");
         }
-        eprintln!("eecvs-hub: {wrong}");
+        say!("eecvs-hub: {wrong}");
         Ok(())
     }
 }
@@ -177,7 +178,7 @@ impl Watched {
         for sensor in report.shared_names() {
             let SensorReport { name, at_once, .. } = sensor;
             if self.at_once.insert(name.clone(), *at_once) != Some(*at_once) {
-                eprintln!(
+                say!(
                     "eecvs-hub: {name}: {at_once} sensors send under this name at once, and each is kept apart: give \
                      each a name of its own"
                 );
@@ -189,7 +190,7 @@ impl Watched {
     fn tell(&mut self, report: &Report) {
         self.tell_names(report);
         if report.outages > self.outages {
-            eprintln!("eecvs-hub: the hub does not answer; trying again");
+            say!("eecvs-hub: the hub does not answer; trying again");
             self.outages = report.outages;
         }
         if self.told.is_some_and(|told| told.elapsed() < TELL) {
@@ -198,7 +199,7 @@ impl Watched {
         let lost = report.sum(|sensor| sensor.lost);
         let missing = report.sum(|sensor| sensor.missing);
         if (lost, missing) != (self.lost, self.missing) {
-            eprintln!(
+            say!(
                 "eecvs-hub: {missing} frames are missing and have been requested, {lost} are lost"
             );
             (self.lost, self.missing) = (lost, missing);

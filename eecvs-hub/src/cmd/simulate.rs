@@ -5,6 +5,7 @@ use std::time::Duration;
 use anyhow::{Result, ensure};
 use clap::Args;
 use eecvs_cli::output::{print, print_json, rows};
+use eecvs_cli::say;
 use eecvs_nostd::Sensor;
 use usb_bridge::stop::Stop;
 
@@ -79,12 +80,12 @@ impl Simulate {
         let folder =
             std::env::temp_dir().join(format!("eecvs-hub-simulate-{}", std::process::id()));
         let outcome = simulate(options, &folder, stop, &mut |line| {
-            eprintln!("eecvs-hub: {line}");
+            say!("eecvs-hub: {line}");
         });
         let removed = std::fs::remove_dir_all(&folder);
         let outcome = outcome?;
         if removed.is_err() {
-            eprintln!("eecvs-hub: {}: cannot be removed", folder.display());
+            say!("eecvs-hub: {}: cannot be removed", folder.display());
         }
         match self.json {
             true => print_json(&outcome)?,

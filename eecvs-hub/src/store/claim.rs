@@ -1,7 +1,7 @@
 //! A sensor's claim to its folder: the frames in it are sent under one name, by one process at a time.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
-use std::io::{ErrorKind, Read as _, Write as _};
+use std::io::{ErrorKind, Read as _, Seek as _, Write as _};
 use std::path::Path;
 
 use anyhow::{Context as _, Result, bail};
@@ -33,10 +33,19 @@ impl Claim {
         let mut text = String::new();
         let read = (&file).take(1024).read_to_string(&mut text);
         read.with_context(at)?;
-        match text.trim() {
-            "" => file
-                .write_all(format!("{name}\n").as_bytes())
-                .with_context(at)?,
+        // A line without its end was cut short, by a full disk say, before a frame was in the folder.
+        let owner = if text.ends_with('\n') {
+            text.trim()
+        } else {
+            ""
+        };
+        match owner {
+            "" => {
+                file.set_len(0).with_context(at)?;
+                file.rewind().with_context(at)?;
+                file.write_all(format!("{name}\n").as_bytes())
+                    .with_context(at)?;
+            }
             owner if owner == name.as_str() => {}
             owner => bail!(
                 "{}: it holds the frames of the sensor {owner}: give {name} a folder of its own",

@@ -261,6 +261,9 @@ fn read_chunk<'c>(
 ) -> Result<&'c [u8]> {
     let place = chunks.get(&offset);
     let (start, bytes) = *place.context("the index has no such chunk")?;
+    chunk
+        .try_reserve(bytes.saturating_sub(chunk.len()))
+        .context("the memory for a chunk cannot be had")?;
     chunk.resize(bytes, 0);
     file.seek(SeekFrom::Start(start))?;
     file.read_exact(chunk)?;

@@ -5,7 +5,8 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
+use event_types::stream::small_file::read_text;
 use serde::Deserialize;
 
 use super::{Storage, Topic};
@@ -136,15 +137,9 @@ impl Metadata {
     pub fn read(folder: &Path) -> Result<Self> {
         let path = folder.join(METADATA);
         let name = path.display();
-        let length = std::fs::metadata(&path).map(|data| data.len());
-        let length = length
+        std::fs::metadata(&path)
             .with_context(|| format!("{name}: cannot be read: the folder is not a ROS 2 bag"))?;
-        ensure!(
-            length <= BYTES_MAX,
-            "{name}: too long for the metadata of a bag"
-        );
-        let text = std::fs::read_to_string(&path);
-        let text = text.with_context(|| format!("{name}: cannot be read as text"))?;
+        let text = read_text(&path, BYTES_MAX)?;
         // Some editors put a byte-order mark in front.
         let text = text.strip_prefix('\u{feff}').unwrap_or(&text);
         let document: Document = serde_saphyr::from_str(text)

@@ -14,8 +14,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::ValueEnum;
+use event_files::output;
+use event_files::output::temporary::Temporary;
 use event_files::ros::decoder::unpack;
-use event_files::ros::folder::{TempPath, unpacked};
+use event_files::ros::folder::unpacked;
 
 pub(crate) use self::mcap::write_options;
 use crate::message::Type;
@@ -113,6 +115,16 @@ impl Writer {
         let name = folder.display();
         std::fs::create_dir(folder)
             .with_context(|| format!("{name}: the bag's folder cannot be created"))?;
+        let made = Self::in_folder(folder, storage, topics);
+        if made.is_err() {
+            // Nothing is lost with it, and it would stand in the way of the next attempt.
+            let _ = std::fs::remove_dir_all(folder);
+        }
+        made
+    }
+
+    /// Creates the message file in the bag's new folder.
+    fn in_folder(folder: &Path, storage: Storage, topics: Vec<(Topic, Type)>) -> Result<Self> {
         let base = folder.file_name().unwrap_or_default().to_string_lossy();
         let file_name = format!("{base}_0.{}", storage.ending());
         let path = folder.join(&file_name);
@@ -146,7 +158,8 @@ impl Writer {
         self.counts.messages()
     }
 
-    /// Completes the message file and writes the metadata.
+    /// Completes the message file, and writes the metadata when that is on the disk: a folder without metadata is half
+    /// a bag.
     ///
     /// # Errors
     /// Writing fails.
@@ -161,9 +174,13 @@ impl Writer {
         } = self;
         let text = metadata::text(storage, &file_name, &topics, &counts);
         file.finish(&text)?;
-        let path = folder.join(METADATA);
-        std::fs::write(&path, metadata::document(&text))
-            .with_context(|| format!("{}: cannot be written", path.display()))
+        let path = folder.join(&file_name);
+        output::sync(&path)
+            .with_context(|| format!("{}: cannot be written to the disk", path.display()))?;
+        Ok(output::write(
+            &folder.join(METADATA),
+            metadata::document(&text),
+        )?)
     }
 }
 
@@ -263,14 +280,14 @@ impl Reader {
 struct Opened {
     name: String,
     messages: Box<dyn ReadFile>,
-    _unpacked: Option<TempPath>,
+    _unpacked: Option<Temporary>,
 }
 
 /// Opens a message file, whose format is found by its first bytes.
 fn open_file(path: &Path, from_ns: u64) -> Result<Opened> {
     let name = path.display().to_string();
     let unpacked = unpacked(path)?;
-    let content = unpacked.as_deref().unwrap_or(path);
+    let content = unpacked.as_ref().map_or(path, Temporary::path);
     let mut start = Vec::new();
     let file = File::open(content).with_context(|| format!("{name}: cannot be read"))?;
     let read = file.take(16).read_to_end(&mut start);

@@ -27,6 +27,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result};
 use clap::{Args, FromArgMatches};
+use eecvs_cli::say;
 use usb_bridge::stop::Stop;
 
 use crate::arguments::NodeArguments;
@@ -241,7 +242,7 @@ pub struct Speaker(String);
 impl Speaker {
     /// Prints one line.
     pub fn say(&self, line: &str) {
-        eprintln!("eecvs-ros: {}: {line}", self.0);
+        say!("eecvs-ros: {}: {line}", self.0);
     }
 }
 

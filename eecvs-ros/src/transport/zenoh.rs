@@ -12,6 +12,7 @@ use std::thread;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Result, anyhow, ensure};
+use eecvs_cli::say;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::CongestionControl;
 use zenoh::sample::SampleKind;
@@ -102,6 +103,8 @@ impl Links {
 }
 
 fn read(path: &Path) -> Result<Config> {
+    // A device or a pipe may have no end.
+    ensure!(path.is_file(), "{}: not a file of settings", path.display());
     Config::from_file(path).map_err(said(path.display()))
 }
 
@@ -184,7 +187,7 @@ impl Zenoh {
             }),
         };
         if !zenoh.connects(CONNECTS) {
-            eprintln!(
+            say!(
                 "eecvs-ros: no router answers at {} yet; trying again (eecvs-ros router starts one)",
                 links.others()
             );

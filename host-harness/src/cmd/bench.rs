@@ -16,6 +16,7 @@ use eecvs_bench::{
 use eecvs_cli::folder::RunFolder;
 use eecvs_cli::output::{print, print_json};
 use eecvs_cli::progress::Progress;
+use eecvs_cli::say;
 use event_files::output;
 use serde::Serialize;
 
@@ -176,7 +177,7 @@ impl Bench {
         self.save(kernel_table::document(&merged))?;
         self.record("kernels", &merged)?;
         if self.json {
-            eprintln!("eecvs: instructions: {source}");
+            say!("eecvs: instructions: {source}");
             return print_json(&rows);
         }
         print(&format!(
@@ -207,7 +208,10 @@ impl Bench {
     /// Checks the folder of the charts; those in the default folder are replaced without --overwrite.
     fn folder(&self, is_own: fn(&str) -> bool) -> Result<RunFolder> {
         let overwrite = self.overwrite || self.output.is_none();
-        RunFolder::check(self.output(), overwrite, is_own)
+        let folder = RunFolder::check(self.output(), overwrite, is_own)?;
+        let inputs = self.read.iter().chain(&self.data).chain(&self.save);
+        folder.refuse_inputs(inputs.map(PathBuf::as_path))?;
+        Ok(folder)
     }
 
     fn skip(&self) -> Result<()> {

@@ -8,6 +8,7 @@ use eecvs_bench::source::{self, Source};
 use eecvs_cli::folder::RunFolder;
 use eecvs_cli::output::{print, print_json};
 use eecvs_cli::progress::Progress;
+use eecvs_cli::say;
 
 use crate::rate::{Effort, Row, lossless, measure};
 use crate::recordings;
@@ -63,7 +64,7 @@ impl Rate<'_> {
             record_file::write(folder, "rates", &rows)?;
         }
         if let Some(missing) = lossless::missing() {
-            eprintln!("eecvs: {missing}");
+            say!("eecvs: {missing}");
         }
         if self.json {
             return print_json(&rows);
@@ -134,7 +135,7 @@ fn distinct(paths: &[PathBuf]) -> Result<Vec<(String, PathBuf)>> {
     let found = recordings::read(paths, &|read| progress.set(read as u64), &mut |_| ())?;
     drop(progress);
     if let Some(notice) = recordings::notice(&found.left_out) {
-        eprintln!("eecvs: {notice}");
+        say!("eecvs: {notice}");
     }
     let taken = found.taken.into_iter();
     Ok(taken.map(|taken| (taken.name, taken.path)).collect())

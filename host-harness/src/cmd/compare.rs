@@ -3,9 +3,11 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
+use eecvs_cli::memory::look_for;
 use eecvs_cli::options::ReadingOptions;
 use eecvs_cli::output::{print, print_json};
 use eecvs_cli::progress::Progress;
+use eecvs_cli::say;
 use event_files::Reading;
 use event_files::content::Rereadable;
 use event_files::output::is_dash;
@@ -57,6 +59,9 @@ impl Compare {
             };
             recording.open(reading)
         };
+        for recording in [&a, &b] {
+            look_for(open(recording, 0)?.sensor(), recording.name())?;
+        }
         let context = || format!("{} against {}", a.name(), b.name());
         let offset_us =
             clock::offset_us(&mut *open(&a, 0)?, &mut *open(&b, 0)?).with_context(context)?;
@@ -75,14 +80,14 @@ impl Compare {
         drop(progress);
         let comparison = comparison.with_context(context)?;
         match offset_us {
-            Some(offset_us) if offset_us != 0 && !self.align => eprintln!(
+            Some(offset_us) if offset_us != 0 && !self.align => say!(
                 "eecvs: the clock of {} is {offset_us} us ahead of that of {}: --align removes \
                  this offset",
                 b.name(),
                 a.name()
             ),
             None if self.align => {
-                eprintln!(
+                say!(
                     "eecvs: no constant offset between the clocks was found: compared as they are"
                 );
             }

@@ -8,6 +8,7 @@ use eecvs::decode::{DecodeSummary, WindowReader, decode};
 use eecvs::frame_file::FrameReader;
 use eecvs::reconstruct::events::Finder;
 use eecvs::reconstruct::volume::Maker;
+use eecvs_cli::memory::look_for;
 use eecvs_cli::options::{FormatOptions, OutputOptions, WindowLimitOptions, tell_link};
 use eecvs_cli::output::{Place, rows};
 use eecvs_cli::progress::Progress;
@@ -112,13 +113,17 @@ impl Decode {
         let summary = decode(
             &mut windows,
             self.events,
-            &mut |sensor| match self.output.as_ref().zip(format) {
-                Some((path, format)) => event_files::create_as(path, format, sensor).map(Some),
-                None => Ok(None),
+            &mut |sensor| {
+                look_for(sensor, &name).map_err(event_types::stream::Error::other)?;
+                match self.output.as_ref().zip(format) {
+                    Some((path, format)) => event_files::create_as(path, format, sensor).map(Some),
+                    None => Ok(None),
+                }
             },
             &mut |index, window| match &mut volumes {
                 Some(volumes) if self.all_windows || index == self.window => {
                     let header = &window.header;
+                    look_for(header.sensor, &name).map_err(event_types::stream::Error::other)?;
                     volumes
                         .append(&maker.volume(window)?, header.t0_us, header.duration_us)
                         .map_err(event_types::stream::Error::other)

@@ -134,7 +134,9 @@ impl Demo {
         if let Some(document) = &self.save {
             MARKS.check(document)?;
         }
-        RunFolder::check(&self.output, self.overwrite, is_own)?.begin()?;
+        RunFolder::check(&self.output, self.overwrite, is_own)?
+            .with_page(REPORT)
+            .begin()?;
         let config = SceneConfig::new(self.scene, self.seed);
         let scene = self.output.join(SCENE);
         say(&format!(

@@ -9,6 +9,7 @@ use anyhow::Result;
 use clap::Args;
 use eecvs::encode::{Codec, EncodeSummary, all_cores, encode, encode_nothing};
 use eecvs_cli::codec::{CodecOptions, KernelName, LimitOptions};
+use eecvs_cli::memory::look_for;
 use eecvs_cli::options::{FollowOptions, OutputOptions, ReadingOptions, tell_damage};
 use eecvs_cli::order::{SortOptions, tell_disorder};
 use eecvs_cli::output::{Place, rows};
@@ -16,6 +17,7 @@ use eecvs_cli::progress::Progress;
 use event_files::findings::Findings;
 use event_files::input::growing::open_growing;
 use event_files::input::piped::is_stream;
+use event_files::input::piped::name_of;
 use event_files::output::{Kind, OutputFile};
 use event_files::{EventReader, Intact};
 use serde::Serialize;
@@ -79,6 +81,7 @@ impl Encode {
             Some(follow) => open_growing(&self.input, &reading, follow)?,
             None => event_files::open(&self.input, &reading)?,
         };
+        look_for(reader.sensor(), &name_of(&self.input))?;
         let config = self.codec.config(reader.sensor())?;
         let reader = self.sort.apply(reader)?;
         let (reader, config) = self.codec.look(reader, config);

@@ -8,6 +8,7 @@ use anyhow::{Context, Result};
 use clap::Args;
 use eecvs_cli::job::{self, Account, JobOptions, Prepared};
 use eecvs_cli::output::rows;
+use eecvs_cli::say;
 use eecvs_cli::values::machine;
 use mcu_link::image::{self, ImageSizes};
 use mcu_link::qemu::{Machine, Qemu};
@@ -62,7 +63,7 @@ impl Mcu {
     /// Fails if QEMU or the image is missing, the recording cannot be read or sent, the encoder refuses or stalls,
     /// frames differ, or events are lost.
     pub fn run(self) -> Result<()> {
-        let prepared = self.job.prepare()?;
+        let prepared = self.job.prepare(self.image.as_deref())?;
         let image = match &self.image {
             Some(image) => image.clone(),
             None => {
@@ -99,7 +100,7 @@ impl Mcu {
         let end = qemu.end();
         if !self.log {
             for line in qemu.log().latest() {
-                eprintln!("mcu: {line}");
+                say!("mcu: {line}");
             }
         }
         match end {

@@ -8,6 +8,7 @@ use eecvs_bench::marks::Marks;
 use eecvs_cli::folder::RunFolder;
 use eecvs_cli::output::print;
 use eecvs_cli::progress::Progress;
+use eecvs_cli::say;
 use eecvs_nostd::Sensor;
 use event_files::output;
 use serde::Serialize;
@@ -81,6 +82,9 @@ impl Report {
         let path = folder.join(ROWS);
         // What rows there are of is known only when the sources have been read.
         let run = RunFolder::check(folder, self.overwrite || path.is_file(), is_own)?;
+        let run = run.with_page(PAGE);
+        let inputs = self.data.iter().chain(&self.segmenter).chain(&self.save);
+        run.refuse_inputs(inputs.map(PathBuf::as_path))?;
         run.make()?;
         let effort = if self.quick {
             Effort::QUICK
@@ -95,7 +99,7 @@ impl Report {
         self.check_rows(&run, &path, &record)?;
         let (store, known) = Store::open(&path, record, !self.keep_rows)?;
         if known > 0 {
-            eprintln!(
+            say!(
                 "eecvs: going on after {known} measurements in {}",
                 path.display()
             );
@@ -117,13 +121,14 @@ impl Report {
         let silent = rows.iter().filter(|row| row.mean_iou() == [None; 2]);
         let silent = silent.count();
         if silent > 0 {
-            eprintln!(
+            say!(
                 "eecvs: segmenter {}: no IoU in {silent} of {} rows: its masks are all empty, all full or all the same",
                 results.record.segmenter,
                 rows.len()
             );
         }
         let figures = figures::all(&sets, &results)?;
+        run.remove_page()?;
         let mut names = write(folder, &results, &figures)?;
         // Without the page.
         let files = names.len();
@@ -179,7 +184,7 @@ impl Report {
         let (set, left_out) = Set::recordings(&paths, effort, &|read| progress.set(read as u64))?;
         drop(progress);
         if let Some(notice) = recordings::notice(&left_out) {
-            eprintln!("eecvs: {notice}");
+            say!("eecvs: {notice}");
         }
         if set.is_none() {
             let paths: Vec<String> = paths
@@ -191,7 +196,7 @@ impl Report {
                 paths.join(", ")
             );
             ensure!(self.data.is_empty(), none);
-            eprintln!("eecvs: {none}");
+            say!("eecvs: {none}");
         }
         sets.extend(set);
         Ok((sets, left_out))
@@ -238,7 +243,6 @@ fn is_own(name: &str) -> bool {
 /// Writes the page, the rows and the pictures; returns the names of the files beside the page.
 fn write(folder: &Path, results: &Results, figures: &[Figure]) -> Result<Vec<String>> {
     let save = |name: &str, bytes: &[u8]| output::write(&folder.join(name), bytes);
-    save(PAGE, page::html(results, figures)?.as_bytes())?;
     let mut names = vec![ROWS.to_owned()];
     let tables = [
         (serde_json::to_string_pretty(results)? + "\n").into_bytes(),
@@ -260,6 +264,7 @@ fn write(folder: &Path, results: &Results, figures: &[Figure]) -> Result<Vec<Str
         figure.png.save(&folder.join(&name))?;
         names.push(name);
     }
+    save(PAGE, page::html(results, figures)?.as_bytes())?;
     Ok(names)
 }
 

@@ -10,6 +10,7 @@ use eecvs_cli::options::{OutputOptions, tell_link};
 use eecvs_cli::output::{print, print_json};
 use event_files::input::piped::{name_of, open_bytes};
 use event_files::output::is_dash;
+use event_types::plain;
 use serde::Serialize;
 
 use crate::split::{Part, is_part, split};
@@ -94,7 +95,9 @@ impl Split {
             "{name}: is the folder of the input {}: choose another folder",
             self.input.display()
         );
-        RunFolder::check(&self.output, self.overwrite.overwrite, is_part)
+        let folder = RunFolder::check(&self.output, self.overwrite.overwrite, is_part)?;
+        folder.refuse_inputs([self.input.as_path()])?;
+        Ok(folder)
     }
 }
 
@@ -110,7 +113,7 @@ fn table(parts: &[Part]) -> String {
             part.frames,
             part.events,
             part.bytes,
-            part.file.display()
+            plain::line(&part.file.display().to_string())
         );
     }
     text

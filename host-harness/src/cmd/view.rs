@@ -10,9 +10,11 @@ use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::Args;
 use clap::error::ErrorKind;
 use eecvs_cli::folder::RunFolder;
+use eecvs_cli::memory::look_for;
 use eecvs_cli::options::{OutputOptions, ReadingOptions, tell_link};
 use eecvs_cli::output::{Place, rows};
 use eecvs_cli::progress::Progress;
+use eecvs_cli::say;
 use eecvs_cli::stop::stop_on_signals;
 use eecvs_nostd::Sensor;
 use event_files::input::piped::{is_stream, name_of};
@@ -169,6 +171,7 @@ impl View {
         let sensor = decoded.as_ref().map_or(original.sensor(), |decoded| {
             larger(original.sensor(), decoded.sensor())
         });
+        look_for(sensor, &name.to_string())?;
         let grid = Grid {
             from_us: self.from_us.or(first_us).unwrap_or(0),
             to_us: self.to_us,
@@ -235,14 +238,15 @@ impl View {
             return self.overwrite.check(output, Kind::Picture, inputs);
         }
         let name = output.display();
-        for input in inputs {
+        for input in inputs.clone() {
             ensure!(
                 !is_same(input, output),
                 "{name}: is the same file as the input {}: give the output another name",
                 input.display()
             );
         }
-        self.pngs(output).map(drop)
+        self.pngs(output)?
+            .refuse_inputs(inputs.map(PathBuf::as_path))
     }
 
     fn pngs(&self, folder: &Path) -> Result<RunFolder> {
@@ -343,7 +347,7 @@ impl View {
         let mut link = Ok(());
         let mut missing = |error| match link {
             Ok(()) => link = Err(error),
-            Err(_) => eprintln!("eecvs: {error:#}"),
+            Err(_) => say!("eecvs: {error:#}"),
         };
         let inputs = [
             (Some(&self.file), Some(frames.original())),
@@ -370,7 +374,7 @@ impl View {
             && frames.shared() == 0
             && played.frames > 0
         {
-            eprintln!(
+            say!(
                 "eecvs: {}: no frame has events of both files: their clocks differ, or they were \
                  recorded at different times",
                 decoded.display()

@@ -167,8 +167,8 @@ impl Store {
             ..known.unwrap_or(record)
         };
         let head = serde_json::to_string(&record)? + "\n" + &whole;
-        std::fs::write(path, head)
-            .with_context(|| format!("{}: cannot be written", path.display()))?;
+        // The rows took hours to measure: a full disk must not cost them.
+        event_files::output::write(path, head)?;
         let file = OpenOptions::new()
             .append(true)
             .open(path)

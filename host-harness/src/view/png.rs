@@ -74,7 +74,11 @@ impl Screen for Pngs {
         let png = picture(frame, self.look).png()?;
         let mut file = OutputFile::create(&path)?;
         file.write_all(&png)?;
-        file.finish_unsynced()?;
+        match &self.place {
+            Place::File(_) => file.finish()?,
+            // Each of thousands would wait for the disk.
+            Place::Folder(_) => file.finish_unsynced()?,
+        }
         self.frames += 1;
         Ok(())
     }

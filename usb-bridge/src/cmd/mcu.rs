@@ -76,9 +76,9 @@ impl Mcu {
         self.place.check_trace(
             self.job.overwrite.overwrite,
             &output.into_iter().collect::<Vec<_>>(),
-            &[],
+            &self.job.inputs().collect::<Vec<_>>(),
         )?;
-        let prepared = self.job.prepare()?;
+        let prepared = self.job.prepare([])?;
         let only = Name::Usb(NAME.to_owned());
         let name = self.place.name().unwrap_or(&only);
         // Ctrl-C may end the process at once: nothing needs to be finished.

@@ -8,13 +8,13 @@ pub mod options;
 pub mod receive;
 pub mod simulate;
 
-use std::io::{Write, stderr};
 use std::path::Path;
+
+use eecvs_cli::say;
 
 /// Prints a line on stderr, prefixed with the name of the running program: `eecvs-usb` or `eecvs-hub`.
 fn warn(text: &str) {
     let path = std::env::args_os().next().unwrap_or_default();
     let name = Path::new(&path).file_stem().unwrap_or_default();
-    // A closed stderr has no reader; the failure is ignored.
-    let _ = writeln!(stderr(), "{}: {text}", name.display());
+    say!("{}: {text}", name.display());
 }

@@ -12,6 +12,7 @@ use clap::Args;
 use eecvs_cli::options::ReadingOptions;
 use eecvs_cli::output::{print, print_json, rows};
 use eecvs_cli::progress::Progress;
+use eecvs_cli::say;
 use eecvs_nostd::Sensor;
 use serde::Serialize;
 
@@ -238,7 +239,7 @@ impl Source<'_> {
         drop(usb);
         let sent = Arc::clone(&self.sent.lock().unwrap_or_else(PoisonError::into_inner));
         // The program has stdout.
-        eprintln!("{} events, {} bytes sent", sent.events(), sent.bytes());
+        say!("{} events, {} bytes sent", sent.events(), sent.bytes());
         if let Some(error) = sent.error() {
             bail!("the stream ended: {error}");
         }
@@ -251,7 +252,7 @@ impl Source<'_> {
 
     fn announce(&self, address: &str) {
         let (name, file) = (self.model.name(), self.command.file.display());
-        eprintln!("{name} plays {file} at {address}; press Ctrl-C to end");
+        say!("{name} plays {file} at {address}; press Ctrl-C to end");
     }
 
     fn serve(&self, stop: &Stop, serve: impl FnOnce(&mut Service<'_>) -> Result<()>) -> Result<()> {
@@ -267,13 +268,13 @@ impl Source<'_> {
                 let line = served
                     .as_ref()
                     .map_or_else(|error| format!("{error:#}"), line);
-                eprintln!("{line}");
+                say!("{line}");
                 if let Some(error) = sent.error() {
-                    eprintln!("the stream ended: {error}");
+                    say!("the stream ended: {error}");
                     failed = Some(error.to_owned());
                 }
                 if let Err(error) = self.print(&sent) {
-                    eprintln!("{error:#}");
+                    say!("{error:#}");
                 }
             },
         })?;

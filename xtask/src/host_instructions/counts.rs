@@ -58,7 +58,7 @@ impl Counts {
     /// JSON.
     pub fn write(&self, path: &Path) -> anyhow::Result<()> {
         let text = serde_json::to_string_pretty(self)? + "\n";
-        fs::write(path, text).with_context(|| format!("{}: cannot be written", path.display()))
+        Ok(event_files::output::write(path, text)?)
     }
 
     /// Why these counts and `saved` cannot be compared, where they cannot.

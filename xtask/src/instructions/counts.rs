@@ -95,7 +95,7 @@ impl Counts {
             text += &serde_json::to_string(run)?;
             text.push('\n');
         }
-        fs::write(path, text).with_context(|| format!("{}: cannot be written", path.display()))
+        Ok(event_files::output::write(path, text)?)
     }
 
     /// The runs.

@@ -63,5 +63,5 @@ fn write_words(to: &Path, words: &[u32]) -> anyhow::Result<()> {
     if fs::read(&to).is_ok_and(|old| old == bytes) {
         return Ok(());
     }
-    fs::write(&to, bytes).with_context(|| format!("{}: cannot be written", to.display()))
+    Ok(event_files::output::write(&to, bytes)?)
 }

@@ -8,7 +8,6 @@ mod cuts;
 mod document;
 mod verify;
 
-use std::fs;
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -69,5 +68,5 @@ pub fn run(action: Action) -> Result<ExitCode> {
 fn count(image: &Path, to: &Path) -> Result<()> {
     let folder = tempfile::tempdir().context("cannot create a folder to run QEMU in")?;
     let text = qemu::run(MACHINE, image, folder.path(), PATIENCE)?;
-    fs::write(to, text).with_context(|| format!("{}: cannot be written", to.display()))
+    Ok(event_files::output::write(to, text)?)
 }

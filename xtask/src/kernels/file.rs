@@ -23,7 +23,7 @@ pub fn write(counts: &[Count], path: &Path) -> anyhow::Result<()> {
         text += &serde_json::to_string(count)?;
         text.push('\n');
     }
-    fs::write(path, text).with_context(|| format!("{}: cannot be written", path.display()))
+    Ok(event_files::output::write(path, text)?)
 }
 
 /// Where the cuts of some counts come from.

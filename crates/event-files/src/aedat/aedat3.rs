@@ -227,7 +227,7 @@ impl Aedat3Decoder {
                 return Err(self.input.error_at(start, what));
             }
             // `bytes` is at most [`PACKET_MAX`].
-            self.packet.resize(bytes as usize, 0);
+            self.input.room(&mut self.packet, bytes as usize)?;
             self.packet_at = self.input.offset();
             if self.input.fill(&mut self.packet)? < self.packet.len() {
                 return Err(self.input.error_at(start, "truncated packet"));

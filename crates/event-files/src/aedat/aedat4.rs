@@ -514,7 +514,7 @@ impl Aedat4Decoder {
 
     /// Reads and decompresses the content of a packet, whose `size` bytes come next.
     fn unpack(&mut self, start: u64, size: usize) -> Result<()> {
-        self.raw.resize(size, 0);
+        self.input.room(&mut self.raw, size)?;
         if self.input.fill(&mut self.raw)? < size {
             return Err(self.input.error_at(start, "truncated packet"));
         }

@@ -64,6 +64,9 @@ impl Source {
             });
         }
         // Keeps the old bytes rather than zero them, since all are overwritten.
+        bytes
+            .try_reserve(len.saturating_sub(bytes.len()))
+            .map_err(std::io::Error::from)?;
         bytes.resize(len, 0);
         // A thread that panicked while reading has only left the position undefined, and it is set here.
         let mut source = self.source.lock().unwrap_or_else(PoisonError::into_inner);

@@ -233,6 +233,20 @@ impl Input {
         error!(Damaged, "{}: byte {offset}: {what}", self.name)
     }
 
+    /// Makes `bytes` `length` bytes long, as the file asks for.
+    ///
+    /// # Errors
+    /// The system refuses the memory.
+    pub(crate) fn room(&self, bytes: &mut Vec<u8>, length: usize) -> Result<()> {
+        let more = length.saturating_sub(bytes.len());
+        bytes.try_reserve(more).with_context(|| {
+            let name = &self.name;
+            format!("{name}: {length} bytes of memory are needed, which the system refuses")
+        })?;
+        bytes.resize(length, 0);
+        Ok(())
+    }
+
     fn unreadable(&self, offset: u64, error: std::io::Error) -> event_types::stream::Error {
         let what = format!("{}: byte {offset}: cannot be read", self.name);
         event_types::stream::Error::other(error).context(what)

@@ -8,6 +8,7 @@ use event_types::ensure;
 use event_types::stream::{Context, Result};
 
 use crate::output::is_dash;
+use crate::output::temporary::copy;
 
 /// At least this many of the latest bytes are kept for reading again; the first bytes are dropped once twice as
 /// many are kept.
@@ -190,7 +191,7 @@ pub fn whole(mut pipe: impl Read + Seek, name: &str) -> Result<File> {
         .with_context(|| format!("{name}: cannot be read"))?;
     let mut file = tempfile::tempfile()
         .with_context(|| format!("{name}: no temporary file can be created for it"))?;
-    io::copy(&mut pipe, &mut file)
+    copy(&mut pipe, &mut file, name)
         .with_context(|| format!("{name}: cannot be copied to a temporary file"))?;
     Ok(file)
 }

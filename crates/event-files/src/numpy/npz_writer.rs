@@ -82,7 +82,8 @@ impl EventWriter for NpzWriter {
             events,
         } = *self;
         let failed = || format!("{name}: cannot be written");
-        let mut zip = zip::ZipWriter::new(file);
+        // As a stream: a writer that seeks panics when it is dropped after an error.
+        let mut zip = zip::ZipWriter::new_stream(file);
         for ((entry, dtype), column) in COLUMNS.into_iter().zip(columns) {
             let mut column = column
                 .into_inner()
@@ -104,6 +105,7 @@ impl EventWriter for NpzWriter {
         }
         zip.finish()
             .with_context(failed)?
+            .into_inner()
             .flush()
             .with_context(failed)
     }

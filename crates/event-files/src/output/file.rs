@@ -23,7 +23,10 @@ impl OutputFile {
     /// # Errors
     /// The file cannot be created; the message names it.
     pub fn create(path: &Path) -> Result<Self> {
-        let output = Output::begin(path)?;
+        Self::of(Output::begin(path)?)
+    }
+
+    fn of(output: Output) -> Result<Self> {
         let file = output.file()?;
         Ok(Self {
             out: BufWriter::with_capacity(1 << 16, file),
@@ -98,6 +101,16 @@ impl Write for OutputFile {
 /// The file cannot be created or written; the message names it.
 pub fn write(path: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {
     let mut file = OutputFile::create(path)?;
+    file.write_all(bytes.as_ref())?;
+    file.finish()
+}
+
+/// Writes a whole file that only its owner may read, and replaces an existing one.
+///
+/// # Errors
+/// The file cannot be created or written; the message names it.
+pub fn write_private(path: &Path, bytes: impl AsRef<[u8]>) -> Result<()> {
+    let mut file = OutputFile::of(Output::begin_private(path)?)?;
     file.write_all(bytes.as_ref())?;
     file.finish()
 }

@@ -4,18 +4,20 @@ mod ending;
 mod file;
 mod same;
 pub(crate) mod sequential;
+pub mod temporary;
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use event_types::stream::{Context, Result};
 use event_types::{bail, ensure, error};
 use tempfile::TempPath;
 
 pub use ending::Kind;
-pub use file::{OutputFile, write};
+pub use file::{OutputFile, write, write_private};
 pub use same::is_same;
 
 /// Prefix of the names of files that are still filled by a live source, or that end at damage in their input.
@@ -86,7 +88,7 @@ enum Place {
     /// A device or a pipe.
     Direct,
     /// A temporary file, removed when dropped, and the name that it will get.
-    Part(TempPath, PathBuf),
+    Part(Part, PathBuf),
     /// A file that stays in any case, and the name that it will get.
     Live(PathBuf, PathBuf),
 }
@@ -102,7 +104,8 @@ impl Output {
             true => Place::Direct,
             false => {
                 let target = target(path)?;
-                let part = part(&target)
+                let part = Part::create(&target, READABLE)
+                    .and_then(|part| like(&target, part.path()).map(|()| part))
                     .with_context(|| format!("{}: cannot be created", path.display()))?;
                 Place::Part(part, target)
             }
@@ -110,6 +113,20 @@ impl Output {
         Ok(Self {
             name: path.to_owned(),
             place,
+        })
+    }
+
+    /// Begins a file that only its owner may read, also before it is complete; otherwise like [`Output::begin`].
+    ///
+    /// # Errors
+    /// The file cannot be created; the message names it.
+    pub fn begin_private(path: &Path) -> Result<Self> {
+        let target = target(path)?;
+        let part = Part::create(&target, PRIVATE)
+            .with_context(|| format!("{}: cannot be created", path.display()))?;
+        Ok(Self {
+            name: path.to_owned(),
+            place: Place::Part(part, target),
         })
     }
 
@@ -153,7 +170,7 @@ impl Output {
         match &self.place {
             Place::Direct if is_dash(&self.name) => Path::new("/dev/stdout"),
             Place::Direct => &self.name,
-            Place::Part(part, _) => part,
+            Place::Part(part, _) => part.path(),
             Place::Live(part, _) => part,
         }
     }
@@ -177,6 +194,13 @@ impl Output {
     #[must_use]
     pub fn name(&self) -> &Path {
         &self.name
+    }
+
+    /// Returns whether nothing has been written to the file so far; of a device or a pipe that is not known.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        let is_empty = || std::fs::metadata(self.path()).is_ok_and(|file| file.len() == 0);
+        !self.is_direct() && is_empty()
     }
 
     /// Ends a file that is not complete. A live file stays, unless it is empty, and its name is returned; any other
@@ -234,9 +258,7 @@ impl Output {
     pub fn keep_unsynced(self) -> Result<Option<PathBuf>> {
         let (renamed, target) = match self.place {
             Place::Direct => return Ok(None),
-            Place::Part(part, target) => {
-                (part.persist(&target).map_err(|error| error.error), target)
-            }
+            Place::Part(part, target) => (part.persist(&target), target),
             Place::Live(part, target) => (
                 like(&target, &part).and_then(|()| std::fs::rename(part, &target)),
                 target,
@@ -277,32 +299,83 @@ fn incomplete(name: &Path) -> PathBuf {
     name.with_file_name(incomplete)
 }
 
-/// Creates an empty temporary file beside `target`, with the same permissions.
-fn part(target: &Path) -> std::io::Result<TempPath> {
-    let mut prefix = std::ffi::OsString::from(".");
-    prefix.push(target.file_name().unwrap_or_default());
-    prefix.push(".");
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(&prefix).suffix(PART).rand_bytes(RANDOM);
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let part = builder.tempfile_in(folder(target))?.into_temp_path();
-    let mut parts = PARTS.lock().unwrap_or_else(PoisonError::into_inner);
-    parts.push(part.to_path_buf());
-    drop(parts);
-    like(target, &part)?;
-    Ok(part)
+/// Rights of a new file, before the user's mask.
+const READABLE: u32 = 0o666;
+
+/// Rights of a file that only its owner may read.
+const PRIVATE: u32 = 0o600;
+
+/// A temporary file, which is removed when it is dropped.
+#[derive(Debug)]
+struct Part(Option<TempPath>);
+
+impl Part {
+    /// Creates an empty temporary file beside `target`, with the permissions `mode`.
+    fn create(target: &Path, mode: u32) -> std::io::Result<Self> {
+        let mut prefix = std::ffi::OsString::from(".");
+        prefix.push(target.file_name().unwrap_or_default());
+        prefix.push(".");
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(&prefix).suffix(PART).rand_bytes(RANDOM);
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(mode));
+        #[cfg(not(unix))]
+        let _ = mode;
+        Self::build(&builder, folder(target)).map(|(_, part)| part)
+    }
+
+    fn build(builder: &tempfile::Builder, folder: &Path) -> std::io::Result<(File, Self)> {
+        // The file is listed before a signal can end the process.
+        let mut parts = parts();
+        let (file, path) = builder.tempfile_in(folder)?.into_parts();
+        parts.insert(path.to_path_buf());
+        drop(parts);
+        Ok((file, Self(Some(path))))
+    }
+
+    fn path(&self) -> &Path {
+        self.0.as_deref().unwrap_or(Path::new(""))
+    }
+
+    fn persist(mut self, target: &Path) -> std::io::Result<()> {
+        let Some(path) = self.0.take() else {
+            return Ok(());
+        };
+        let part = path.to_path_buf();
+        // If this fails, the error has the path, and removes the file.
+        let renamed = path.persist(target).map_err(|error| error.error);
+        parts().remove(&part);
+        renamed
+    }
 }
 
-/// Every temporary file of this process; those that have been renamed no longer exist.
-static PARTS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+impl Drop for Part {
+    fn drop(&mut self) {
+        if let Some(path) = self.0.take() {
+            let part = path.to_path_buf();
+            // The caller reports the error that led here.
+            let _ = path.close();
+            parts().remove(&part);
+        }
+    }
+}
 
-/// Removes the incomplete files, when the process is about to end.
+/// The temporary files of this process.
+static PARTS: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+
+fn parts() -> MutexGuard<'static, BTreeSet<PathBuf>> {
+    PARTS.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Removes the incomplete files, when the process is about to end. No other can be begun afterwards: a thread that
+/// tries waits for the end.
 pub fn remove_parts() {
-    for part in PARTS.lock().unwrap_or_else(PoisonError::into_inner).iter() {
+    let parts = parts();
+    for part in parts.iter() {
         // The file may have been renamed already.
         let _ = std::fs::remove_file(part);
     }
+    std::mem::forget(parts);
 }
 
 /// Gives `part` the permissions of `target`, if that exists.
@@ -314,7 +387,10 @@ fn like(target: &Path, part: &Path) -> std::io::Result<()> {
 }
 
 /// Writes what the system still holds of a file to the disk.
-fn sync(path: &Path) -> std::io::Result<()> {
+///
+/// # Errors
+/// The file cannot be opened, or the disk fails.
+pub fn sync(path: &Path) -> std::io::Result<()> {
     // Windows syncs only what is open for writing.
     let file = match File::options().write(true).open(path) {
         Ok(file) => file,
@@ -326,8 +402,11 @@ fn sync(path: &Path) -> std::io::Result<()> {
 }
 
 /// Writes the names in a folder to the disk.
+///
+/// # Errors
+/// The folder cannot be opened, or the disk fails.
 #[cfg(unix)]
-fn sync_folder(folder: &Path) -> std::io::Result<()> {
+pub fn sync_folder(folder: &Path) -> std::io::Result<()> {
     match File::open(folder) {
         Ok(folder) => allow_unsynced(folder.sync_all()),
         // A folder may be writable without being readable.
@@ -336,9 +415,12 @@ fn sync_folder(folder: &Path) -> std::io::Result<()> {
     }
 }
 
-/// The system writes names to the disk itself.
+/// Does nothing: the system writes names to the disk itself.
+///
+/// # Errors
+/// None.
 #[cfg(not(unix))]
-fn sync_folder(_: &Path) -> std::io::Result<()> {
+pub fn sync_folder(_: &Path) -> std::io::Result<()> {
     Ok(())
 }
 
@@ -396,7 +478,12 @@ pub fn create_bytes(path: &Path) -> std::io::Result<File> {
     if is_stdout(path) {
         return stdout();
     }
-    File::create(path)
+    // A part that a signal has removed must not come back; whoever is about to end holds the list.
+    let parts = parts();
+    match parts.contains(path) {
+        true => File::options().write(true).truncate(true).open(path),
+        false => File::create(path),
+    }
 }
 
 #[cfg(unix)]

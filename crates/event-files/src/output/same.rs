@@ -2,13 +2,22 @@
 
 use std::path::Path;
 
+use super::{is_dash, is_stdout};
 use crate::file_of;
 
 /// Returns whether writing `output` would change `input`: both are the same file, under whatever names; the input
-/// is a place inside the output; or the input is a folder that contains the output.
+/// is a place inside the output; or the input is a folder that contains the output. `-` is the file that stdin or
+/// stdout leads to.
 #[must_use]
 pub fn is_same(input: &Path, output: &Path) -> bool {
-    let (input, output) = (file_of(input), file_of(output));
+    let input = match is_dash(input) {
+        true => Path::new("/dev/stdin"),
+        false => file_of(input),
+    };
+    let output = match is_stdout(output) {
+        true => Path::new("/dev/stdout"),
+        false => file_of(output),
+    };
     let Some(of_input) = Identity::of(input) else {
         return false;
     };

@@ -156,7 +156,7 @@ impl Chunked {
         let n = usize::try_from(n).unwrap_or(MESSAGE_MAX);
         while bytes.len() < n {
             let before = bytes.len();
-            bytes.resize(n.min(before + STEP_BYTES), 0);
+            self.input.room(bytes, n.min(before + STEP_BYTES))?;
             let asked = bytes.len() - before;
             let filled = self
                 .input

@@ -24,6 +24,7 @@ use super::topics::{Topics, Use};
 use crate::format::{Format, Limits, Opening};
 use crate::input::following::ANOTHER;
 use crate::input::{ReadSeek, following};
+use crate::output::temporary::{Temporary, copy};
 use crate::{EventReader, EventWriter, Skipped};
 
 /// First bytes of every SQLite database.
@@ -71,11 +72,11 @@ fn open(opening: Opening) -> Result<Box<dyn EventReader>> {
         None => {
             // SQLite needs a file of its own.
             let context = || format!("{name}: byte 0: cannot be copied to a temporary file");
-            let mut copy = tempfile::NamedTempFile::new().with_context(context)?;
+            let (mut file, own) = Temporary::create().with_context(context)?;
             source.seek(SeekFrom::Start(0)).with_context(context)?;
-            std::io::copy(&mut source, copy.as_file_mut()).with_context(context)?;
-            let mut database = Database::new(copy.path(), name)?;
-            database.copy = Some(copy);
+            copy(&mut source, &mut file, name).with_context(context)?;
+            let mut database = Database::new(own.path(), name)?;
+            database.copy = Some(own);
             database
         }
     };
@@ -115,7 +116,7 @@ pub struct Database {
     /// Ids of the first and the last message, once places have been requested.
     numbers: Option<(i64, i64)>,
     /// Temporary file, kept while the database is read.
-    copy: Option<tempfile::NamedTempFile>,
+    copy: Option<Temporary>,
 }
 
 impl Database {

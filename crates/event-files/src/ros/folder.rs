@@ -7,9 +7,9 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
+use event_types::stream::small_file::read_text;
 use event_types::stream::{Context, Result};
 use event_types::{Sensor, bail, ensure, error};
-pub use tempfile::TempPath;
 
 use super::decoder::{Messages, RosReader};
 use super::fields::Serialisation;
@@ -18,6 +18,7 @@ use super::topics::Topics;
 use super::{db3, mcap};
 use crate::Skipped;
 use crate::format::Format;
+use crate::output::temporary::{Temporary, copy};
 
 /// Name of the file that makes a folder a bag.
 pub use crate::format::METADATA;
@@ -41,17 +42,11 @@ const METADATA_MAX: u64 = 1 << 24;
 /// Those of [`RosReader::new`]; the metadata is missing or lists no files.
 pub fn open(path: &Path, place: Option<&str>, size: Option<Sensor>) -> Result<RosReader> {
     let name = path.join(METADATA).display().to_string();
-    let metadata = std::fs::metadata(path.join(METADATA)).with_context(|| {
+    std::fs::metadata(path.join(METADATA)).with_context(|| {
         let folder = path.display();
         format!("{folder}: is a directory, neither a recording nor a ROS 2 bag ({METADATA})")
     })?;
-    ensure!(
-        metadata.len() <= METADATA_MAX,
-        Damaged,
-        "{name}: byte {METADATA_MAX}: too long for the metadata of a bag"
-    );
-    let text = std::fs::read_to_string(path.join(METADATA))
-        .with_context(|| format!("{name}: byte 0: cannot be read as text"))?;
+    let text = read_text(&path.join(METADATA), METADATA_MAX)?;
     let files = files(&text);
     ensure!(
         !files.is_empty(),
@@ -93,7 +88,7 @@ struct Folder {
 /// A file of a bag, and the temporary file with its content if it was compressed.
 struct Opened {
     messages: Box<dyn Messages>,
-    _unpacked: Option<TempPath>,
+    _unpacked: Option<Temporary>,
 }
 
 /// Opens one file of a bag.
@@ -101,7 +96,7 @@ fn open_file(path: &Path) -> Result<Opened> {
     let name = path.display().to_string();
     let unpacked = unpacked(path)?;
     let (content, called) = match &unpacked {
-        Some(unpacked) => (unpacked.to_path_buf(), path.with_extension("")),
+        Some(unpacked) => (unpacked.path().to_owned(), path.with_extension("")),
         None => (path.to_owned(), path.to_owned()),
     };
     Ok(Opened {
@@ -115,20 +110,20 @@ fn open_file(path: &Path) -> Result<Opened> {
 ///
 /// # Errors
 /// The file cannot be read or is damaged, or the temporary file cannot be written.
-pub fn unpacked(path: &Path) -> Result<Option<TempPath>> {
+pub fn unpacked(path: &Path) -> Result<Option<Temporary>> {
     let name = path.display().to_string();
     if path.extension().is_none_or(|extension| extension != "zstd") {
         return Ok(None);
     }
     let packed = File::open(path).with_context(|| format!("{name}: cannot be opened"))?;
-    let mut unpacked = tempfile::NamedTempFile::new()
-        .with_context(|| format!("{name}: no temporary file can be created"))?;
+    let (mut file, unpacked) =
+        Temporary::create().with_context(|| format!("{name}: no temporary file can be created"))?;
     let what = || format!("{name}: byte 0: cannot be decompressed");
     let mut decoder = ruzstd::decoding::StreamingDecoder::new(BufReader::new(packed))
         .map_err(std::io::Error::other)
         .with_context(what)?;
-    std::io::copy(&mut decoder, unpacked.as_file_mut()).with_context(what)?;
-    Ok(Some(unpacked.into_temp_path()))
+    copy(&mut decoder, &mut file, &name).with_context(what)?;
+    Ok(Some(unpacked))
 }
 
 /// Opens the file at `path`, whose name in the bag is `called`.

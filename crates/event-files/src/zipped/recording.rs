@@ -14,6 +14,7 @@ use event_types::{Event, Sensor, bail, ensure};
 use crate::format::{FORMATS, open_source};
 use crate::input::adjusted::With;
 use crate::numpy::npz;
+use crate::output::temporary::copy;
 use crate::reading::Reading;
 use crate::zipped::entry::{Entries, Entry};
 use crate::{Assumption, EventReader, Pause, Skipped, text};
@@ -46,7 +47,7 @@ pub fn open(
     let failed = || format!("{inside}: cannot be unpacked");
     let mut file = tempfile::tempfile().with_context(failed)?;
     let mut unpacked = entries.open(entry);
-    std::io::copy(&mut unpacked, &mut file).with_context(failed)?;
+    copy(&mut unpacked, &mut file, &inside).with_context(failed)?;
     ensure!(
         !unpacked.is_damaged(),
         Damaged,

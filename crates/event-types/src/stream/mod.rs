@@ -12,6 +12,7 @@ mod ahead;
 mod error;
 mod intact;
 mod memory;
+pub mod small_file;
 #[cfg(test)]
 mod test_reader;
 

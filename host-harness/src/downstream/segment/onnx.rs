@@ -112,7 +112,10 @@ impl OnnxModel {
             .is_some_and(|ending| ending.eq_ignore_ascii_case("onnx"));
         ensure!(is_named_onnx, "the file's name must end in .onnx");
         // The runtime's own error for a missing file is unclear.
-        std::fs::File::open(path).context("the file cannot be opened")?;
+        let file = std::fs::File::open(path).context("the file cannot be opened")?;
+        // A device or a pipe may have no end.
+        let is_file = file.metadata().is_ok_and(|metadata| metadata.is_file());
+        ensure!(is_file, "it is not a file");
         let model = guarded(|| Ok(Model::load_file(path)?))?;
         let [input] = *model.input_ids() else {
             bail!(

@@ -1,0 +1,199 @@
+//! Runs of a command in a folder of its own, with a plan of what fails.
+
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::case::{Case, INPUTS, Kind};
+
+/// No command takes longer, unless it hangs.
+const LONGEST: Duration = Duration::from_secs(120);
+
+/// Files by their names in a folder.
+pub type Files = BTreeMap<String, Vec<u8>>;
+
+/// A folder with the inputs, one in which commands run, and the list of their calls.
+pub struct Bench {
+    root: tempfile::TempDir,
+}
+
+/// How a command ended.
+pub struct Outcome {
+    pub status: ExitStatus,
+    pub stderr: String,
+    pub files: Files,
+    /// The calls that could have failed, with their paths.
+    pub calls: Vec<String>,
+}
+
+/// The folder of what cargo builds.
+fn built() -> PathBuf {
+    let own = std::env::current_exe().expect("the path of this test");
+    own.ancestors().nth(2).expect("target/debug").to_owned()
+}
+
+pub fn program(name: &str) -> PathBuf {
+    let path = built().join(name);
+    assert!(
+        path.exists(),
+        "{} is not built: cargo build --workspace",
+        path.display()
+    );
+    path
+}
+
+impl Bench {
+    /// Makes the inputs.
+    pub fn new() -> Self {
+        let root = tempfile::tempdir().expect("a folder");
+        let bench = Self { root };
+        for folder in ["in", "run"] {
+            std::fs::create_dir(bench.at(folder)).expect("a folder");
+        }
+        for (name, line) in INPUTS {
+            let mut command = Command::new(program(name));
+            command
+                .current_dir(bench.at("in"))
+                .args(line.split_whitespace());
+            let output = command.output().expect("a program that starts");
+            assert!(output.status.success(), "{line}: {output:?}");
+        }
+        let of = |name: &str| std::fs::read(bench.at("in").join(name)).expect("an input");
+        let two = [of("scene.eecvs"), of("wide.eecvs")].concat();
+        std::fs::write(bench.at("in/two.eecvs"), two).expect("an input");
+        bench
+    }
+
+    pub fn at(&self, name: &str) -> PathBuf {
+        self.root.path().join(name)
+    }
+
+    /// Empties the folder and puts what is there before a run of the case into it.
+    pub fn prepare(&self, case: &Case) -> Files {
+        let run = self.at("run");
+        std::fs::remove_dir_all(&run).expect("a folder");
+        std::fs::create_dir_all(run.join("tmp")).expect("a folder");
+        for name in case.old {
+            std::fs::write(run.join(name), "old").expect("a file");
+        }
+        if case.kind == Kind::Together {
+            copy(&self.at("in/fleet"), &run.join("fleet"));
+        }
+        files(&run)
+    }
+
+    /// Starts a case; the folder must have been prepared.
+    pub fn start(&self, case: &Case, plan: &str) -> Child {
+        let log = self.at("calls");
+        let _ = std::fs::remove_file(&log);
+        let inputs = self.at("in");
+        let inputs = inputs.to_str().expect("UTF-8");
+        let line = case
+            .line
+            .split_whitespace()
+            .map(|word| word.replace("IN/", &format!("{inputs}/")));
+        let mut command = Command::new(program(case.program));
+        command
+            .args(line)
+            .current_dir(self.at("run"))
+            .env("TMPDIR", self.at("run/tmp"))
+            .env("LD_PRELOAD", built().join("deps/libfaults.so"))
+            .env("EECVS_FAULTS_FOLDER", self.at("run"))
+            .env("EECVS_FAULTS_LOG", &log)
+            .env("EECVS_FAULTS_PLAN", plan)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped());
+        command.spawn().expect("a program that starts")
+    }
+
+    /// Waits for the end of a command, and looks at what it left.
+    pub fn end(&self, mut child: Child) -> Outcome {
+        let begun = Instant::now();
+        let status = loop {
+            if let Some(status) = child.try_wait().expect("a child") {
+                break status;
+            }
+            if begun.elapsed() > LONGEST {
+                let _ = child.kill();
+                panic!("{:?}: it hangs", child.wait());
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        };
+        let mut stderr = Vec::new();
+        if let Some(mut pipe) = child.stderr.take() {
+            pipe.read_to_end(&mut stderr).expect("a pipe");
+        }
+        let calls = std::fs::read(self.at("calls")).unwrap_or_default();
+        Outcome {
+            status,
+            stderr: String::from_utf8_lossy(&stderr).into_owned(),
+            files: files(&self.at("run")),
+            calls: String::from_utf8_lossy(&calls)
+                .lines()
+                .map(str::to_owned)
+                .collect(),
+        }
+    }
+
+    /// Runs a case from the state before it.
+    pub fn run(&self, case: &Case, plan: &str) -> (Files, Outcome) {
+        let before = self.prepare(case);
+        (before, self.end(self.start(case, plan)))
+    }
+
+    /// Counts the events of a file; `None` if it cannot be read to its end.
+    pub fn events(&self, name: &str) -> Option<u64> {
+        let mut command = Command::new(program("eecvs"));
+        let command = command
+            .args(["info", "--json", name])
+            .current_dir(self.at("run"));
+        let output = command.output().expect("a program that starts");
+        let info: serde_json::Value = serde_json::from_slice(&output.stdout).ok()?;
+        info["events"].as_u64().filter(|_| output.status.success())
+    }
+}
+
+impl Outcome {
+    pub fn is_success(&self) -> bool {
+        self.status.success()
+    }
+
+    /// Whether it was killed.
+    pub fn is_killed(&self) -> bool {
+        self.status.signal() == Some(libc::SIGKILL)
+    }
+}
+
+fn copy(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).expect("a folder");
+    for entry in std::fs::read_dir(from).expect("a folder") {
+        let entry = entry.expect("an entry");
+        let place = to.join(entry.file_name());
+        match entry.path().is_dir() {
+            true => copy(&entry.path(), &place),
+            false => drop(std::fs::copy(entry.path(), place).expect("a file")),
+        }
+    }
+}
+
+fn files(folder: &Path) -> Files {
+    fn walk(root: &Path, folder: &Path, files: &mut Files) {
+        for entry in std::fs::read_dir(folder).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                walk(root, &path, files);
+            } else {
+                let name = path.strip_prefix(root).expect("a file of the folder");
+                let bytes = std::fs::read(&path).expect("a file");
+                files.insert(name.to_string_lossy().into_owned(), bytes);
+            }
+        }
+    }
+    let mut all = Files::new();
+    walk(folder, folder, &mut all);
+    all
+}
