@@ -16,7 +16,7 @@ use zenoh::{Session, Wait};
 use crate::access::{Access, RECEIVERS};
 use crate::board::{Board, HubFigures, page};
 use crate::key::{Kind, Name, name_of};
-use crate::link::{Links, Router, ask_clock, said};
+use crate::link::{Links, Router, ask_clock, close, said};
 use crate::message::{Budget, Message, Stamp, Status};
 
 /// Options of a hub.
@@ -165,7 +165,7 @@ impl Hub {
             result = result.and(ended);
         }
         self.watching.clear();
-        let _ = self.router.session().close().wait();
+        close(self.router.session());
         result
     }
 }

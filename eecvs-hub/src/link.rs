@@ -16,9 +16,10 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, anyhow, ensure};
+use usb_bridge::stop::wait_for;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::{Config, Session, Wait};
@@ -310,14 +311,25 @@ impl Client {
         self.0.is_given_up.store(true, Ordering::Relaxed);
         if let Some(session) = self.session() {
             thread::sleep(LEAVES);
-            // Closing a session whose hub is gone may fail, which does not matter.
-            let _ = session.close().wait();
+            close(session);
         }
     }
 }
 
 /// Time within which the latest messages have certainly been sent.
 const LEAVES: Duration = Duration::from_millis(200);
+
+/// Longest wait until a session is closed: one that is connecting to somebody who does not answer takes seconds.
+const CLOSES: Duration = Duration::from_millis(300);
+
+/// Closes a session, or leaves that to a thread of its own where it takes too long.
+pub(crate) fn close(session: &Session) {
+    let (session, since) = (session.clone(), Instant::now());
+    // Closing a session whose other side is gone may fail, which does not matter.
+    let _ = wait_for(move || session.close().wait().is_ok(), &|| {
+        since.elapsed() < CLOSES
+    });
+}
 
 impl Opening {
     fn fail(&self, why: &str) {

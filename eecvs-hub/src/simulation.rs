@@ -7,6 +7,7 @@
 //! at the first hub receives from all: every frame is received twice, and all frames but those of the first hub's
 //! sensors pass two hubs. The last hub is stopped for a while.
 
+use std::any::Any;
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 use std::io::{self, Write};
@@ -153,8 +154,9 @@ pub fn simulate(
         options.hubs >= 1 && options.sensors >= options.hubs,
         "give at least one hub, and at least one sensor for each hub"
     );
-    let played = scenes(options)?;
-    let fleet = Fleet::new(options, folder)?;
+    let played = scenes(options, stop)?;
+    let fleet = Fleet::new(options, folder, stop)?;
+    let wait = |who: &str, is_so: &dyn Fn() -> bool| wait(who, is_so, stop);
     let mut random = Xoshiro256PlusPlus::seed_from_u64(options.seed);
     let parts: HashMap<Name, Part> = fleet
         .names
@@ -177,7 +179,7 @@ pub fn simulate(
         receivers.push(fleet.receiver(number, &format!("{number}/**"), &parts)?);
     }
     receivers.push(fleet.receiver(0, "**", &parts)?);
-    wait("receivers", || {
+    wait("receivers", &|| {
         receivers
             .iter()
             .all(|(downlink, _)| downlink.is_connected())
@@ -186,7 +188,7 @@ pub fn simulate(
     for (number, name) in fleet.names.iter().enumerate() {
         uplinks.push(fleet.sensor(number % options.hubs, name)?);
         if uplinks.len().is_multiple_of(CONNECTING) || uplinks.len() == options.sensors {
-            wait("sensors", || {
+            wait("sensors", &|| {
                 uplinks
                     .iter()
                     .rev()
@@ -208,8 +210,7 @@ pub fn simulate(
     let _last = thread::scope(|scope| -> Result<Option<Hub>> {
         let interrupted = scope.spawn(|| fleet.interrupt(last, stop, say));
         play(&fleet, &parts, &uplinks, &mut outcome, stop)?;
-        let interrupted = interrupted.join();
-        interrupted.unwrap_or_else(|_| anyhow::bail!("a thread panicked: please report this"))
+        interrupted.join().unwrap_or_else(panicked)
     })?;
     let ended = Instant::now();
     outcome.expected = 2 * outcome.frames;
@@ -224,8 +225,19 @@ pub fn simulate(
     }
     outcome.outages = uplinks.iter().map(|uplink| uplink.status().outages).sum();
     let mut delays = Latencies::default();
-    for (downlink, checked) in receivers {
-        let report = downlink.finish()?;
+    // All at once, since closing a session takes a moment.
+    let reports = thread::scope(|scope| {
+        let finishing: Vec<_> = receivers
+            .into_iter()
+            .map(|(downlink, checked)| (scope.spawn(|| downlink.finish()), checked))
+            .collect();
+        let joined = finishing.into_iter().map(|(finishing, checked)| {
+            let report = finishing.join().unwrap_or_else(panicked);
+            report.map(|report| (report, checked))
+        });
+        joined.collect::<Result<Vec<_>>>()
+    })?;
+    for (report, checked) in reports {
         delays.merge(&report.delays);
         outcome.outages += report.outages;
         outcome.again += report
@@ -254,10 +266,12 @@ pub fn simulate(
         delays.map(|delays| delays.max_ms),
     );
     outcome.memory_peak_bytes = Usage::now().memory_peak_bytes.unwrap_or(0);
-    // All at once, since closing a session takes a moment.
     thread::scope(|scope| {
         for uplink in uplinks {
             scope.spawn(move || uplink.finish(Duration::ZERO));
+        }
+        for hub in hubs {
+            scope.spawn(move || hub.finish());
         }
     });
     Ok(outcome)
@@ -305,13 +319,18 @@ fn play(
     Ok(())
 }
 
+fn panicked<T>(_: Box<dyn Any + Send>) -> Result<T> {
+    anyhow::bail!("a thread panicked: please report this")
+}
+
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn wait(who: &str, is_so: impl Fn() -> bool) -> Result<()> {
+fn wait(who: &str, is_so: &dyn Fn() -> bool, stop: &Stop) -> Result<()> {
     let started = Instant::now();
     while !is_so() {
+        ensure!(!stop.is_asked(), "stopped before the {who} were connected");
         ensure!(
             started.elapsed() < PATIENCE,
             "{who} get no link: a process may be allowed too few sockets (ulimit -n), or the \
@@ -323,7 +342,7 @@ fn wait(who: &str, is_so: impl Fn() -> bool) -> Result<()> {
 }
 
 /// Returns the frames of the nine scenes: lossless, with the fast coder, one per window.
-fn scenes(options: Options) -> Result<Vec<Arc<Played>>> {
+fn scenes(options: Options, stop: &Stop) -> Result<Vec<Arc<Played>>> {
     let mode = Mode::Hybrid(Hybrid {
         coder: Coder::Fast,
         fidelity: Fidelity::Lossless,
@@ -332,6 +351,7 @@ fn scenes(options: Options) -> Result<Vec<Arc<Played>>> {
     let config = Config::new(window, ThresholdsFile::scenes()?.thresholds()?, mode);
     let mut scenes = Vec::new();
     for preset in PRESETS {
+        ensure!(!stop.is_asked(), "stopped before the scenes were made");
         let mut scene = SceneConfig::new(preset, options.seed);
         scene.sensor = options.sensor;
         scene.duration_us = SCENE_US;
@@ -375,11 +395,12 @@ impl Write for Pieces {
 const SCENE_US: u64 = 2_000_000;
 
 impl Fleet {
-    fn new(options: Options, folder: &Path) -> Result<Self> {
+    fn new(options: Options, folder: &Path, stop: &Stop) -> Result<Self> {
         let authority = Authority::open(folder, 1)?;
         let host = ["127.0.0.1".to_owned()];
         let mut names = Vec::new();
         for number in 0..options.sensors {
+            ensure!(!stop.is_asked(), "stopped before all keys were made");
             let name: Name = format!("{}/{number}", number % options.hubs).parse()?;
             authority.sign(&Role::Sensor(name.clone()), &[], &[], 1)?;
             names.push(name);

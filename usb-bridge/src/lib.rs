@@ -24,6 +24,7 @@ pub mod peripheral;
 pub mod pump;
 pub mod queue;
 pub mod record;
+pub mod resolve;
 pub mod session;
 pub mod source;
 pub mod stop;

@@ -2,8 +2,10 @@
 
 use std::io::{self, ErrorKind};
 use std::os::unix::fs::FileTypeExt as _;
-use std::os::unix::net::{UnixListener, UnixStream};
+use std::os::unix::net::UnixListener;
 use std::path::Path;
+
+use socket2::{Domain, SockAddr, Socket, Type};
 
 /// Listens at `path`. A socket that nobody listens at any more, as a killed program leaves it, is replaced.
 ///
@@ -13,13 +15,19 @@ pub fn listen(path: &Path) -> io::Result<UnixListener> {
     // A file that is not a socket refuses connections in the same way, and must not be removed.
     let is_socket =
         std::fs::symlink_metadata(path).is_ok_and(|metadata| metadata.file_type().is_socket());
-    let is_dead = || {
-        UnixStream::connect(path).is_err_and(|error| error.kind() == ErrorKind::ConnectionRefused)
-    };
-    if is_socket && is_dead() {
+    if is_socket && is_dead(path)? {
         std::fs::remove_file(path)?;
     }
     UnixListener::bind(path)
+}
+
+/// Returns whether nobody listens at a socket. A program that listens and accepts nobody, so that a connection would have
+/// to wait, is not waited for.
+fn is_dead(path: &Path) -> io::Result<bool> {
+    let socket = Socket::new(Domain::UNIX, Type::STREAM, None)?;
+    socket.set_nonblocking(true)?;
+    let connected = socket.connect(&SockAddr::unix(path)?);
+    Ok(connected.is_err_and(|error| error.kind() == ErrorKind::ConnectionRefused))
 }
 
 #[cfg(test)]
@@ -36,6 +44,22 @@ mod tests {
         let second = listen(&path).unwrap();
         assert_eq!(listen(&path).unwrap_err().kind(), ErrorKind::AddrInUse);
         drop(second);
+        // Whoever listens and accepts nobody is no reason to wait.
+        let full = folder.path().join("full");
+        let deaf = Socket::new(Domain::UNIX, Type::STREAM, None).unwrap();
+        let address = SockAddr::unix(&full).unwrap();
+        deaf.bind(&address).unwrap();
+        deaf.listen(0).unwrap();
+        let waiting: Vec<Socket> = (0..4)
+            .map(|_| {
+                let socket = Socket::new(Domain::UNIX, Type::STREAM, None).unwrap();
+                socket.set_nonblocking(true).unwrap();
+                let _ = socket.connect(&address);
+                socket
+            })
+            .collect();
+        assert_eq!(listen(&full).unwrap_err().kind(), ErrorKind::AddrInUse);
+        drop(waiting);
         let file = folder.path().join("file");
         std::fs::write(&file, "content").unwrap();
         assert!(listen(&file).is_err());

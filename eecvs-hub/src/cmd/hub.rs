@@ -6,10 +6,11 @@ use std::path::PathBuf;
 use std::thread;
 use std::time::Duration;
 
-use anyhow::{Context as _, Result, ensure};
+use anyhow::{Context as _, Result, bail, ensure};
 use clap::Args;
 use eecvs_cli::say;
-use usb_bridge::stop::Stop;
+use usb_bridge::resolve::addresses;
+use usb_bridge::stop::{Stop, wait_for};
 
 use crate::access::{Access, FILE};
 use crate::hub;
@@ -115,7 +116,8 @@ impl Hub {
         let page = match self.no_page {
             true => None,
             false => {
-                let bound = TcpListener::bind(&self.page);
+                let at = addresses(&self.page, &|| !stop.is_asked());
+                let bound = at.and_then(|at| TcpListener::bind(at.as_slice()));
                 Some(bound.with_context(|| {
                     format!(
                         "--page {}: cannot listen there: give another address, or --no-page",
@@ -137,7 +139,12 @@ impl Hub {
             total: self.total_budget,
             access,
         };
-        let hub = hub::Hub::start(options, &links, page)?;
+        // A name to listen at may take long to look up.
+        let start = move || hub::Hub::start(options, &links, page);
+        let Some(hub) = wait_for(start, &|| !stop.is_asked())? else {
+            bail!("stopped before the hub listened at {}", listen.join(", "));
+        };
+        let hub = hub?;
         say!("eecvs-hub: {} listens on {}", self.name, listen.join(", "));
         if let Some(address) = address {
             say!("eecvs-hub: its page is http://{address}/");

@@ -103,7 +103,8 @@ pub struct Sensor {
               .range(eecvs_nostd::OUTPUT_BYTES_MIN as i64..=eecvs_nostd::FRAME_BYTES_MAX as i64))]
     frame_bytes: u32,
 
-    /// At the end, wait at most this many seconds for receivers that request frames again, or for a link
+    /// At the end, wait at most this many seconds for receivers that request frames again, or for a link; after a signal,
+    /// such as Ctrl-C, not even one
     #[arg(long, value_name = "S", default_value_t = 10)]
     linger_s: u32,
 
@@ -211,18 +212,20 @@ impl Sensor {
         }
     }
 
-    fn finish(&self, uplink: Uplink) -> Summary {
-        uplink.finish(Duration::from_secs(self.linger_s.into()))
+    fn finish(&self, uplink: Uplink, stop: &Stop) -> Summary {
+        let linger = Duration::from_secs(self.linger_s.into());
+        // Whoever sends a signal waits for the end.
+        uplink.finish_while(linger, &|| !stop.is_signalled())
     }
 
     fn file(&self, reader: Box<dyn EventReader>, stop: &Stop) -> Result<(EncodeSummary, Summary)> {
         let stop = self.timed(stop);
         let clock = self.clock();
-        let live = Live::new(reader, self.rate, self.repeat, clock, stop)?;
+        let live = Live::new(reader, self.rate, self.repeat, clock, stop.clone())?;
         let due = live.due_times();
         let uplink = self.uplink(live.sensor(), clock)?;
         let encoding = self.encode(Box::new(live), &uplink, &|t_us| due.at(t_us));
-        let summary = self.finish(uplink);
+        let summary = self.finish(uplink, &stop);
         Ok((encoding?, summary))
     }
 
@@ -271,7 +274,7 @@ impl Sensor {
         };
         let (report, unstopped) = session.finish();
         warn_of_losses(&report);
-        let summary = self.finish(uplink);
+        let summary = self.finish(uplink, &stop);
         unstopped.map_or(Ok((encoding?, summary)), Err)
     }
 

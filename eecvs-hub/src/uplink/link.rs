@@ -168,6 +168,10 @@ impl<'s> Link<'s> {
     }
 
     fn next(&mut self, state: &mut State, now: Instant) -> Act {
+        let is_hurried = |ending: &Ending| ending.is_hurried && now >= ending.by;
+        if state.ends.as_ref().is_some_and(is_hurried) {
+            return Act::End;
+        }
         if state.down.is_some() {
             // Receivers request what is made now once there is a link.
             state.cursor = state.store.next();
@@ -213,7 +217,7 @@ impl<'s> Link<'s> {
         }
         match state.ends {
             // A receiver that misses something asks for it shortly after the last status.
-            Some(Ending { asked, by }) => {
+            Some(Ending { asked, by, .. }) => {
                 let latest = state.wished.map_or(asked, |wished| wished.max(asked));
                 state.is_quiet = now.saturating_duration_since(latest) >= QUIET;
                 match state.is_quiet || now >= by {

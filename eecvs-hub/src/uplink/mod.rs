@@ -115,6 +115,8 @@ struct Ending {
     asked: Instant,
     /// Until when frames may still be requested.
     by: Instant,
+    /// Whether frames that wait then are not sent either.
+    is_hurried: bool,
 }
 
 /// Outcome of a run.
@@ -264,8 +266,14 @@ impl Uplink {
     /// Ends the stream. For at most the time `most`, waiting frames are sent, and requests are answered as long as
     /// they arrive. Afterwards, frames that an outage may have lost go to disk.
     #[must_use]
-    pub fn finish(mut self, most: Duration) -> Summary {
-        self.end(most);
+    pub fn finish(self, most: Duration) -> Summary {
+        self.finish_while(most, &|| true)
+    }
+
+    /// Does the same, but once `goes_on` returns false only what can be done at once.
+    #[must_use]
+    pub fn finish_while(mut self, most: Duration, goes_on: &dyn Fn() -> bool) -> Summary {
+        self.end(most, goes_on);
         let state = self.shared.state();
         Summary {
             status: self.shared.status(&state),
@@ -273,15 +281,32 @@ impl Uplink {
         }
     }
 
-    fn end(&mut self, most: Duration) {
+    fn end(&mut self, most: Duration, goes_on: &dyn Fn() -> bool) {
         let Some(thread) = self.thread.take() else {
             return;
         };
         let asked = Instant::now();
-        let by = asked + most;
-        self.shared.state().ends = Some(Ending { asked, by });
+        let mut ending = Ending {
+            asked,
+            by: asked + most,
+            is_hurried: false,
+        };
+        self.shared.state().ends = Some(ending);
         self.shared.changed.notify_one();
-        let _ = thread.join();
+        while goes_on() && !thread.is_finished() {
+            thread::sleep(LOOK);
+        }
+        if !thread.is_finished() {
+            ending.by = ending.by.min(Instant::now() + HURRY);
+            ending.is_hurried = true;
+            self.shared.state().ends = Some(ending);
+            self.shared.changed.notify_one();
+            // A message that waits for a link which takes nothing is not waited for.
+            let last = Instant::now() + 2 * HURRY;
+            while !thread.is_finished() && Instant::now() < last {
+                thread::sleep(LOOK);
+            }
+        }
         let mut state = self.shared.state();
         let is_quiet = state.is_quiet;
         state.store.end(is_quiet);
@@ -292,9 +317,15 @@ impl Uplink {
     }
 }
 
+/// Interval at which the end is looked for.
+const LOOK: Duration = Duration::from_millis(5);
+
+/// Time for what can be done at once, where somebody waits for the end.
+const HURRY: Duration = Duration::from_millis(200);
+
 impl Drop for Uplink {
     fn drop(&mut self) {
-        self.end(Duration::ZERO);
+        self.end(Duration::ZERO, &|| true);
     }
 }
 

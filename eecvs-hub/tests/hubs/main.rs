@@ -12,3 +12,5 @@ mod links;
 mod page;
 #[cfg(unix)]
 mod programs;
+#[cfg(target_os = "linux")]
+mod strangers;

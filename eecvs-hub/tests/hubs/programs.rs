@@ -15,10 +15,10 @@ use event_files::EventReader;
 use crate::fleet::{self, Fleet, until};
 
 /// A program, which ends with the test.
-struct Program(Option<Child>);
+pub struct Program(pub Option<Child>);
 
 impl Program {
-    fn start(arguments: &[&str]) -> Self {
+    pub fn start(arguments: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_eecvs-hub"));
         command
             .args(arguments)
@@ -27,11 +27,11 @@ impl Program {
         Self(Some(command.spawn().unwrap()))
     }
 
-    fn end(mut self) -> Output {
+    pub fn end(mut self) -> Output {
         self.0.take().unwrap().wait_with_output().unwrap()
     }
 
-    fn signal(&self, signal: &str) {
+    pub fn signal(&self, signal: &str) {
         let id = self.0.as_ref().unwrap().id().to_string();
         assert!(
             Command::new("kill")
@@ -42,7 +42,7 @@ impl Program {
         );
     }
 
-    fn is_running(&mut self) -> bool {
+    pub fn is_running(&mut self) -> bool {
         self.0.as_mut().unwrap().try_wait().unwrap().is_none()
     }
 }
@@ -196,7 +196,7 @@ fn every_event_comes_though_the_hub_is_killed() {
 }
 
 /// The answer of a hub's page for its figures; nothing while there is no page.
-fn figures(page: &str) -> String {
+pub fn figures(page: &str) -> String {
     use std::io::{Read as _, Write as _};
     let mut answer = String::new();
     let Ok(mut stream) = std::net::TcpStream::connect(page) else {

@@ -1,7 +1,8 @@
 //! `eecvs-usb forward`: sends a device's stream to many consumers at once.
 
+use std::cell::Cell;
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Result, bail, ensure};
 use clap::{Args, ValueEnum};
@@ -29,6 +30,9 @@ use crate::stop::Stop;
 
 /// Time that consumers get at the end to take what is queued.
 const GRACE: Duration = Duration::from_secs(3);
+
+/// The same where Ctrl-C or a signal ended the stream: somebody waits.
+const HURRY: Duration = Duration::from_millis(150);
 
 /// Send a device's events, as frames or as raw packets, to any number of consumers: one that is slow, stops reading
 /// or vanishes holds up neither the others nor the device, and its losses are reported
@@ -100,7 +104,8 @@ impl Forward {
         let stop = Stop::on_signals()?;
         let source = self.device.open(&self.codec, &stop)?;
         let queue_bytes = usize::from(self.consumer_queue_mib) << 20;
-        let mut fan_out = FanOut::start(&self.to, queue_bytes, self.overwrite)?;
+        let mut fan_out =
+            FanOut::start(&self.to, queue_bytes, self.overwrite, &|| !stop.is_asked())?;
         for absent in fan_out.reports() {
             if let Some(failure) = absent.failure {
                 warn(&format!(
@@ -130,7 +135,16 @@ impl Forward {
             false => Err(error),
         });
         let (report, unstopped) = session.finish();
-        let consumers = fan_out.finish(GRACE, outcome.is_ok());
+        let signalled = Cell::new(None);
+        let goes_on = || match (stop.is_signalled(), signalled.get()) {
+            (false, _) => true,
+            (true, None) => {
+                signalled.set(Some(Instant::now()));
+                true
+            }
+            (true, Some(since)) => since.elapsed() < HURRY,
+        };
+        let consumers = fan_out.finish(GRACE, &goes_on, outcome.is_ok());
         warn_of_losses(&report);
         warn_of_runs(&report.device, &order);
         let mut failed = Vec::new();

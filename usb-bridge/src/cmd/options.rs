@@ -203,7 +203,8 @@ pub struct StreamOptions {
     pub json: bool,
 }
 
-fn seconds(text: &str) -> Result<Duration, String> {
+/// Parses a time in seconds, such as `0.5`.
+pub fn seconds(text: &str) -> Result<Duration, String> {
     let seconds: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
     Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string())
 }

@@ -1,17 +1,18 @@
 //! `eecvs-usb receive`: writes what `forward` sends to a file.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use anyhow::{Result, bail};
 use clap::Args;
 use eecvs_cli::output::{Place, keep_or_mark, rows};
 use event_files::output::Output;
 
-use super::options::StreamOptions;
+use super::options::{StreamOptions, seconds};
 use super::warn;
 use crate::forward::address::Address;
 use crate::forward::receive::{self, Received};
-use crate::link::listen::Listening;
+use crate::forward::senders::{Deadlines, Senders};
 use crate::record::{self, Kind};
 use crate::stop::Stop;
 
@@ -35,6 +36,20 @@ pub struct Receive {
     #[arg(long)]
     once: bool,
 
+    /// Close a connection that has sent nothing for this many seconds
+    #[arg(long, value_name = "S", default_value = "60", value_parser = seconds)]
+    first_byte_s: Duration,
+
+    /// Close a connection, or forget a sender of datagrams, whose first message that the file can hold is not whole this
+    /// many seconds after its first byte
+    #[arg(long, value_name = "S", default_value = "10", value_parser = seconds)]
+    first_message_s: Duration,
+
+    /// Let another sender take the place of one from which no whole message has come for this many seconds [default:
+    /// 10; over UDP 1]
+    #[arg(long, value_name = "S", value_parser = seconds)]
+    idle_s: Option<Duration>,
+
     #[command(flatten)]
     stream: StreamOptions,
 }
@@ -49,14 +64,14 @@ impl Receive {
         let kind = record::kind_of(&self.output)?;
         kind.check(&self.output, self.overwrite, &[])?;
         let stop = Stop::on_signals()?;
-        let mut link = Listening::open(&self.from)?;
+        let mut senders = Senders::open(&self.from, self.deadlines(), &stop)?;
         let limits = receive::Limits {
             once: self.once,
             limits: self.stream.limits(),
         };
         let output = Output::begin_live(&self.output, self.overwrite)?;
         let (received, outcome) =
-            receive::receive(&mut link, output.path(), kind, limits, &stop, &mut warn);
+            receive::receive(&mut senders, output.path(), kind, limits, &stop, &mut warn);
         let outcome = if outcome.is_ok() && kind == Kind::Events && received.events == 0 {
             // A recording is created with the first event, which determines its sensor.
             let _ = output.leave();
@@ -77,6 +92,16 @@ impl Receive {
     }
 }
 
+impl Receive {
+    const fn deadlines(&self) -> Deadlines {
+        Deadlines {
+            first_byte: self.first_byte_s,
+            first_message: self.first_message_s,
+            idle: self.idle_s,
+        }
+    }
+}
+
 fn table(received: &Received) -> String {
     let mut lines = vec![
         ("messages", received.messages.to_string()),
@@ -88,6 +113,7 @@ fn table(received: &Received) -> String {
         ("damaged bytes", received.damaged_bytes.to_string()),
         ("unfinished bytes", received.unfinished_bytes.to_string()),
         ("senders", received.senders.to_string()),
+        ("bytes of others", received.alien_bytes.to_string()),
     ];
     if let Some(bytes) = received.receive_buffer_bytes {
         let overflown = received.overflown_datagrams;
@@ -96,7 +122,19 @@ fn table(received: &Received) -> String {
             ("datagrams lost", received.lost_datagrams.to_string()),
             ("  for lack of room", overflown),
             ("datagrams late", received.late_datagrams.to_string()),
+            ("datagrams of others", received.alien_datagrams.to_string()),
             ("receive buffer, bytes", bytes.to_string()),
+        ]);
+    } else {
+        lines.extend([
+            (
+                "connections without a message",
+                received.alien_connections.to_string(),
+            ),
+            (
+                "connections refused",
+                received.refused_connections.to_string(),
+            ),
         ]);
     }
     let mut table = rows(lines);

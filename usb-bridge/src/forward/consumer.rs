@@ -16,6 +16,10 @@ use crate::queue::{Queue, Taken, Weigh};
 
 /// Wait before a lost connection is tried again: at first, and at most.
 const RETRY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(5));
+/// Time in which a receiver refuses a connection, if it does.
+const REFUSED: Duration = Duration::from_millis(100);
+/// Time in which a thread notices that the time for sending is over.
+const LAST: Duration = Duration::from_millis(150);
 /// Overhead of a message in a queue, in bytes.
 const MESSAGE_BYTES: usize = 64;
 
@@ -55,10 +59,24 @@ struct Counter {
 
 impl Counter {
     fn add(&self, message: &Message) {
-        self.messages.fetch_add(1, Ordering::Relaxed);
-        let bytes = message.bytes.len() as u64;
-        self.bytes.fetch_add(bytes, Ordering::Relaxed);
-        self.events.fetch_add(message.events, Ordering::Relaxed);
+        self.add_all(Amount {
+            messages: 1,
+            bytes: message.bytes.len() as u64,
+            events: message.events,
+        });
+    }
+
+    /// Takes back what was counted.
+    fn remove(&self, amount: Amount) {
+        self.messages.fetch_sub(amount.messages, Ordering::Relaxed);
+        self.bytes.fetch_sub(amount.bytes, Ordering::Relaxed);
+        self.events.fetch_sub(amount.events, Ordering::Relaxed);
+    }
+
+    fn add_all(&self, amount: Amount) {
+        self.messages.fetch_add(amount.messages, Ordering::Relaxed);
+        self.bytes.fetch_add(amount.bytes, Ordering::Relaxed);
+        self.events.fetch_add(amount.events, Ordering::Relaxed);
     }
 
     fn amount(&self) -> Amount {
@@ -92,6 +110,17 @@ pub struct Report {
     pub is_closed: bool,
 }
 
+impl Amount {
+    /// Returns what came after `before`.
+    const fn since(self, before: Self) -> Self {
+        Self {
+            messages: self.messages - before.messages,
+            bytes: self.bytes - before.bytes,
+            events: self.events - before.events,
+        }
+    }
+}
+
 struct Shared {
     address: Address,
     queue: Queue<Message>,
@@ -99,6 +128,10 @@ struct Shared {
     lost: Counter,
     reached: AtomicBool,
     reconnects: AtomicU64,
+    /// The first attempt to reach it has succeeded or failed.
+    is_tried: AtomicBool,
+    /// It may not be used at all.
+    is_forbidden: AtomicBool,
     /// No more messages follow; those queued are still sent for a while.
     ending: AtomicBool,
     /// The time for sending what is queued is over.
@@ -116,38 +149,38 @@ pub struct Consumer {
 }
 
 impl Consumer {
-    /// Opens the sink at an address and starts the thread that feeds it, with a queue of at most `queue_bytes`
-    /// bytes. If nobody listens there, this is recorded as the consumer's failure, and the connection is tried
-    /// again. A file gets its own name when it is complete; an existing one is replaced only with `overwrite`.
+    /// Starts the thread that feeds the consumer at an address, with a queue of at most `queue_bytes` bytes. A file is
+    /// created here; a connection is opened by the thread, for a name may take long to look up and a host to answer.
+    /// Until somebody listens there, it is tried again. A file gets its own name when it is complete; an existing one is
+    /// replaced only with `overwrite`.
     ///
     /// # Errors
-    /// The address may not be used, or the file cannot be created.
+    /// The file cannot be created.
     pub fn start(address: Address, queue_bytes: usize, overwrite: bool) -> Result<Self> {
-        let (output, opened) = match &address {
+        let open = |to: &Address| Sink::open(to).map_err(|error| anyhow!("{address}: {error}"));
+        let (output, sink) = match &address {
             Address::File(path) => {
                 let output = Output::begin_live(path, overwrite)?;
                 let part = Address::File(output.path().to_owned());
-                (Some(output), Sink::open(&part))
+                (Some(output), Some(open(&part)?))
             }
-            _ => (None, Sink::open(&address)),
-        };
-        let (sink, absence) = match opened {
-            Ok(sink) => (Some(sink), None),
-            Err(error) if output.is_none() && may_come(&error) => (None, Some(error.to_string())),
-            Err(error) => return Err(anyhow!("{address}: {error}")),
+            Address::Stdout => (None, Some(open(&address)?)),
+            Address::Tcp(_) | Address::Udp(_) | Address::Unix(_) => (None, None),
         };
         let shared = Arc::new(Shared {
-            address,
             queue: Queue::new(queue_bytes),
             sent: Counter::default(),
             lost: Counter::default(),
             reached: AtomicBool::new(false),
             reconnects: AtomicU64::new(0),
+            is_tried: AtomicBool::new(sink.is_some()),
+            is_forbidden: AtomicBool::new(false),
             ending: AtomicBool::new(false),
             over: AtomicBool::new(false),
             done: AtomicBool::new(false),
-            failure: Mutex::new(absence),
+            failure: Mutex::new(sink.is_none().then(|| "has not answered yet".to_owned())),
             closed: AtomicBool::new(false),
+            address,
         });
         let thread = Arc::clone(&shared);
         Builder::new()
@@ -155,6 +188,24 @@ impl Consumer {
             .spawn(move || thread.run(sink))
             .context("cannot start a consumer's thread")?;
         Ok(Self { shared, output })
+    }
+
+    /// Returns whether the first attempt to reach the consumer is over.
+    #[must_use]
+    pub fn is_tried(&self) -> bool {
+        self.shared.is_tried.load(Ordering::Relaxed)
+    }
+
+    /// Checks that the consumer may be reached, now or later.
+    ///
+    /// # Errors
+    /// The system forbids it, or the address can be nobody's.
+    pub fn check(&self) -> Result<()> {
+        if !self.shared.is_forbidden.load(Ordering::Relaxed) {
+            return Ok(());
+        }
+        let Report { to, failure, .. } = self.report();
+        Err(anyhow!("{to}: {}", failure.unwrap_or_default()))
     }
 
     /// Queues a message without ever waiting; messages dropped to make room are counted as lost.
@@ -176,19 +227,25 @@ impl Consumer {
         self.shared.done.load(Ordering::Relaxed)
     }
 
-    /// Waits until everything is sent or `until` has passed, and returns a report. A thread that hangs in a write
-    /// to a file or a pipe is left running. A file gets its own name if it has received everything and `is_whole`,
-    /// that is, the stream ended as it should; otherwise it stays marked as incomplete.
+    /// Waits until everything is sent, `until` has passed or `goes_on` returns false, and returns a report. A thread
+    /// that hangs in a write to a file or a pipe, or in a look-up of a name, is left running. A file gets its own name
+    /// if it has received everything and `is_whole`, that is, the stream ended as it should; otherwise it stays marked
+    /// as incomplete.
     #[must_use]
-    pub fn finish(mut self, until: Instant, is_whole: bool) -> Report {
+    pub fn finish(mut self, until: Instant, goes_on: &dyn Fn() -> bool, is_whole: bool) -> Report {
         self.end();
-        while !self.is_done() && Instant::now() < until {
+        while !self.is_done() && Instant::now() < until && goes_on() {
             thread::sleep(Duration::from_millis(5));
         }
         self.shared.over.store(true, Ordering::Relaxed);
-        let grace = Instant::now() + Duration::from_millis(500);
-        while !self.is_done() && Instant::now() < grace {
+        let last = Instant::now() + LAST;
+        while !self.is_done() && Instant::now() < last {
             thread::sleep(Duration::from_millis(5));
+        }
+        if !self.is_done() {
+            for message in self.shared.queue.abandon() {
+                self.shared.lost.add(&message);
+            }
         }
         let mut report = self.report();
         if let Some(output) = self.output.take() {
@@ -246,7 +303,7 @@ impl Shared {
     }
 
     fn run(&self, sink: Option<Sink>) {
-        let sink = sink.or_else(|| self.again());
+        let sink = sink.or_else(|| self.first()).or_else(|| self.again(false));
         if let Some(sink) = sink {
             self.carry(sink);
         }
@@ -254,6 +311,20 @@ impl Shared {
             self.lost.add(&message);
         }
         self.done.store(true, Ordering::Relaxed);
+    }
+
+    /// Tries to reach a consumer for the first time.
+    fn first(&self) -> Option<Sink> {
+        let opened = Sink::open(&self.address);
+        match &opened {
+            Ok(_) => self.recover(),
+            Err(error) => {
+                self.fail(error.to_string());
+                self.is_forbidden.store(!may_come(error), Ordering::Relaxed);
+            }
+        }
+        self.is_tried.store(true, Ordering::Relaxed);
+        opened.ok()
     }
 
     /// Sends what is queued until the end, or until the sink fails for good.
@@ -265,15 +336,45 @@ impl Shared {
         if !matches!(sink, Sink::Udp(..)) {
             self.reached.store(true, Ordering::Relaxed);
         }
+        // What had been sent when the connection was opened.
+        let mut before = self.sent.amount();
+        // A message of which nothing was sent over a connection that was refused.
+        let mut held = None;
+        // Whether the connection before this one was refused, so that this one may be.
+        let mut is_doubtful = false;
+        let mut opened = Instant::now();
         while goes_on() {
-            let message = match self.queue.take(Duration::from_millis(100)) {
-                Taken::Item(message) => message,
-                Taken::Nothing => continue,
-                Taken::Closed => break,
+            if is_doubtful {
+                self.pause(opened + REFUSED);
+            }
+            let message = match held.take() {
+                Some(message) => message,
+                None => match self.queue.take(Duration::from_millis(100)) {
+                    Taken::Item(message) => message,
+                    Taken::Nothing => continue,
+                    Taken::Closed => break,
+                },
             };
+            if let Some(why) = sink.refusal() {
+                held = Some(message);
+                self.take_back(before, why);
+                if self.ending.load(Ordering::Relaxed) {
+                    break;
+                }
+                is_doubtful = true;
+                match self.again(is_doubtful) {
+                    Some(next) => (sink, before) = (next, self.sent.amount()),
+                    None => break,
+                }
+                opened = Instant::now();
+                continue;
+            }
             match sink.send(&message.bytes, &goes_on) {
                 Ok(()) => {
                     self.sent.add(&message);
+                    if std::mem::take(&mut is_doubtful) {
+                        self.recover();
+                    }
                     let was_reached = self.reached.swap(true, Ordering::Relaxed);
                     if is_away {
                         self.recover();
@@ -297,24 +398,57 @@ impl Shared {
                         self.fail("accepted nothing more until the end".to_owned());
                         break;
                     }
-                    self.fail(error.to_string());
+                    match sink.refusal() {
+                        Some(why) => {
+                            is_doubtful = true;
+                            self.take_back(before, why);
+                        }
+                        None => self.fail(error.to_string()),
+                    }
                     if !sink.comes_back() {
                         let is_closed = error.kind() == ErrorKind::BrokenPipe;
                         self.closed.store(is_closed, Ordering::Relaxed);
                         break;
                     }
-                    match self.again() {
-                        Some(next) => sink = next,
+                    match self.again(is_doubtful) {
+                        Some(next) => (sink, before) = (next, self.sent.amount()),
                         None => break,
                     }
+                    opened = Instant::now();
                 }
+            }
+        }
+        if let Some(message) = held {
+            self.lost.add(&message);
+        } else {
+            if sink.may_refuse() {
+                self.pause(opened + REFUSED);
+            }
+            if let Some(why) = sink.refusal() {
+                self.take_back(before, why);
             }
         }
         sink.end();
     }
 
-    /// Tries to open the sink of a consumer that is away, until it succeeds or the end has come.
-    fn again(&self) -> Option<Sink> {
+    /// Waits until then, or until the time for sending is over.
+    fn pause(&self, until: Instant) {
+        while Instant::now() < until && !self.over.load(Ordering::Relaxed) {
+            thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Counts as lost what was sent over a connection that its consumer refused: nothing of it was taken.
+    fn take_back(&self, before: Amount, why: String) {
+        let refused = self.sent.amount().since(before);
+        self.sent.remove(refused);
+        self.lost.add_all(refused);
+        self.fail(why);
+    }
+
+    /// Tries to open the sink of a consumer that is away, until it succeeds or the end has come. One that refused the
+    /// connection before may do so again.
+    fn again(&self, is_refused: bool) -> Option<Sink> {
         let (mut wait, most) = RETRY;
         loop {
             let until = Instant::now() + wait;
@@ -324,6 +458,7 @@ impl Shared {
             // At the end the connection is tried once more without a wait.
             let is_last = self.ending.load(Ordering::Relaxed);
             match Sink::open(&self.address) {
+                Ok(sink) if is_refused => return Some(sink),
                 Ok(sink) => {
                     self.recover();
                     let was_reached = self.reached.load(Ordering::Relaxed);

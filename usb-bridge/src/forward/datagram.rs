@@ -154,24 +154,39 @@ pub struct Joiner {
     next: u32,
 }
 
+/// Returns the head and the part of a datagram of this protocol.
+fn split(datagram: &[u8]) -> Option<(&Head, &[u8])> {
+    let (head, bytes) = Head::ref_from_prefix(datagram).ok()?;
+    let ends = head.flags & ENDS != 0;
+    let is_whole = bytes.len() <= PART_BYTES_MAX && bytes.is_empty() == ends;
+    (head.sync == SYNC && head.version == VERSION && is_whole).then_some((head, bytes))
+}
+
+/// Returns the stream number of a datagram; `None` if it is not one of this protocol.
+#[must_use]
+pub fn stream_of(datagram: &[u8]) -> Option<u32> {
+    split(datagram).map(|(head, _)| head.stream.get())
+}
+
 impl Joiner {
-    /// Takes a datagram. The next stream of the same sender, which has the next number, replaces the current
-    /// stream; a stream of another sender does so only if `may_change`.
-    pub fn join<'d>(&mut self, datagram: &'d [u8], may_change: bool) -> Part<'d> {
-        let Ok((head, bytes)) = Head::ref_from_prefix(datagram) else {
+    /// Returns whether a stream with this number is the current one or the next one of the same sender.
+    #[must_use]
+    pub fn continues(&self, stream: u32) -> bool {
+        let is_own = |current: u32| stream == current || stream == current.wrapping_add(1);
+        self.stream.is_none_or(is_own)
+    }
+
+    /// Takes a datagram. The next stream of the same sender, which has the next number, replaces the current stream; no
+    /// other one does.
+    pub fn join<'d>(&mut self, datagram: &'d [u8]) -> Part<'d> {
+        let Some((head, bytes)) = split(datagram) else {
             return Part::Strange;
         };
-        let ends = head.flags & ENDS != 0;
-        let is_whole = bytes.len() <= PART_BYTES_MAX && bytes.is_empty() == ends;
-        if head.sync != SYNC || head.version != VERSION || !is_whole {
-            return Part::Strange;
-        }
         let (stream, number) = (head.stream.get(), head.number.get());
-        let is_new = self.stream != Some(stream);
-        let is_next = |current: u32| stream == current.wrapping_add(1);
-        if is_new && !may_change && !self.stream.is_none_or(is_next) {
+        if !self.continues(stream) {
             return Part::Late;
         }
+        let is_new = self.stream != Some(stream);
         let missing = if is_new {
             number
         } else {
@@ -182,7 +197,7 @@ impl Joiner {
         }
         self.stream = Some(stream);
         let before = Before { missing, is_new };
-        if ends {
+        if head.flags & ENDS != 0 {
             self.next = number;
             return Part::End {
                 messages: head.message.get(),
@@ -297,14 +312,11 @@ mod tests {
                 is_new: false,
             },
         };
-        assert_eq!(joiner.join(&datagrams[0], false), of(0, true, 0, 1));
-        assert_eq!(
-            joiner.join(&datagrams[1], false),
-            of(1, true, 0, PART_BYTES_MAX)
-        );
-        assert_eq!(joiner.join(&datagrams[1], false), Part::Late);
-        assert_eq!(joiner.join(&datagrams[4], false), of(3, true, 2, 1));
-        assert_eq!(joiner.join(&datagrams[2], false), Part::Late);
+        assert_eq!(joiner.join(&datagrams[0]), of(0, true, 0, 1));
+        assert_eq!(joiner.join(&datagrams[1]), of(1, true, 0, PART_BYTES_MAX));
+        assert_eq!(joiner.join(&datagrams[1]), Part::Late);
+        assert_eq!(joiner.join(&datagrams[4]), of(3, true, 2, 1));
+        assert_eq!(joiner.join(&datagrams[2]), Part::Late);
         let end = |missing| Part::End {
             messages: 5,
             before: Before {
@@ -312,17 +324,20 @@ mod tests {
                 is_new: false,
             },
         };
-        assert_eq!(joiner.join(&datagrams[6], false), end(1));
-        assert_eq!(joiner.join(&datagrams[6], false), end(0));
+        assert_eq!(joiner.join(&datagrams[6]), end(1));
+        assert_eq!(joiner.join(&datagrams[6]), end(0));
         let mut other = Vec::new();
         Cutter::new(8).end(&mut other);
         let before = Before {
             missing: 0,
             is_new: true,
         };
-        assert_eq!(joiner.join(&other, false), Part::Late);
+        assert!(!joiner.continues(8) && joiner.continues(9) && joiner.continues(10));
+        assert_eq!(joiner.join(&other), Part::Late);
+        joiner = Joiner::default();
+        assert!(joiner.continues(8));
         assert_eq!(
-            joiner.join(&other, true),
+            joiner.join(&other),
             Part::End {
                 messages: 0,
                 before
@@ -333,20 +348,18 @@ mod tests {
         let mut cutter = Cutter::new(8);
         cutter.begin_anew();
         cutter.end(&mut next);
-        assert!(matches!(joiner.join(&next, false), Part::End { .. }));
+        assert!(matches!(joiner.join(&next), Part::End { .. }));
         // A datagram without a part, an end datagram with one, a part that is too long, another version.
         let datagram = &datagrams[5];
-        assert_eq!(joiner.join(&datagram[..HEAD_BYTES], true), Part::Strange);
-        assert_eq!(
-            joiner.join(&[&other[..], &[1]].concat(), true),
-            Part::Strange
-        );
+        assert_eq!(joiner.join(&datagram[..HEAD_BYTES]), Part::Strange);
+        assert_eq!(joiner.join(&[&other[..], &[1]].concat()), Part::Strange);
         let long = [&datagram[..], &[0; PART_BYTES_MAX]].concat();
-        assert_eq!(joiner.join(&long, true), Part::Strange);
+        assert_eq!(joiner.join(&long), Part::Strange);
         let mut version = datagram.clone();
         version[2] = 2;
-        assert_eq!(joiner.join(&version, true), Part::Strange);
-        assert_eq!(joiner.join(&[], true), Part::Strange);
+        assert_eq!(joiner.join(&version), Part::Strange);
+        assert_eq!(joiner.join(&[]), Part::Strange);
+        assert_eq!((stream_of(&version), stream_of(datagram)), (None, Some(9)));
     }
 
     #[test]

@@ -7,7 +7,7 @@ use eecvs_nostd::{FRAME_BYTES_MAX, Frame, FrameError, Scan, scan};
 use super::packet::{self, Look, PACKET_BYTES_MAX, Packet};
 
 /// Length of the longest message, in bytes.
-const MESSAGE_BYTES_MAX: usize = if FRAME_BYTES_MAX > PACKET_BYTES_MAX {
+pub const MESSAGE_BYTES_MAX: usize = if FRAME_BYTES_MAX > PACKET_BYTES_MAX {
     FRAME_BYTES_MAX
 } else {
     PACKET_BYTES_MAX
@@ -26,12 +26,15 @@ pub enum Message<'b> {
 #[derive(Debug)]
 pub struct Demux {
     buffer: StreamBuffer,
+    /// Length of the whole message at the start of the buffer, once it has been found.
+    whole: Option<usize>,
 }
 
 impl Default for Demux {
     fn default() -> Self {
         Self {
             buffer: StreamBuffer::new(MESSAGE_BYTES_MAX),
+            whole: None,
         }
     }
 }
@@ -58,7 +61,7 @@ impl Demux {
     /// messages may lie within its bytes.
     pub fn interrupt(&mut self) {
         while !self.buffer.rest().is_empty() {
-            if self.next_at().is_none() {
+            if !self.has_message() {
                 self.buffer.damage(next_sync(self.buffer.rest()), 0);
             } else {
                 return;
@@ -99,24 +102,44 @@ impl Demux {
         }
     }
 
-    /// Returns the next whole message; `None` if more bytes are needed. Damage before it is skipped.
-    pub fn next_message(&mut self) -> Option<Message<'_>> {
-        let bytes = self.next_at()?;
-        self.buffer.take(bytes);
-        let message = self.buffer.last(bytes);
-        match Packet::look(message) {
-            Look::Packet(packet, _) => Some(Message::Packet(packet)),
-            _ => match scan(message) {
-                Scan::Frame(frame) => Some(Message::Frame(frame)),
-                _ => None,
-            },
+    /// Returns whether a whole message is next. Damage before it is skipped.
+    pub fn has_message(&mut self) -> bool {
+        if self.whole.is_none() {
+            self.whole = self.next_at();
         }
+        self.whole.is_some()
     }
 
-    /// Returns the last `bytes` bytes consumed: the latest message, if that is its length.
-    #[must_use]
-    pub fn last(&self, bytes: usize) -> &[u8] {
-        self.buffer.last(bytes)
+    /// Returns the next whole message, which stays the next one; `None` if more bytes are needed. Damage before it is
+    /// skipped.
+    pub fn peek(&mut self) -> Option<Message<'_>> {
+        self.has_message();
+        read(self.buffer.rest().get(..self.whole?)?)
+    }
+
+    /// Returns the next whole message; `None` if more bytes are needed. Damage before it is skipped.
+    pub fn next_message(&mut self) -> Option<Message<'_>> {
+        self.next_with_bytes().map(|(message, _)| message)
+    }
+
+    /// Returns the next whole message as [`Demux::next_message`] does, and its bytes.
+    pub fn next_with_bytes(&mut self) -> Option<(Message<'_>, &[u8])> {
+        self.has_message();
+        let length = self.whole.take()?;
+        self.buffer.take(length);
+        let bytes = self.buffer.last(length);
+        Some((read(bytes)?, bytes))
+    }
+}
+
+/// Returns the message that these bytes are.
+fn read(bytes: &[u8]) -> Option<Message<'_>> {
+    match Packet::look(bytes) {
+        Look::Packet(packet, _) => Some(Message::Packet(packet)),
+        _ => match scan(bytes) {
+            Scan::Frame(frame) => Some(Message::Frame(frame)),
+            _ => None,
+        },
     }
 }
 

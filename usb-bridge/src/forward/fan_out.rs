@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::io::{self, Write};
 use std::sync::Arc;
+use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
@@ -16,6 +17,11 @@ use super::consumer::{Consumer, Message, Report};
 /// Messages whose memory is reused. At 50 million events per second, allocating new memory for each message would
 /// take the system longer than the message itself.
 const KEPT: usize = 32;
+
+/// Longest wait for the first attempts to reach the consumers.
+pub const TRIED: Duration = Duration::from_secs(4);
+/// Period at which that wait looks.
+const LOOK: Duration = Duration::from_millis(2);
 
 /// Error that ends a stream before its source does: every consumer has stopped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
@@ -42,14 +48,25 @@ pub struct FanOut {
 }
 
 impl FanOut {
-    /// Opens a consumer at every address, each with a queue of at most `queue_bytes` bytes. A consumer that is away
-    /// is tried again; existing files are replaced only with `overwrite`.
+    /// Starts a consumer at every address, each with a queue of at most `queue_bytes` bytes, and waits for the first
+    /// attempts to reach them: at most [`TRIED`], and while `goes_on` returns true. A consumer that is away is tried again;
+    /// existing files are replaced only with `overwrite`.
     ///
     /// # Errors
     /// That of the first address that cannot be used.
-    pub fn start(addresses: &[Address], queue_bytes: usize, overwrite: bool) -> Result<Self> {
+    pub fn start(
+        addresses: &[Address],
+        queue_bytes: usize,
+        overwrite: bool,
+        goes_on: &dyn Fn() -> bool,
+    ) -> Result<Self> {
         let start = |address: &Address| Consumer::start(address.clone(), queue_bytes, overwrite);
-        let consumers = addresses.iter().map(start).collect::<Result<_>>()?;
+        let consumers: Vec<Consumer> = addresses.iter().map(start).collect::<Result<_>>()?;
+        let until = Instant::now() + TRIED;
+        while !consumers.iter().all(Consumer::is_tried) && Instant::now() < until && goes_on() {
+            thread::sleep(LOOK);
+        }
+        consumers.iter().try_for_each(Consumer::check)?;
         Ok(Self {
             consumers,
             given: VecDeque::with_capacity(KEPT),
@@ -93,15 +110,20 @@ impl FanOut {
         self.consumers.iter().all(Consumer::is_done)
     }
 
-    /// Ends the stream: waits up to `grace` until every consumer has taken what is queued. Files count as complete
-    /// only if `is_whole`, that is, the stream ended as it should.
+    /// Ends the stream: waits up to `grace`, and while `goes_on` returns true, until every consumer has taken what is
+    /// queued. Files count as complete only if `is_whole`, that is, the stream ended as it should.
     #[must_use]
-    pub fn finish(self, grace: Duration, is_whole: bool) -> Vec<Report> {
+    pub fn finish(
+        self,
+        grace: Duration,
+        goes_on: &dyn Fn() -> bool,
+        is_whole: bool,
+    ) -> Vec<Report> {
         for consumer in &self.consumers {
             consumer.end();
         }
         let until = Instant::now() + grace;
-        let finish = |consumer: Consumer| consumer.finish(until, is_whole);
+        let finish = |consumer: Consumer| consumer.finish(until, goes_on, is_whole);
         self.consumers.into_iter().map(finish).collect()
     }
 }
@@ -143,7 +165,7 @@ mod tests {
         let stuck = TcpListener::bind("127.0.0.1:0").unwrap();
         let path = folder.path().join("socket");
         let reading = UnixListener::bind(&path).unwrap();
-        let reader = std::thread::spawn(move || {
+        let reader = thread::spawn(move || {
             let mut bytes = Vec::new();
             reading.accept().unwrap().0.read_to_end(&mut bytes).unwrap();
             bytes
@@ -156,6 +178,7 @@ mod tests {
             ],
             QUEUE_BYTES,
             true,
+            &|| true,
         )
         .unwrap();
         let (_held, _) = stuck.accept().unwrap();
@@ -176,11 +199,12 @@ mod tests {
             // The other consumers get the time that a camera would give them.
             let behind = |i: usize| fan_out.reports()[i].sent.messages + 32 < u64::from(count);
             while behind(0) || behind(2) {
-                std::thread::yield_now();
+                thread::yield_now();
             }
         }
         let [written, lagging, read] =
-            <[Report; 3]>::try_from(fan_out.finish(Duration::from_secs(2), true)).unwrap();
+            <[Report; 3]>::try_from(fan_out.finish(Duration::from_secs(2), &|| true, true))
+                .unwrap();
         for report in [&written, &read] {
             assert_eq!(report.lost.messages, 0, "{report:?}");
             assert_eq!(report.sent.messages, u64::from(count));
@@ -201,7 +225,7 @@ mod tests {
     fn one_that_vanishes_comes_back_and_its_losses_are_counted() {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = Address::Tcp(listener.local_addr().unwrap().to_string());
-        let mut fan_out = FanOut::start(&[address], QUEUE_BYTES, false).unwrap();
+        let mut fan_out = FanOut::start(&[address], QUEUE_BYTES, false, &|| true).unwrap();
         drop(listener.accept().unwrap());
         let until = Instant::now() + Duration::from_secs(20);
         let mut given = 0;
@@ -210,7 +234,7 @@ mod tests {
         while back.is_none() && Instant::now() < until {
             fan_out.give(&message(given), 1);
             given += 1;
-            std::thread::sleep(Duration::from_millis(2));
+            thread::sleep(Duration::from_millis(2));
             back = listener.accept().ok();
         }
         let (mut stream, _) = back.expect("it comes back");
@@ -223,7 +247,7 @@ mod tests {
             stream.read_exact(&mut bytes).unwrap();
             last.copy_from_slice(&bytes[..4]);
         }
-        let reports = fan_out.finish(Duration::from_secs(1), true);
+        let reports = fan_out.finish(Duration::from_secs(1), &|| true, true);
         let report = &reports[0];
         assert_eq!(report.reconnects, 1);
         assert!(report.lost.messages > 0, "{report:?}");
@@ -246,7 +270,7 @@ mod tests {
             Address::Tcp(free.to_string()),
             Address::Unix(path.clone()),
         ];
-        let mut fan_out = FanOut::start(&addresses, QUEUE_BYTES, false).unwrap();
+        let mut fan_out = FanOut::start(&addresses, QUEUE_BYTES, false, &|| true).unwrap();
         let reports = fan_out.reports();
         for (report, is_there) in reports.iter().zip([true, false, false]) {
             assert_eq!(report.failure.is_none(), is_there, "{report:?}");
@@ -260,7 +284,8 @@ mod tests {
         assert_eq!(bytes[..], [message(0), message(1)].concat());
         assert!(!fan_out.is_over());
         let [written, absent, late] =
-            <[Report; 3]>::try_from(fan_out.finish(Duration::from_secs(2), true)).unwrap();
+            <[Report; 3]>::try_from(fan_out.finish(Duration::from_secs(2), &|| true, true))
+                .unwrap();
         for report in [&written, &late] {
             assert_eq!(report.sent.messages, 2, "{report:?}");
             assert_eq!((report.reached, report.reconnects), (true, 0), "{report:?}");
@@ -279,7 +304,7 @@ mod tests {
         let to = socket.local_addr().unwrap();
         drop(socket);
         let address = Address::Udp(to.to_string());
-        let mut fan_out = FanOut::start(&[address], QUEUE_BYTES, false).unwrap();
+        let mut fan_out = FanOut::start(&[address], QUEUE_BYTES, false, &|| true).unwrap();
         let settled = |fan_out: &FanOut, count: u64| {
             let until = Instant::now() + Duration::from_secs(20);
             loop {
@@ -288,7 +313,7 @@ mod tests {
                     return report;
                 }
                 assert!(Instant::now() < until, "{report:?}");
-                std::thread::sleep(Duration::from_millis(2));
+                thread::sleep(Duration::from_millis(2));
             }
         };
         fan_out.give(&message(0), 1);
@@ -309,7 +334,7 @@ mod tests {
         assert!(bytes[..length].ends_with(&message(2)));
         // The first datagram of its stream.
         assert_eq!(bytes[8..16], [0; 8]);
-        let _ = fan_out.finish(Duration::from_secs(2), true);
+        let _ = fan_out.finish(Duration::from_secs(2), &|| true, true);
         assert!(socket.recv(&mut bytes).unwrap() < 20, "the end");
     }
 
@@ -319,17 +344,20 @@ mod tests {
         let path = folder.path().join("a.eecvs");
         std::fs::write(&path, "old").unwrap();
         let address = Address::File(path.clone());
-        let start = || FanOut::start(std::slice::from_ref(&address), QUEUE_BYTES, true).unwrap();
+        let start =
+            || FanOut::start(std::slice::from_ref(&address), QUEUE_BYTES, true, &|| true).unwrap();
         let mut fan_out = start();
         fan_out.give(b"new", 1);
-        let reports = fan_out.finish(Duration::from_secs(2), false);
+        let reports = fan_out.finish(Duration::from_secs(2), &|| true, false);
         let failure = reports[0].failure.clone().unwrap();
         assert!(failure.contains("incomplete-a.eecvs"), "{failure}");
         assert_eq!(std::fs::read(&path).unwrap(), b"old");
-        assert!(FanOut::start(std::slice::from_ref(&address), QUEUE_BYTES, false).is_err());
+        assert!(
+            FanOut::start(std::slice::from_ref(&address), QUEUE_BYTES, false, &|| true).is_err()
+        );
         let mut fan_out = start();
         fan_out.give(b"new", 1);
-        let reports = fan_out.finish(Duration::from_secs(2), true);
+        let reports = fan_out.finish(Duration::from_secs(2), &|| true, true);
         assert_eq!(reports[0].failure, None);
         assert_eq!(std::fs::read(&path).unwrap(), b"new");
         assert!(!folder.path().join("incomplete-a.eecvs").exists());
@@ -337,12 +365,17 @@ mod tests {
 
     #[test]
     fn where_nobody_is_left_it_is_over() {
-        let mut fan_out =
-            FanOut::start(&[Address::File("/dev/full".into())], QUEUE_BYTES, false).unwrap();
+        let mut fan_out = FanOut::start(
+            &[Address::File("/dev/full".into())],
+            QUEUE_BYTES,
+            false,
+            &|| true,
+        )
+        .unwrap();
         let until = Instant::now() + Duration::from_secs(20);
         while fan_out.write_all(b"bytes").is_ok() {
             assert!(Instant::now() < until);
-            std::thread::sleep(Duration::from_millis(2));
+            thread::sleep(Duration::from_millis(2));
         }
         assert!(fan_out.is_over());
     }

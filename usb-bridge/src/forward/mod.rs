@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! frames or raw packets -> fan_out -> a queue per consumer -> sink (tcp, udp, unix, file, stdout)
+//! senders (tcp, udp, unix) -> receive -> a file
 //! ```
 
 pub mod address;
@@ -12,4 +13,6 @@ pub mod fan_out;
 pub mod packet;
 pub mod packetise;
 pub mod receive;
+pub mod refusal;
+pub mod senders;
 pub mod sink;

@@ -11,17 +11,18 @@ use eecvs_nostd::{Event, Order, Sensor, Sequence};
 use event_files::EventWriter;
 use serde::Serialize;
 
-use super::demux::{Demux, Message};
+use super::demux::Message;
 use super::packet::Packet;
+use super::senders::{DATAGRAMS_BYTES, Found, Judge, Senders};
 use crate::device::{self, Parse};
-use crate::link::listen::{DATAGRAMS_BYTES, Listening};
-use crate::link::{Link, Received as Arrived};
 use crate::record::{self, Kind};
 use crate::session;
 use crate::stop::Stop;
 
 /// Longest wait for one receive.
 const WAIT: Duration = Duration::from_millis(50);
+/// Encoding of frames, as packets would name it.
+const FRAMES: &str = "eecvs/frames";
 
 /// When receiving ends.
 #[derive(Debug, Clone, Copy, Default)]
@@ -48,14 +49,22 @@ pub struct Received {
     /// Messages that the file cannot hold: packets of an encoding that this version does not know, in a
     /// recording, messages of another sensor than its first; packets of raw events where the file holds frames.
     pub skipped_messages: u64,
-    /// Bytes that belong to no whole message.
+    /// Bytes of senders that belong to no whole message.
     pub damaged_bytes: u64,
     /// Bytes of the message in transit when receiving was stopped on request.
     pub unfinished_bytes: u64,
     /// Datagrams that did not arrive, or arrived too late.
     pub lost_datagrams: u64,
-    /// Datagrams dropped because they were duplicates, late, of another stream, or not of this protocol.
+    /// Datagrams dropped because they were duplicates or late.
     pub late_datagrams: u64,
+    /// Datagrams that are not of the sender: of others, or not of this protocol.
+    pub alien_datagrams: u64,
+    /// Connections that were closed, by whatever end, without a message that the file can hold.
+    pub alien_connections: u64,
+    /// Connections that were closed because there was a sender.
+    pub refused_connections: u64,
+    /// Bytes of alien datagrams and of alien and refused connections, as far as they were read.
+    pub alien_bytes: u64,
     /// Datagrams for which the system had no room, if the system reports it.
     pub overflown_datagrams: Option<u64>,
     /// Size of the system's receive buffer for datagrams, in bytes.
@@ -75,6 +84,12 @@ impl Received {
             || self.lost_datagrams > 0
             || self.damaged_bytes > 0
             || self.skipped_messages > 0
+            || self.has_nothing_of_use()
+    }
+
+    /// Returns whether something came, and nothing of it could be used: it may have been meant for this file.
+    const fn has_nothing_of_use(&self) -> bool {
+        self.senders == 0 && self.alien_bytes > 0
     }
 
     /// Returns one line about what was lost or left out; `None` if nothing was.
@@ -86,9 +101,15 @@ impl Received {
             (self.repeated_messages, "messages that arrived twice"),
             (self.skipped_messages, "messages that the file cannot hold"),
             (self.damaged_bytes, "bytes that belong to no message"),
+            (self.late_datagrams, "datagrams that arrived late"),
+            (self.alien_datagrams, "datagrams of others"),
             (
-                self.late_datagrams,
-                "datagrams that arrived late or from elsewhere",
+                self.alien_connections,
+                "connections without a message that the file can hold",
+            ),
+            (
+                self.refused_connections,
+                "connections refused while there was a sender",
             ),
         ]
         .into_iter()
@@ -100,6 +121,9 @@ impl Received {
             return None;
         }
         let mut warning = met.join("; ");
+        if self.has_nothing_of_use() {
+            warning = format!("nothing that the file can hold arrived; {warning}");
+        }
         match self.overflown_datagrams {
             Some(n) if n > 0 => warning += &format!("; the system had no room for {n} datagrams"),
             _ => {}
@@ -173,7 +197,7 @@ struct Receiver<'p> {
 /// what was received before an error is in the file. Messages that the file cannot hold are counted and skipped;
 /// `notice` takes a line about the first of each sender.
 pub fn receive(
-    link: &mut Listening,
+    senders: &mut Senders,
     path: &Path,
     kind: Kind,
     limits: Limits,
@@ -205,13 +229,19 @@ pub fn receive(
         events: Vec::new(),
         received: Received::default(),
     };
-    let outcome = receiver.run(link, limits, stop);
+    let outcome = receiver.run(senders, limits, stop);
     let finished = receiver.finish();
     let mut received = receiver.received;
+    let tally = senders.tally();
+    received.senders = tally.senders;
+    received.damaged_bytes = tally.damaged_bytes;
+    received.alien_datagrams = tally.alien_datagrams;
+    received.alien_connections = tally.alien_connections;
+    received.refused_connections = tally.refused_connections;
+    received.alien_bytes = tally.alien_bytes;
     received.lost_messages = receiver.numbers.lost;
     received.repeated_messages = receiver.numbers.repeated;
-    received.senders = link.senders();
-    if let Some(datagrams) = link.datagrams() {
+    if let Some(datagrams) = senders.datagrams() {
         received.lost_messages += datagrams.lost_messages;
         received.damaged_bytes += datagrams.cut_bytes;
         received.lost_datagrams = datagrams.lost;
@@ -223,93 +253,59 @@ pub fn receive(
 }
 
 impl Receiver<'_> {
-    fn run(&mut self, link: &mut Listening, limits: Limits, stop: &Stop) -> Result<()> {
+    fn run(&mut self, senders: &mut Senders, limits: Limits, stop: &Stop) -> Result<()> {
         let started = Instant::now();
-        let mut demux = Demux::default();
-        let mut senders = 0;
-        let is_wished = loop {
+        let mut sender = 0;
+        loop {
             let session::Limits { duration, events } = limits.limits;
-            let over = stop.is_asked()
+            let is_over = stop.is_asked()
                 || duration.is_some_and(|duration| started.elapsed() >= duration)
                 || events.is_some_and(|events| self.received.events >= events);
-            if over {
-                break true;
+            if is_over {
+                // The rest of the message would have arrived.
+                self.received.unfinished_bytes = senders.forgive();
+                return Ok(());
             }
-            let has_ended = match link.receive(WAIT)? {
-                Arrived::Bytes { bytes, .. } => {
-                    demux.push(bytes);
-                    false
+            let Some(found) = senders.next(WAIT, self)? else {
+                if limits.once && sender > 0 && !senders.has_sender() {
+                    return Ok(());
                 }
-                Arrived::Lost { .. } => {
-                    demux.interrupt();
-                    if link.senders() != senders {
-                        // A new sender counts from 0.
-                        self.numbers.sequence = Sequence::new();
-                        self.is_said = false;
-                        self.let_go();
-                    }
-                    false
-                }
-                Arrived::Nothing => limits.once && link.had_sender() && !link.has_sender(),
-                Arrived::Ended => true,
+                continue;
             };
-            senders = link.senders();
-            let messages = self.received.messages;
-            let has_any = self.take(&mut demux)?;
-            if self.received.messages > messages {
-                link.prove();
-            } else if has_any {
-                link.complete();
+            if found.sender != sender {
+                sender = found.sender;
+                // A new sender counts from 0.
+                self.numbers.sequence = Sequence::new();
+                self.is_said = false;
+                self.let_go();
             }
-            if has_ended {
-                break false;
-            }
-        };
-        if is_wished && link.has_sender() {
-            // The rest of the message would have arrived.
-            self.received.unfinished_bytes = demux.rest_bytes() as u64;
-            link.forgive();
-        } else {
-            while demux.rest_bytes() > 0 {
-                demux.interrupt();
-                self.take(&mut demux)?;
-            }
+            self.take(&found)?;
         }
-        self.received.damaged_bytes = demux.damaged_bytes();
-        Ok(())
     }
 
-    /// Takes the whole messages; returns whether there was one.
-    fn take(&mut self, demux: &mut Demux) -> Result<bool> {
-        let mut has_any = false;
-        while let Some(message) = demux.next_message() {
-            has_any = true;
-            match message {
-                Message::Packet(packet) => self.packet(&packet)?,
-                Message::Frame(frame) => {
-                    let (length, header) = (frame.bytes, frame.header);
-                    if self.numbers.follow(header.sequence).is_none() {
-                        continue;
-                    }
-                    let bytes = demux.last(length);
-                    match &mut self.output {
-                        Output::Frames(file) => {
-                            file.write_all(bytes).with_context(|| {
-                                format!("{}: cannot be written", self.path.display())
-                            })?;
-                            self.count(length, header.events);
-                        }
-                        Output::Events(_) => {
-                            if self.follow("eecvs/frames", header.sensor).is_some() {
-                                self.count(length, header.events);
-                                self.parse(bytes)?;
-                            }
-                        }
-                    }
+    fn take(&mut self, found: &Found<'_>) -> Result<()> {
+        let frame = match found.message {
+            Message::Packet(packet) => return self.packet(&packet),
+            Message::Frame(frame) => frame,
+        };
+        let header = frame.header;
+        if self.numbers.follow(header.sequence).is_none() {
+            return Ok(());
+        }
+        match &mut self.output {
+            Output::Frames(file) => {
+                file.write_all(found.bytes)
+                    .with_context(|| format!("{}: cannot be written", self.path.display()))?;
+                self.count(found.bytes.len(), header.events);
+            }
+            Output::Events(_) => {
+                if self.follow(FRAMES, header.sensor).is_some() {
+                    self.count(found.bytes.len(), header.events);
+                    self.parse(found.bytes)?;
                 }
             }
         }
-        Ok(has_any)
+        Ok(())
     }
 
     const fn count(&mut self, bytes: usize, events: u32) {
@@ -322,14 +318,6 @@ impl Receiver<'_> {
         let Some(after_gap) = self.numbers.follow(packet.sequence) else {
             return Ok(());
         };
-        if matches!(self.output, Output::Frames(_)) {
-            self.skip(&format!(
-                "{}: the sender sends raw packets, not frames: give the file the extension of a \
-                 recording format",
-                self.path.display()
-            ));
-            return Ok(());
-        }
         let Some(is_new) = self.follow(packet.encoding, packet.sensor) else {
             return Ok(());
         };
@@ -353,6 +341,33 @@ impl Receiver<'_> {
         }
     }
 
+    /// Returns why the file cannot hold messages of this encoding and sensor, if it cannot.
+    fn obstacle(&self, encoding: &str, sensor: Sensor) -> Option<String> {
+        let path = self.path.display();
+        match &self.output {
+            Output::Frames(_) if encoding == FRAMES => return None,
+            Output::Frames(_) => {
+                return Some(format!(
+                    "{path}: the sender sends raw packets, not frames: give the file the extension of a recording \
+                     format"
+                ));
+            }
+            Output::Events(Some((of_file, _))) if *of_file != sensor => {
+                return Some(format!(
+                    "{path}: holds events of {} x {} pixels: messages of a sensor of {} x {} are skipped",
+                    of_file.width, of_file.height, sensor.width, sensor.height
+                ));
+            }
+            Output::Events(_) => {}
+        }
+        // A name from elsewhere may hold any characters.
+        parser(encoding, sensor).is_none().then(|| {
+            format!(
+                "this version does not know packets of {encoding:?}, which are skipped: use a newer version"
+            )
+        })
+    }
+
     /// Ensures that there is a parser for this encoding and sensor. Returns whether it is a new one; `None` for a
     /// message that is skipped.
     fn follow(&mut self, encoding: &str, sensor: Sensor) -> Option<bool> {
@@ -361,33 +376,12 @@ impl Receiver<'_> {
         {
             return Some(false);
         }
-        if let Output::Events(Some((of_file, _))) = &self.output
-            && *of_file != sensor
-        {
-            self.skip(&format!(
-                "{}: holds events of {} x {} pixels: messages of a sensor of {} x {} are skipped",
-                self.path.display(),
-                of_file.width,
-                of_file.height,
-                sensor.width,
-                sensor.height
-            ));
+        if let Some(obstacle) = self.obstacle(encoding, sensor) {
+            self.skip(&obstacle);
             return None;
         }
-        let (model, stream) = encoding.split_once('/').unwrap_or((encoding, ""));
-        let parser = device::find(model).and_then(|model| {
-            let info = model.describe(sensor, stream)?;
-            Some(model.parser(&info))
-        });
-        let Some(parser) = parser else {
-            // A name from elsewhere may hold any characters.
-            self.skip(&format!(
-                "this version does not know packets of {encoding:?}, which are skipped: use a newer version"
-            ));
-            return None;
-        };
         self.let_go();
-        self.parser = Some((encoding.to_owned(), sensor, parser));
+        self.parser = Some((encoding.to_owned(), sensor, parser(encoding, sensor)?));
         Some(true)
     }
 
@@ -425,4 +419,30 @@ impl Receiver<'_> {
             Output::Events(None) => Ok(()),
         }
     }
+}
+
+impl Judge for Receiver<'_> {
+    fn is_of_use(&mut self, message: &Message<'_>) -> bool {
+        let obstacle = match message {
+            Message::Packet(packet) => self.obstacle(packet.encoding, packet.sensor),
+            Message::Frame(frame) => self.obstacle(FRAMES, frame.header.sensor),
+        };
+        let Some(obstacle) = obstacle else {
+            return true;
+        };
+        self.skip(&obstacle);
+        false
+    }
+
+    fn tell(&mut self, line: &str) {
+        (self.notice)(line);
+    }
+}
+
+/// Returns a parser of an encoding, if this version knows it.
+fn parser(encoding: &str, sensor: Sensor) -> Option<Box<dyn Parse>> {
+    let (model, stream) = encoding.split_once('/').unwrap_or((encoding, ""));
+    let model = device::find(model)?;
+    let info = model.describe(sensor, stream)?;
+    Some(model.parser(&info))
 }

@@ -10,6 +10,7 @@ use event_files::output::create_bytes;
 
 use super::address::Address;
 use super::datagram::Cutter;
+use super::refusal;
 
 /// Longest wait for a connection.
 const CONNECT: Duration = Duration::from_secs(3);
@@ -60,6 +61,31 @@ impl Sink {
             Address::File(path) => Self::File(create_bytes(path)?),
             Address::Stdout => Self::Stdout,
         })
+    }
+
+    /// Returns whether the consumer can refuse the connection: whether there is one.
+    #[must_use]
+    pub const fn may_refuse(&self) -> bool {
+        matches!(self, Self::Tcp(_) | Self::Unix(_))
+    }
+
+    /// Returns why the consumer refused this connection, if it has said so: it took nothing of what was sent.
+    pub fn refusal(&mut self) -> Option<String> {
+        match self {
+            Self::Tcp(stream) => {
+                stream.set_nonblocking(true).ok()?;
+                let word = refusal::receive(stream);
+                stream.set_nonblocking(false).ok()?;
+                word
+            }
+            Self::Unix(stream) => {
+                stream.set_nonblocking(true).ok()?;
+                let word = refusal::receive(stream);
+                stream.set_nonblocking(false).ok()?;
+                word
+            }
+            Self::Udp(..) | Self::File(_) | Self::Stdout => None,
+        }
     }
 
     /// Sends a message; a slow consumer is waited for while `goes_on` returns true.

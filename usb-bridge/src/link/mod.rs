@@ -5,7 +5,6 @@
 
 pub mod control;
 pub mod faults;
-pub mod listen;
 pub mod loopback;
 pub mod raw_file;
 pub mod replay;

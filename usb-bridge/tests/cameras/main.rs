@@ -9,6 +9,8 @@ mod nested;
 mod order;
 mod prophesee_cameras;
 mod prophesee_streams;
+mod receivers;
+mod signals;
 mod silence;
 mod simulate;
 mod stream;

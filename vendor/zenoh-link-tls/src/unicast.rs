@@ -555,6 +555,13 @@ async fn accept_task(
                             tracing::error!("{}-{}: {}", file!(), line!(), e)
                         }
                     }
+                    // EECVS: a peer that fails or does not end its handshake holds up nobody else.
+                    Err(
+                        e @ (tls_listener::Error::TlsAcceptError { .. }
+                        | tls_listener::Error::HandshakeTimeout { .. }),
+                    ) => {
+                        tracing::debug!("Can not accept TLS connection: {}", e);
+                    }
                     Err(e) => {
                         tracing::warn!("{}. Hint: increase the system open file limit.", e);
                         // Throttle the accept loop upon an error
