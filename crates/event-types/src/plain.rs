@@ -23,7 +23,7 @@ pub fn line(text: &str) -> Cow<'_, str> {
     escaped(text, is_harmful, rust)
 }
 
-/// Returns text of several lines: like [`line`], but newlines and tabs stay.
+/// Returns text of several lines: like [`line()`], but newlines and tabs stay.
 #[must_use]
 pub fn lines(text: &str) -> Cow<'_, str> {
     escaped(text, |c| is_harmful(c) && c != '\n' && c != '\t', rust)

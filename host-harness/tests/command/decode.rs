@@ -463,3 +463,39 @@ fn the_demo_writes_pictures_and_a_report() {
         assert!(folder.bytes("b.eecvs") == folder.bytes(&made), "{name}");
     }
 }
+
+/// A pixel that sends ten events a microsecond is no sensor's.
+#[test]
+fn windows_of_more_events_than_a_sensor_sends_are_read_if_asked_for() {
+    let folder = Folder::new();
+    let events = 70_000;
+    let mut text = "t,x,y,p\n".to_owned();
+    for number in 0..events {
+        text += &format!("{},3,2,1\n", number / 10);
+    }
+    folder.write("close.csv", text);
+    let size = "--width 8 --height 6";
+    for mode in ["hybrid", "transform"] {
+        let encode = format!("encode close.csv -o a.eecvs --overwrite --mode {mode} {size}");
+        folder.eecvs(&encode).ok();
+        let decode = "decode a.eecvs -o b.csv --overwrite --events peaks --json";
+        let summary = folder
+            .eecvs(decode)
+            .loses(&["a.eecvs", "--max-events-per-window"])
+            .object();
+        assert_eq!(count(&summary, "frames_crowded"), 1, "{mode}");
+        let allowed = format!("--max-events-per-window {events}");
+        let summary = folder.eecvs(&format!("{decode} {allowed}")).ok().object();
+        assert_eq!(count(&summary, "events"), events, "{mode}");
+    }
+    folder
+        .eecvs(&format!("encode close.csv -o a.eecvs --overwrite {size}"))
+        .ok();
+    let convert = "convert a.eecvs c.csv --json";
+    folder
+        .eecvs(convert)
+        .fails(&["a.eecvs", "--max-events-per-window"]);
+    let allowed = format!("{convert} --max-events-per-window {events} --overwrite");
+    let converted = folder.eecvs(&allowed).ok().object();
+    assert_eq!(count(&converted, "events"), events);
+}
