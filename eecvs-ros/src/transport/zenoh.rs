@@ -13,6 +13,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Result, anyhow, ensure};
 use eecvs_cli::say;
+use usb_bridge::stop::wait_for;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::CongestionControl;
 use zenoh::sample::SampleKind;
@@ -133,6 +134,19 @@ impl Router {
         let info = self.session.info();
         let routers = info.routers_zid().wait().count();
         (routers, info.peers_zid().wait().count())
+    }
+}
+
+/// Longest wait until a router's session is closed: one that is connecting to somebody who does not answer takes seconds.
+const CLOSES: Duration = Duration::from_millis(300);
+
+/// Closes the session, or leaves that to a thread of its own where it takes too long.
+impl Drop for Router {
+    fn drop(&mut self) {
+        let (session, since) = (self.session.clone(), Instant::now());
+        let close = move || session.close().wait().is_ok();
+        // Closing a session whose other side is gone may fail, which does not matter.
+        let _ = wait_for(close, &|| since.elapsed() < CLOSES);
     }
 }
 

@@ -532,7 +532,7 @@ fn usage_and_images_are_checked() {
         .fails(&["not.elf", "not a 32-bit ELF"]);
     folder
         .eecvs("mcu --image missing.elf --json")
-        .fails(&["missing.elf", "cannot be read"]);
+        .fails(&["missing.elf", "cannot be opened"]);
     folder
         .eecvs("mcu missing.raw --image not.elf")
         .fails(&["missing.raw"]);
