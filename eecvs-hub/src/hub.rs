@@ -16,7 +16,7 @@ use zenoh::{Session, Wait};
 use crate::access::{Access, RECEIVERS};
 use crate::board::{Board, HubFigures, page};
 use crate::key::{Kind, Name, name_of};
-use crate::link::{Links, Router, ask_clock, close, said};
+use crate::link::{CLOSES_SOON, Links, Router, ask_clock, close, said};
 use crate::message::{Budget, Message, Stamp, Status};
 
 /// Options of a hub.
@@ -44,12 +44,16 @@ const LIVE: Duration = Duration::from_secs(2);
 /// Longest sleep before the stop request is checked again.
 const LOOK: Duration = Duration::from_millis(50);
 
+/// Longest wait until the router is closed.
+const CLOSES: Duration = Duration::from_secs(10);
+
 /// A hub, which runs until it is dropped.
 pub struct Hub {
     shared: Arc<Shared>,
     stop: Stop,
     threads: Vec<JoinHandle<Result<()>>>,
     watching: Vec<Subscriber<()>>,
+    has_ended: bool,
     /// Declared last, and so dropped last, since the fields above use its session.
     router: Arc<Router>,
 }
@@ -125,6 +129,7 @@ impl Hub {
             stop,
             threads,
             watching,
+            has_ended: false,
             router,
         })
     }
@@ -147,15 +152,27 @@ impl Hub {
         self.threads.iter().any(JoinHandle::is_finished)
     }
 
-    /// Stops the hub: its threads, its subscriptions and its router.
+    /// Stops the hub: its threads, its subscriptions and its router. Nobody can connect to it afterwards.
     ///
     /// # Errors
     /// A thread of the hub, such as that of its page, failed earlier.
     pub fn finish(mut self) -> Result<()> {
-        self.end()
+        self.end(CLOSES)
     }
 
-    fn end(&mut self) -> Result<()> {
+    /// As [`finish`](Self::finish), but does not wait for the router for longer than a moment: for a process that is
+    /// about to end.
+    ///
+    /// # Errors
+    /// Those of [`finish`](Self::finish).
+    pub fn finish_soon(mut self) -> Result<()> {
+        self.end(CLOSES_SOON)
+    }
+
+    fn end(&mut self, closes: Duration) -> Result<()> {
+        if std::mem::replace(&mut self.has_ended, true) {
+            return Ok(());
+        }
         self.stop.ask();
         let mut result = Ok(());
         for thread in self.threads.drain(..) {
@@ -165,7 +182,7 @@ impl Hub {
             result = result.and(ended);
         }
         self.watching.clear();
-        close(self.router.session());
+        close(self.router.session(), closes);
         result
     }
 }
@@ -173,7 +190,7 @@ impl Hub {
 impl Drop for Hub {
     fn drop(&mut self) {
         // Callers that want the error call [`Hub::finish`].
-        let _ = self.end();
+        let _ = self.end(CLOSES);
     }
 }
 

@@ -311,7 +311,7 @@ impl Client {
         self.0.is_given_up.store(true, Ordering::Relaxed);
         if let Some(session) = self.session() {
             thread::sleep(LEAVES);
-            close(session);
+            close(session, CLOSES_SOON);
         }
     }
 }
@@ -319,15 +319,16 @@ impl Client {
 /// Time within which the latest messages have certainly been sent.
 const LEAVES: Duration = Duration::from_millis(200);
 
-/// Longest wait until a session is closed: one that is connecting to somebody who does not answer takes seconds.
-const CLOSES: Duration = Duration::from_millis(300);
+/// Wait until a session is closed that nobody listens at, or whose process is about to end: one that is connecting to
+/// somebody who does not answer takes seconds.
+pub(crate) const CLOSES_SOON: Duration = Duration::from_millis(300);
 
-/// Closes a session, or leaves that to a thread of its own where it takes too long.
-pub(crate) fn close(session: &Session) {
+/// Closes a session, or leaves that to a thread of its own where it takes longer than `most`.
+pub(crate) fn close(session: &Session, most: Duration) {
     let (session, since) = (session.clone(), Instant::now());
     // Closing a session whose other side is gone may fail, which does not matter.
     let _ = wait_for(move || session.close().wait().is_ok(), &|| {
-        since.elapsed() < CLOSES
+        since.elapsed() < most
     });
 }
 

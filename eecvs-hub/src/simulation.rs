@@ -271,7 +271,7 @@ pub fn simulate(
             scope.spawn(move || uplink.finish(Duration::ZERO));
         }
         for hub in hubs {
-            scope.spawn(move || hub.finish());
+            scope.spawn(move || hub.finish_soon());
         }
     });
     Ok(outcome)

@@ -166,7 +166,7 @@ impl Hub {
             }
             thread::sleep(LOOK);
         }
-        hub.finish()
+        hub.finish_soon()
     }
 
     fn access(&self, keys: &std::path::Path) -> Result<Access> {

@@ -1,5 +1,6 @@
 //! The nodes over Zenoh.
 
+use std::net::TcpListener;
 use std::path::Path;
 use std::sync::mpsc;
 use std::thread;
@@ -49,6 +50,21 @@ fn every_event_comes_through_two_routers() {
     let got = through_programs(program, &network, &encode, 400_000);
     assert!(counted(&got) == want, "{} events", got.len());
     drop(routers);
+}
+
+/// A router that connects to somebody who accepts it and says nothing ends soon after a signal.
+#[test]
+fn a_router_ends_whatever_it_connects_to() {
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = silent.local_addr().unwrap().port();
+    let (connect, listen) = (format!("tcp/127.0.0.1:{port}"), free());
+    let line = ["router", "--listen", &listen, "--connect", &connect];
+    let router = Program::eecvs_ros(0, &line);
+    let connected = silent.accept().unwrap();
+    router.terminate();
+    // It took six seconds; half of that leaves room for a busy computer.
+    router.finish(Duration::from_secs(3));
+    drop(connected);
 }
 
 /// A session of a test at one router.
