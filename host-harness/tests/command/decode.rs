@@ -497,5 +497,5 @@ fn windows_of_more_events_than_a_sensor_sends_are_read_if_asked_for() {
         .fails(&["a.eecvs", "--max-events-per-window"]);
     let allowed = format!("{convert} --max-events-per-window {events} --overwrite");
     let converted = folder.eecvs(&allowed).ok().object();
-    assert_eq!(count(&converted, "events"), events);
+    assert_eq!(count(&converted, "events_out"), events);
 }
