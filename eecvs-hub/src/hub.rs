@@ -18,6 +18,7 @@ use crate::board::{Board, HubFigures, page};
 use crate::key::{Kind, Name, name_of};
 use crate::link::{CLOSES_SOON, Links, Router, ask_clock, close, said};
 use crate::message::{Budget, Message, Stamp, Status};
+use crate::panicked;
 
 /// Options of a hub.
 #[derive(Debug, Clone, Default)]
@@ -53,7 +54,6 @@ pub struct Hub {
     stop: Stop,
     threads: Vec<JoinHandle<Result<()>>>,
     watching: Vec<Subscriber<()>>,
-    has_ended: bool,
     /// Declared last, and so dropped last, since the fields above use its session.
     router: Arc<Router>,
 }
@@ -129,7 +129,6 @@ impl Hub {
             stop,
             threads,
             watching,
-            has_ended: false,
             router,
         })
     }
@@ -170,16 +169,13 @@ impl Hub {
     }
 
     fn end(&mut self, closes: Duration) -> Result<()> {
-        if std::mem::replace(&mut self.has_ended, true) {
+        if self.stop.is_asked() {
             return Ok(());
         }
         self.stop.ask();
         let mut result = Ok(());
         for thread in self.threads.drain(..) {
-            let ended = thread.join();
-            let ended =
-                ended.unwrap_or_else(|_| anyhow::bail!("a thread panicked: please report this"));
-            result = result.and(ended);
+            result = result.and(thread.join().unwrap_or_else(panicked));
         }
         self.watching.clear();
         close(self.router.session(), closes);

@@ -26,3 +26,8 @@ pub mod store;
 pub mod uplink;
 
 pub use command::run;
+
+/// The error of a thread that panicked.
+fn panicked<T>(_: Box<dyn std::any::Any + Send>) -> anyhow::Result<T> {
+    anyhow::bail!("a thread panicked: please report this")
+}

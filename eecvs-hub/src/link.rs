@@ -16,10 +16,10 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context as _, Result, anyhow, ensure};
-use usb_bridge::stop::wait_for;
+use usb_bridge::stop::wait_at_most;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::{Config, Session, Wait};
@@ -325,11 +325,9 @@ pub(crate) const CLOSES_SOON: Duration = Duration::from_millis(300);
 
 /// Closes a session, or leaves that to a thread of its own where it takes longer than `most`.
 pub(crate) fn close(session: &Session, most: Duration) {
-    let (session, since) = (session.clone(), Instant::now());
+    let session = session.clone();
     // Closing a session whose other side is gone may fail, which does not matter.
-    let _ = wait_for(move || session.close().wait().is_ok(), &|| {
-        since.elapsed() < most
-    });
+    let _ = wait_at_most(move || session.close().wait().is_ok(), most);
 }
 
 impl Opening {

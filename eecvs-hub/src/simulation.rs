@@ -7,7 +7,6 @@
 //! at the first hub receives from all: every frame is received twice, and all frames but those of the first hub's
 //! sensors pass two hubs. The last hub is stopped for a while.
 
-use std::any::Any;
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 use std::io::{self, Write};
@@ -37,6 +36,7 @@ use crate::hub::{self, Hub};
 use crate::key::Name;
 use crate::latency::Latencies;
 use crate::link::Links;
+use crate::panicked;
 use crate::uplink::{self, Uplink};
 
 /// Parameters of a simulation.
@@ -207,7 +207,7 @@ pub fn simulate(
     say(&format!("{} sensors are connected", options.sensors));
     let last = hubs.pop();
     // Run it beside the sensors, so that it does not delay them.
-    let _last = thread::scope(|scope| -> Result<Option<Hub>> {
+    let last = thread::scope(|scope| -> Result<Option<Hub>> {
         let interrupted = scope.spawn(|| fleet.interrupt(last, stop, say));
         play(&fleet, &parts, &uplinks, &mut outcome, stop)?;
         interrupted.join().unwrap_or_else(panicked)
@@ -270,7 +270,7 @@ pub fn simulate(
         for uplink in uplinks {
             scope.spawn(move || uplink.finish(Duration::ZERO));
         }
-        for hub in hubs {
+        for hub in hubs.into_iter().chain(last) {
             scope.spawn(move || hub.finish_soon());
         }
     });
@@ -317,10 +317,6 @@ fn play(
     outcome.frames_per_s = outcome.frames as f64 / outcome.seconds;
     outcome.bytes_per_s = outcome.bytes as f64 / outcome.seconds;
     Ok(())
-}
-
-fn panicked<T>(_: Box<dyn Any + Send>) -> Result<T> {
-    anyhow::bail!("a thread panicked: please report this")
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {

@@ -22,6 +22,7 @@ use anyhow::{Context, Result};
 use eecvs::decode::{FrameCounts, Windows};
 use eecvs::encode::{Codec, EncodeSummary, Limits, encode};
 use eecvs::reconstruct::DecodedWindow;
+use eecvs::reconstruct::hybrid::Refused;
 use eecvs::window_limit::WindowLimit;
 use eecvs_cli::codec::CodecOptions;
 use eecvs_nostd::{Event, Sensor};
@@ -434,8 +435,7 @@ impl<C: WindowCoder> Decoder for WindowDecoder<C> {
         };
         anyhow::ensure!(
             u64::from(frame.events) <= self.limit.events_max(frame.duration_us),
-            "the window has {} events, more than a sensor sends or --max-events-per-window allows",
-            frame.events
+            Refused::Crowded
         );
         let events = self.coder.decode(span, &frame.data)?;
         anyhow::ensure!(

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread::Builder;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 use event_files::output::remove_parts;
@@ -89,6 +89,18 @@ pub fn wait_for<T: Send + 'static>(
         }
     }
     Ok(None)
+}
+
+/// As [`wait_for`], for at most this time.
+///
+/// # Errors
+/// Those of [`wait_for`].
+pub fn wait_at_most<T: Send + 'static>(
+    call: impl FnOnce() -> T + Send + 'static,
+    most: Duration,
+) -> io::Result<Option<T>> {
+    let since = Instant::now();
+    wait_for(call, &|| since.elapsed() < most)
 }
 
 #[cfg(test)]

@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use crate::say;
 use anyhow::{Result, ensure};
 use clap::Args;
 use clap::builder::RangedU64ValueParser;
@@ -15,6 +14,7 @@ use event_files::input::growing::Follow;
 use event_files::output::Kind;
 use event_files::{BadEvents, Columns, FORMATS, Format, Reading, TimeUnit};
 
+use crate::say;
 use crate::stop::stop_on_signals;
 
 /// Returns the parser of a sensor width or height.
@@ -76,8 +76,7 @@ impl WindowLimitOptions {
     /// Returns the limit.
     #[must_use]
     pub fn limit(self) -> WindowLimit {
-        let events = self.max_events_per_window;
-        events.map_or(WindowLimit::Sensor, WindowLimit::Events)
+        self.max_events_per_window.into()
     }
 }
 

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use crate::say;
 use anyhow::{Result, bail};
 use clap::Args;
 use eecvs::encode::EncodeSummary;
@@ -10,6 +9,7 @@ use event_files::EventReader;
 use event_files::sort::Sorted;
 
 use crate::progress::Progress;
+use crate::say;
 
 /// Whether a recording is sorted first.
 #[derive(Debug, Clone, Copy, Default, Args)]

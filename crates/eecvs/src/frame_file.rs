@@ -13,6 +13,10 @@ use crate::stream_buffer::StreamBuffer;
 
 /// Bytes requested from the source at a time.
 const READ_BYTES: usize = 1 << 16;
+
+/// Most bytes that are searched for the first frame of a stream.
+const FRAMELESS_BYTES_MAX: u64 = 64 << 20;
+
 /// Number of recent frames remembered, the same as in [`Sequence`].
 const RECENT: usize = 64;
 
@@ -123,9 +127,6 @@ impl LinkReport {
         Some(met.join("; "))
     }
 }
-
-/// Most bytes that are searched for the first frame of a stream.
-const FRAMELESS_BYTES_MAX: u64 = 64 << 20;
 
 /// A frame with its position in the source.
 #[derive(Debug, Clone, Copy)]

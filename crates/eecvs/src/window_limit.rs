@@ -25,6 +25,13 @@ pub enum WindowLimit {
     Events(u32),
 }
 
+impl From<Option<u32>> for WindowLimit {
+    /// `None` stands for what a sensor can send.
+    fn from(events_max: Option<u32>) -> Self {
+        events_max.map_or(Self::Sensor, Self::Events)
+    }
+}
+
 impl WindowLimit {
     /// Returns the largest number of events of a window of this duration.
     #[must_use]

@@ -15,7 +15,6 @@ use eecvs::decode::WindowReader;
 use eecvs::frame_file::{FrameReader, LinkReport};
 use eecvs::reconstruct::DecodedWindow;
 use eecvs::reconstruct::events::{EventDecoder, Finder};
-use eecvs::window_limit::WindowLimit;
 use eecvs_nostd::frame::SYNC;
 use event_types::stream::{Context, Result};
 use event_types::{Event, Sensor, bail};
@@ -67,9 +66,8 @@ impl<R: Read> FrameEvents<R> {
     /// # Errors
     /// I/O; there is no frame.
     pub fn new(source: R, name: &str, reading: &Reading) -> Result<Self> {
-        let limit = reading.window_events_max;
-        let limit = limit.map_or(WindowLimit::Sensor, WindowLimit::Events);
-        let mut windows = WindowReader::new(FrameReader::new(source)).with_limit(limit);
+        let windows = WindowReader::new(FrameReader::new(source));
+        let mut windows = windows.with_limit(reading.window_events_max.into());
         let mut events = EventDecoder::new(Finder::default());
         let mut first = windows.next_window().with_context(|| name.to_owned())?;
         if let Some(window) = &mut first {

@@ -65,7 +65,6 @@ impl Files {
                 let path = self.paths.get(&who).map(|(path, _)| path);
                 let path = path.unwrap_or(&self.folder);
                 first.flush().with_context(|| path.display().to_string())?;
-                sync(path)?;
             }
             let file = match self.paths.get(&who) {
                 Some((path, _)) => append(path, false)?,
@@ -150,14 +149,13 @@ impl Files {
     /// The first error, after all files have been written as far as possible.
     pub(super) fn finish(&mut self) -> Result<Vec<Written>> {
         let mut outcome = Ok(());
-        for (who, file) in &mut self.open {
-            let path = self.paths.get(who).map(|(path, _)| path);
-            let path = path.unwrap_or(&self.folder);
-            let flushed = file.flush().with_context(|| path.display().to_string());
-            let written = flushed.and_then(|()| sync(path));
-            outcome = outcome.and(written);
+        for (who, (path, _)) in &self.paths {
+            let flushed = self.open.get_mut(who).map_or(Ok(()), |file| file.flush());
+            let flushed = flushed.with_context(|| path.display().to_string());
+            outcome = outcome.and(flushed.and_then(|()| sync(path)));
         }
-        outcome?;
+        let at = || self.folder.display().to_string();
+        outcome.and(output::sync_folder(&self.folder).with_context(at))?;
         let paths = self.paths.iter();
         Ok(paths
             .map(|((name, _), (path, frames))| Written {

@@ -27,6 +27,7 @@ use crate::key::{Kind, Name, name_of, names};
 use crate::latency::Latencies;
 use crate::link::{Client, Links, said};
 use crate::message::{Answer, Message, Stamp, Status};
+use crate::panicked;
 pub(crate) use sensor::ANSWER_MAX;
 use taking::Taking;
 
@@ -269,7 +270,7 @@ impl Downlink {
         self.shared.changed.notify_one();
         let ended = thread.join();
         self.client.close();
-        ended.unwrap_or_else(|_| anyhow::bail!("a thread panicked: please report this"))
+        ended.unwrap_or_else(panicked)
     }
 }
 

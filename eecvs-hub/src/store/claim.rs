@@ -45,6 +45,8 @@ impl Claim {
                 file.rewind().with_context(at)?;
                 file.write_all(format!("{name}\n").as_bytes())
                     .with_context(at)?;
+                // The frames are synced too: after a power cut they must not be anybody's.
+                file.sync_all().with_context(at)?;
             }
             owner if owner == name.as_str() => {}
             owner => bail!(

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Result, anyhow, ensure};
 use eecvs_cli::say;
-use usb_bridge::stop::wait_for;
+use usb_bridge::stop::wait_at_most;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::CongestionControl;
 use zenoh::sample::SampleKind;
@@ -143,10 +143,9 @@ const CLOSES: Duration = Duration::from_millis(300);
 /// Closes the session, or leaves that to a thread of its own where it takes too long.
 impl Drop for Router {
     fn drop(&mut self) {
-        let (session, since) = (self.session.clone(), Instant::now());
-        let close = move || session.close().wait().is_ok();
+        let session = self.session.clone();
         // Closing a session whose other side is gone may fail, which does not matter.
-        let _ = wait_for(close, &|| since.elapsed() < CLOSES);
+        let _ = wait_at_most(move || session.close().wait().is_ok(), CLOSES);
     }
 }
 

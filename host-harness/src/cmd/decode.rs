@@ -113,22 +113,21 @@ impl Decode {
         let summary = decode(
             &mut windows,
             self.events,
-            &mut |sensor| {
-                look_for(sensor, &name).map_err(event_types::stream::Error::other)?;
-                match self.output.as_ref().zip(format) {
-                    Some((path, format)) => event_files::create_as(path, format, sensor).map(Some),
-                    None => Ok(None),
-                }
+            &mut |sensor| match self.output.as_ref().zip(format) {
+                Some((path, format)) => event_files::create_as(path, format, sensor).map(Some),
+                None => Ok(None),
             },
-            &mut |index, window| match &mut volumes {
-                Some(volumes) if self.all_windows || index == self.window => {
-                    let header = &window.header;
+            &mut |index, window| {
+                let header = &window.header;
+                if index == 0 {
                     look_for(header.sensor, &name).map_err(event_types::stream::Error::other)?;
-                    volumes
-                        .append(&maker.volume(window)?, header.t0_us, header.duration_us)
-                        .map_err(event_types::stream::Error::other)
                 }
-                _ => Ok(()),
+                match &mut volumes {
+                    Some(volumes) if self.all_windows || index == self.window => volumes
+                        .append(&maker.volume(window)?, header.t0_us, header.duration_us)
+                        .map_err(event_types::stream::Error::other),
+                    _ => Ok(()),
+                }
             },
             &mut |events| progress.set(events),
         );

@@ -45,6 +45,16 @@ const fn files(line: &'static str, old: &'static [&'static str]) -> Case {
     }
 }
 
+/// A conversion of an input into the format of this ending.
+macro_rules! converted {
+    ($from:literal, $ending:literal) => {
+        files(
+            concat!("convert IN/", $from, " OUT.", $ending, " --overwrite"),
+            &[concat!("OUT.", $ending)],
+        )
+    };
+}
+
 const fn live(line: &'static str, old: &'static [&'static str]) -> Case {
     Case {
         program: "eecvs-usb",
@@ -86,11 +96,11 @@ pub const CASES: &[Case] = &[
         "emulate motorcycle -o OUT.raw --width 40 --height 30 --duration-us 60000 --overwrite",
         &["OUT.raw"],
     ),
-    files("convert IN/scene.raw OUT.raw --overwrite", &["OUT.raw"]),
-    files("convert IN/scene.raw OUT.csv --overwrite", &["OUT.csv"]),
-    files("convert IN/scene.raw OUT.txt --overwrite", &["OUT.txt"]),
-    files("convert IN/scene.raw OUT.dat --overwrite", &["OUT.dat"]),
-    files("convert IN/scene.raw OUT.es --overwrite", &["OUT.es"]),
+    converted!("scene.raw", "raw"),
+    converted!("scene.raw", "csv"),
+    converted!("scene.raw", "txt"),
+    converted!("scene.raw", "dat"),
+    converted!("scene.raw", "es"),
     files(
         "emulate motorcycle -o OUT.aedat --width 128 --height 128 --duration-us 20000 --overwrite",
         &["OUT.aedat"],
@@ -99,43 +109,28 @@ pub const CASES: &[Case] = &[
         "emulate motorcycle -o OUT.bin --width 34 --height 34 --duration-us 60000 --overwrite",
         &["OUT.bin"],
     ),
-    files("convert IN/scene.raw OUT.evt2 --overwrite", &["OUT.evt2"]),
-    files("convert IN/scene.raw OUT.evt21 --overwrite", &["OUT.evt21"]),
-    files("convert IN/scene.raw OUT.evt4 --overwrite", &["OUT.evt4"]),
-    files(
-        "convert IN/scene.raw OUT.arrows --overwrite",
-        &["OUT.arrows"],
-    ),
-    files(
-        "convert IN/scene.raw OUT.aedat4 --overwrite",
-        &["OUT.aedat4"],
-    ),
-    files("convert IN/scene.raw OUT.h5 --overwrite", &["OUT.h5"]),
-    files("convert IN/scene.raw OUT.npz --overwrite", &["OUT.npz"]),
-    files("convert IN/scene.raw OUT.npy --overwrite", &["OUT.npy"]),
-    files("convert IN/scene.raw OUT.mat --overwrite", &["OUT.mat"]),
-    files("convert IN/scene.raw OUT.bag --overwrite", &["OUT.bag"]),
-    files("convert IN/scene.raw OUT.mcap --overwrite", &["OUT.mcap"]),
-    files("convert IN/scene.raw OUT.db3 --overwrite", &["OUT.db3"]),
-    files(
-        "convert IN/scene.raw OUT.parquet --overwrite",
-        &["OUT.parquet"],
-    ),
-    files("convert IN/scene.raw OUT.arrow --overwrite", &["OUT.arrow"]),
+    converted!("scene.raw", "evt2"),
+    converted!("scene.raw", "evt21"),
+    converted!("scene.raw", "evt4"),
+    converted!("scene.raw", "arrows"),
+    converted!("scene.raw", "aedat4"),
+    converted!("scene.raw", "h5"),
+    converted!("scene.raw", "npz"),
+    converted!("scene.raw", "npy"),
+    converted!("scene.raw", "mat"),
+    converted!("scene.raw", "bag"),
+    converted!("scene.raw", "mcap"),
+    converted!("scene.raw", "db3"),
+    converted!("scene.raw", "parquet"),
+    converted!("scene.raw", "arrow"),
     // Of many blocks.
-    files("convert IN/large.raw OUT.raw --overwrite", &["OUT.raw"]),
-    files("convert IN/large.raw OUT.csv --overwrite", &["OUT.csv"]),
-    files("convert IN/large.raw OUT.es --overwrite", &["OUT.es"]),
-    files(
-        "convert IN/large.raw OUT.aedat4 --overwrite",
-        &["OUT.aedat4"],
-    ),
-    files("convert IN/large.raw OUT.h5 --overwrite", &["OUT.h5"]),
-    files("convert IN/large.raw OUT.mcap --overwrite", &["OUT.mcap"]),
-    files(
-        "convert IN/large.raw OUT.parquet --overwrite",
-        &["OUT.parquet"],
-    ),
+    converted!("large.raw", "raw"),
+    converted!("large.raw", "csv"),
+    converted!("large.raw", "es"),
+    converted!("large.raw", "aedat4"),
+    converted!("large.raw", "h5"),
+    converted!("large.raw", "mcap"),
+    converted!("large.raw", "parquet"),
     files(
         "encode IN/large.raw -o OUT.eecvs --overwrite",
         &["OUT.eecvs"],

@@ -97,9 +97,7 @@ mod exports {
         }
 
         pwrite64(fd: c_int, bytes: *const c_void, count: size_t, at: off_t) -> ssize_t {
-            writing(Place::Open(fd), count, |count| unsafe {
-                syscall(libc::SYS_pwrite64, fd, bytes, count, at)
-            }) as ssize_t
+            unsafe { pwrite(fd, bytes, count, at) }
         }
 
         copy_file_range(
@@ -117,9 +115,7 @@ mod exports {
         }
 
         sendfile64(to: c_int, from: c_int, at: *mut off_t, count: size_t) -> ssize_t {
-            writing(Place::Open(to), count, |count| unsafe {
-                syscall(libc::SYS_sendfile, to, from, at, count)
-            }) as ssize_t
+            unsafe { sendfile(to, from, at, count) }
         }
 
         fsync(fd: c_int) -> c_int {
@@ -141,9 +137,7 @@ mod exports {
         }
 
         ftruncate64(fd: c_int, length: off_t) -> c_int {
-            call("truncate", Place::Open(fd), true, || unsafe {
-                syscall(libc::SYS_ftruncate, fd, length)
-            }) as c_int
+            unsafe { ftruncate(fd, length) }
         }
 
         fchmod(fd: c_int, mode: mode_t) -> c_int {

@@ -2,32 +2,28 @@
 
 mod ending;
 mod file;
+mod part;
 mod same;
 pub(crate) mod sequential;
+mod sync;
 pub mod temporary;
 
-use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use event_types::stream::{Context, Result};
 use event_types::{bail, ensure, error};
-use tempfile::TempPath;
 
 pub use ending::Kind;
 pub use file::{OutputFile, write, write_private};
+use part::{PRIVATE, Part, READABLE};
+pub use part::{final_path, remove_parts};
 pub use same::is_same;
+pub use sync::{sync, sync_folder};
 
 /// Prefix of the names of files that are still filled by a live source, or that end at damage in their input.
 const INCOMPLETE: &str = "incomplete-";
-
-/// Ending of temporary names.
-const PART: &str = ".part";
-
-/// Number of random characters in a temporary name.
-const RANDOM: usize = 6;
 
 /// Largest number of links followed from a name to its file.
 const LINKS_MAX: usize = 40;
@@ -279,19 +275,6 @@ pub fn remove_partial(path: &Path) {
     }
 }
 
-/// Returns the name of a file for messages and metadata: for a temporary name, the name that the file will have.
-#[must_use]
-pub fn final_path(path: &Path) -> PathBuf {
-    let name = path.file_name().and_then(|name| name.to_str());
-    let inner = name
-        .and_then(|name| name.strip_prefix('.'))
-        .and_then(|name| name.strip_suffix(PART));
-    let stem = inner
-        .and_then(|inner| inner.rsplit_once('.'))
-        .filter(|(stem, random)| !stem.is_empty() && random.len() == RANDOM);
-    stem.map_or_else(|| path.to_owned(), |(stem, _)| path.with_file_name(stem))
-}
-
 /// Returns the name under which an incomplete file `name` is kept.
 fn incomplete(name: &Path) -> PathBuf {
     let mut incomplete = std::ffi::OsString::from(INCOMPLETE);
@@ -299,143 +282,11 @@ fn incomplete(name: &Path) -> PathBuf {
     name.with_file_name(incomplete)
 }
 
-/// Rights of a new file, before the user's mask.
-const READABLE: u32 = 0o666;
-
-/// Rights of a file that only its owner may read.
-const PRIVATE: u32 = 0o600;
-
-/// A temporary file, which is removed when it is dropped.
-#[derive(Debug)]
-struct Part(Option<TempPath>);
-
-impl Part {
-    /// Creates an empty temporary file beside `target`, with the permissions `mode`.
-    fn create(target: &Path, mode: u32) -> std::io::Result<Self> {
-        let mut prefix = std::ffi::OsString::from(".");
-        prefix.push(target.file_name().unwrap_or_default());
-        prefix.push(".");
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(&prefix).suffix(PART).rand_bytes(RANDOM);
-        #[cfg(unix)]
-        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(mode));
-        #[cfg(not(unix))]
-        let _ = mode;
-        Self::build(&builder, folder(target)).map(|(_, part)| part)
-    }
-
-    fn build(builder: &tempfile::Builder, folder: &Path) -> std::io::Result<(File, Self)> {
-        // The file is listed before a signal can end the process.
-        let mut parts = parts();
-        let (file, path) = builder.tempfile_in(folder)?.into_parts();
-        parts.insert(path.to_path_buf());
-        drop(parts);
-        Ok((file, Self(Some(path))))
-    }
-
-    fn path(&self) -> &Path {
-        self.0.as_deref().unwrap_or(Path::new(""))
-    }
-
-    fn persist(mut self, target: &Path) -> std::io::Result<()> {
-        let Some(path) = self.0.take() else {
-            return Ok(());
-        };
-        let part = path.to_path_buf();
-        // If this fails, the error has the path, and removes the file.
-        let renamed = path.persist(target).map_err(|error| error.error);
-        parts().remove(&part);
-        renamed
-    }
-}
-
-impl Drop for Part {
-    fn drop(&mut self) {
-        if let Some(path) = self.0.take() {
-            let part = path.to_path_buf();
-            // The caller reports the error that led here.
-            let _ = path.close();
-            parts().remove(&part);
-        }
-    }
-}
-
-/// The temporary files of this process.
-static PARTS: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
-
-fn parts() -> MutexGuard<'static, BTreeSet<PathBuf>> {
-    PARTS.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// Removes the incomplete files, when the process is about to end. No other can be begun afterwards: a thread that
-/// tries waits for the end.
-pub fn remove_parts() {
-    let parts = parts();
-    for part in parts.iter() {
-        // The file may have been renamed already.
-        let _ = std::fs::remove_file(part);
-    }
-    std::mem::forget(parts);
-}
-
 /// Gives `part` the permissions of `target`, if that exists.
 fn like(target: &Path, part: &Path) -> std::io::Result<()> {
     match std::fs::metadata(target) {
         Ok(metadata) => std::fs::set_permissions(part, metadata.permissions()),
         Err(_) => Ok(()),
-    }
-}
-
-/// Writes what the system still holds of a file to the disk.
-///
-/// # Errors
-/// The file cannot be opened, or the disk fails.
-pub fn sync(path: &Path) -> std::io::Result<()> {
-    // Windows syncs only what is open for writing.
-    let file = match File::options().write(true).open(path) {
-        Ok(file) => file,
-        // A new file has the rights of the one that it replaces, which may be read-only.
-        Err(error) if error.kind() == ErrorKind::PermissionDenied => File::open(path)?,
-        Err(error) => return Err(error),
-    };
-    allow_unsynced(file.sync_all())
-}
-
-/// Writes the names in a folder to the disk.
-///
-/// # Errors
-/// The folder cannot be opened, or the disk fails.
-#[cfg(unix)]
-pub fn sync_folder(folder: &Path) -> std::io::Result<()> {
-    match File::open(folder) {
-        Ok(folder) => allow_unsynced(folder.sync_all()),
-        // A folder may be writable without being readable.
-        Err(error) if error.kind() == ErrorKind::PermissionDenied => Ok(()),
-        Err(error) => Err(error),
-    }
-}
-
-/// Does nothing: the system writes names to the disk itself.
-///
-/// # Errors
-/// None.
-#[cfg(not(unix))]
-pub fn sync_folder(_: &Path) -> std::io::Result<()> {
-    Ok(())
-}
-
-/// Some file systems have nothing to sync, and say so.
-fn allow_unsynced(synced: std::io::Result<()>) -> std::io::Result<()> {
-    match synced {
-        Err(error)
-            if matches!(
-                error.kind(),
-                ErrorKind::InvalidInput | ErrorKind::Unsupported
-            ) =>
-        {
-            Ok(())
-        }
-        other => other,
     }
 }
 
@@ -478,12 +329,7 @@ pub fn create_bytes(path: &Path) -> std::io::Result<File> {
     if is_stdout(path) {
         return stdout();
     }
-    // A part that a signal has removed must not come back; whoever is about to end holds the list.
-    let parts = parts();
-    match parts.contains(path) {
-        true => File::options().write(true).truncate(true).open(path),
-        false => File::create(path),
-    }
+    part::create_file(path)
 }
 
 #[cfg(unix)]

@@ -7,7 +7,7 @@ use std::path::Path;
 use event_types::ensure;
 use event_types::stream::{Context, Result};
 
-use super::Part;
+use super::part::Part;
 
 /// Most bytes that are copied to a temporary file: 64 GiB. A pipe without an end and a compressed file made to harm
 /// would fill the disk.

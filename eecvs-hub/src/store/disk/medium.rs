@@ -40,12 +40,7 @@ impl Medium for Files {
     }
 
     fn sync_folder(&self, folder: &Path) -> io::Result<()> {
-        use io::ErrorKind::{InvalidInput, Unsupported};
-        match File::open(folder)?.sync_all() {
-            // Some file systems cannot do this for folders, and need not.
-            Err(error) if matches!(error.kind(), InvalidInput | Unsupported) => Ok(()),
-            synced => synced,
-        }
+        event_files::output::sync_folder(folder)
     }
 }
 

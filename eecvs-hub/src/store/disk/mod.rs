@@ -245,8 +245,11 @@ impl Disk {
         if let Some(last) = self.segments.back()
             && last.bytes == 0
         {
-            let _ = fs::remove_file(&last.path);
-            self.segments.pop_back();
+            match fs::remove_file(&last.path) {
+                // It is tried again with the next frame: another segment of this name cannot be created beside it.
+                Err(error) if error.kind() != io::ErrorKind::NotFound => {}
+                _ => drop(self.segments.pop_back()),
+            }
         }
     }
 

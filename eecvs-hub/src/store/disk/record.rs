@@ -93,17 +93,21 @@ impl Head {
     pub(super) const fn record_bytes(&self) -> usize {
         HEAD + self.frame_bytes as usize + TAIL
     }
+
+    /// Returns whether these are all bytes of this head's record, undamaged.
+    fn is_whole(&self, record: &[u8]) -> bool {
+        let parts = record.split_last_chunk::<TAIL>();
+        record.len() == self.record_bytes()
+            && parts.is_some_and(|(rest, crc)| crc32fast::hash(rest) == u32::from_le_bytes(*crc))
+    }
 }
 
 /// Returns the frame of a whole record, if it is undamaged.
 pub(super) fn parse(record: &[u8], run: u64) -> Option<Kept> {
     let head = Head::parse(record, run)?;
-    let (rest, crc) = record.split_last_chunk::<TAIL>()?;
-    let is_whole =
-        record.len() == head.record_bytes() && crc32fast::hash(rest) == u32::from_le_bytes(*crc);
-    is_whole.then(|| Kept {
+    head.is_whole(record).then(|| Kept {
         stamp: head.stamp,
-        frame: rest[HEAD..].into(),
+        frame: record[HEAD..record.len() - TAIL].into(),
     })
 }
 
@@ -160,9 +164,9 @@ impl Iterator for Parts<'_> {
             && let Some(record) = rest.get(..head.record_bytes())
         {
             self.place += record.len();
-            return Some(match parse(record, self.run) {
-                Some(_) => Part::Record { place, head },
-                None => Part::DamagedFrame { head },
+            return Some(match head.is_whole(record) {
+                true => Part::Record { place, head },
+                false => Part::DamagedFrame { head },
             });
         }
         let next = rest.windows(MAGIC.len()).enumerate().skip(1);

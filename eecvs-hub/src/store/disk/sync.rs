@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context as _, Result};
 
@@ -17,7 +17,7 @@ const FILES_MAX: usize = 8;
 #[derive(Debug)]
 pub(super) struct Syncer {
     shared: Arc<Shared>,
-    every: Duration,
+    /// None where every frame is synced when it is written.
     thread: Option<JoinHandle<()>>,
 }
 
@@ -63,11 +63,7 @@ impl Syncer {
         let thread = thread
             .transpose()
             .context("starting the thread that syncs")?;
-        Ok(Self {
-            shared,
-            every,
-            thread,
-        })
+        Ok(Self { shared, thread })
     }
 
     /// Takes note of a new file.
@@ -82,7 +78,7 @@ impl Syncer {
             Some((last, frames)) if Arc::ptr_eq(last, file) => *frames += 1,
             _ => state.waiting.push((Arc::clone(file), 1)),
         }
-        let is_now = self.every.is_zero() || state.waiting.len() > FILES_MAX;
+        let is_now = self.thread.is_none() || state.waiting.len() > FILES_MAX;
         drop(state);
         match is_now {
             true => self.sync(),
@@ -130,16 +126,10 @@ impl Shared {
             let state = self.state();
             let is_idle = |state: &mut State| !state.ends && state.waiting.is_empty();
             let waited = self.changed.wait_while(state, is_idle);
-            let mut state = waited.unwrap_or_else(PoisonError::into_inner);
-            let due = Instant::now() + every;
-            while !state.ends {
-                let left = due.saturating_duration_since(Instant::now());
-                if left.is_zero() {
-                    break;
-                }
-                let waited = self.changed.wait_timeout(state, left);
-                state = waited.unwrap_or_else(PoisonError::into_inner).0;
-            }
+            let state = waited.unwrap_or_else(PoisonError::into_inner);
+            let goes_on = |state: &mut State| !state.ends;
+            let waited = self.changed.wait_timeout_while(state, every, goes_on);
+            let (state, _) = waited.unwrap_or_else(PoisonError::into_inner);
             if state.ends {
                 return;
             }
