@@ -150,7 +150,7 @@ impl Files {
     pub(super) fn finish(&mut self) -> Result<Vec<Written>> {
         let mut outcome = Ok(());
         for (who, (path, _)) in &self.paths {
-            let flushed = self.open.get_mut(who).map_or(Ok(()), |file| file.flush());
+            let flushed = self.open.get_mut(who).map_or(Ok(()), std::io::Write::flush);
             let flushed = flushed.with_context(|| path.display().to_string());
             outcome = outcome.and(flushed.and_then(|()| sync(path)));
         }

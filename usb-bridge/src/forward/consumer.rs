@@ -193,7 +193,7 @@ impl Consumer {
     /// Returns whether the first attempt to reach the consumer is over.
     #[must_use]
     pub fn is_tried(&self) -> bool {
-        self.shared.is_tried.load(Ordering::Relaxed)
+        self.shared.is_tried.load(Ordering::Acquire)
     }
 
     /// Checks that the consumer may be reached, now or later.
@@ -224,7 +224,7 @@ impl Consumer {
     /// Returns whether the consumer has stopped for good.
     #[must_use]
     pub fn is_done(&self) -> bool {
-        self.shared.done.load(Ordering::Relaxed)
+        self.shared.done.load(Ordering::Acquire)
     }
 
     /// Waits until everything is sent, `until` has passed or `goes_on` returns false, and returns a report. A thread
@@ -310,7 +310,7 @@ impl Shared {
         for message in self.queue.abandon() {
             self.lost.add(&message);
         }
-        self.done.store(true, Ordering::Relaxed);
+        self.done.store(true, Ordering::Release);
     }
 
     /// Tries to reach a consumer for the first time.
@@ -323,7 +323,7 @@ impl Shared {
                 self.is_forbidden.store(!may_come(error), Ordering::Relaxed);
             }
         }
-        self.is_tried.store(true, Ordering::Relaxed);
+        self.is_tried.store(true, Ordering::Release);
         opened.ok()
     }
 

@@ -69,7 +69,7 @@ impl Demux {
         }
     }
 
-    /// Returns the number of bytes of the message that is not complete yet.
+    /// Returns the number of bytes that are not used up.
     #[must_use]
     pub fn rest_bytes(&self) -> usize {
         self.buffer.rest().len()

@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Write};
-use std::net::{TcpStream, ToSocketAddrs, UdpSocket};
+use std::net::{SocketAddr, TcpStream, UdpSocket};
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -11,6 +11,7 @@ use event_files::output::create_bytes;
 use super::address::Address;
 use super::datagram::Cutter;
 use super::refusal;
+use crate::resolve::addresses;
 
 /// Longest wait for a connection.
 const CONNECT: Duration = Duration::from_secs(3);
@@ -188,30 +189,28 @@ fn send_all(stream: &mut impl Write, message: &[u8], goes_on: &dyn Fn() -> bool)
 }
 
 fn connect(to: &str) -> io::Result<TcpStream> {
-    let mut last = io::Error::new(ErrorKind::NotFound, "the host name has no address");
-    for address in to.to_socket_addrs()? {
-        match TcpStream::connect_timeout(&address, CONNECT) {
-            Ok(stream) => return Ok(stream),
-            Err(error) => last = error,
-        }
-    }
-    Err(last)
+    first(to, |address| TcpStream::connect_timeout(&address, CONNECT))
 }
 
 fn udp(to: &str) -> io::Result<UdpSocket> {
-    let mut last = io::Error::new(ErrorKind::NotFound, "the host name has no address");
-    for address in to.to_socket_addrs()? {
+    first(to, |address| {
         let any = if address.is_ipv4() {
             "0.0.0.0:0"
         } else {
             "[::]:0"
         };
-        let connected = UdpSocket::bind(any).and_then(|socket| {
-            socket.connect(address)?;
-            Ok(socket)
-        });
-        match connected {
-            Ok(socket) => return Ok(socket),
+        let socket = UdpSocket::bind(any)?;
+        socket.connect(address)?;
+        Ok(socket)
+    })
+}
+
+/// Opens the first address of a name that can be opened; returns the last error otherwise.
+fn first<T>(to: &str, open: impl Fn(SocketAddr) -> io::Result<T>) -> io::Result<T> {
+    let mut last = ErrorKind::NotFound.into();
+    for address in addresses(to, &|| true)? {
+        match open(address) {
+            Ok(opened) => return Ok(opened),
             Err(error) => last = error,
         }
     }

@@ -296,8 +296,13 @@ impl Connections {
     pub(super) fn next(&mut self, timeout: Duration, judge: &mut dyn Judge) -> Option<Found<'_>> {
         let until = Instant::now() + timeout;
         loop {
+            let had_sender = self.sender.is_some();
             if self.has_message() {
                 return self.take();
+            }
+            // The caller may want no other one.
+            if had_sender && self.sender.is_none() {
+                return None;
             }
             let is_time = self.looked.is_none_or(|looked| looked.elapsed() > LOOK);
             if (self.sender.is_none() || is_time) && self.look(judge) {

@@ -46,16 +46,6 @@ impl Deadlines {
     pub const IDLE_DATAGRAMS: Duration = Duration::from_secs(1);
 }
 
-impl Default for Deadlines {
-    fn default() -> Self {
-        Self {
-            first_byte: Duration::from_secs(60),
-            first_message: Duration::from_secs(10),
-            idle: None,
-        }
-    }
-}
-
 /// Decides who can be the sender.
 pub trait Judge {
     /// Returns whether a message of a candidate is of use; one that is not is left out.
@@ -133,7 +123,7 @@ impl Senders {
     }
 
     /// Returns the next message of the sender, or of a candidate that becomes the sender by it; `None` if none came
-    /// within `timeout`. A sender that ends is followed by the next one.
+    /// within `timeout`, or a connection that was the sender has gone. The next one follows a sender that ends.
     ///
     /// # Errors
     /// The system fails to receive.
