@@ -19,7 +19,7 @@ const RETRY: (Duration, Duration) = (Duration::from_millis(250), Duration::from_
 /// Time in which a receiver refuses a connection, if it does.
 const REFUSED: Duration = Duration::from_millis(100);
 /// Time in which a thread notices that the time for sending is over.
-const LAST: Duration = Duration::from_millis(150);
+pub(super) const LAST: Duration = Duration::from_millis(150);
 /// Overhead of a message in a queue, in bytes.
 const MESSAGE_BYTES: usize = 64;
 
@@ -227,21 +227,17 @@ impl Consumer {
         self.shared.done.load(Ordering::Acquire)
     }
 
-    /// Waits until everything is sent, `until` has passed or `goes_on` returns false, and returns a report. A thread
-    /// that hangs in a write to a file or a pipe, or in a look-up of a name, is left running. A file gets its own name
-    /// if it has received everything and `is_whole`, that is, the stream ended as it should; otherwise it stays marked
-    /// as incomplete.
-    #[must_use]
-    pub fn finish(mut self, until: Instant, goes_on: &dyn Fn() -> bool, is_whole: bool) -> Report {
-        self.end();
-        while !self.is_done() && Instant::now() < until && goes_on() {
-            thread::sleep(Duration::from_millis(5));
-        }
+    /// Asks the consumer's thread to stop, whatever is queued.
+    pub fn give_up(&self) {
         self.shared.over.store(true, Ordering::Relaxed);
-        let last = Instant::now() + LAST;
-        while !self.is_done() && Instant::now() < last {
-            thread::sleep(Duration::from_millis(5));
-        }
+    }
+
+    /// Returns a report. What is queued is lost, and a thread that hangs in a write to a file or a pipe, or in a look-up
+    /// of a name, is left running. A file gets its own name if it has received everything and `is_whole`, that is, the
+    /// stream ended as it should; otherwise it stays marked as incomplete.
+    #[must_use]
+    pub fn finish(mut self, is_whole: bool) -> Report {
+        self.give_up();
         if !self.is_done() {
             for message in self.shared.queue.abandon() {
                 self.shared.lost.add(&message);

@@ -12,7 +12,7 @@ use eecvs_nostd::Frame;
 use thiserror::Error;
 
 use super::address::Address;
-use super::consumer::{Consumer, Message, Report};
+use super::consumer::{Consumer, LAST, Message, Report};
 
 /// Messages whose memory is reused. At 50 million events per second, allocating new memory for each message would
 /// take the system longer than the message itself.
@@ -20,7 +20,7 @@ const KEPT: usize = 32;
 
 /// Longest wait for the first attempts to reach the consumers.
 pub const TRIED: Duration = Duration::from_secs(4);
-/// Period at which that wait looks.
+/// Period at which a wait looks.
 const LOOK: Duration = Duration::from_millis(2);
 
 /// Error that ends a stream before its source does: every consumer has stopped.
@@ -123,8 +123,20 @@ impl FanOut {
             consumer.end();
         }
         let until = Instant::now() + grace;
-        let finish = |consumer: Consumer| consumer.finish(until, goes_on, is_whole);
-        self.consumers.into_iter().map(finish).collect()
+        while !self.is_over() && Instant::now() < until && goes_on() {
+            thread::sleep(LOOK);
+        }
+        for consumer in &self.consumers {
+            consumer.give_up();
+        }
+        let last = Instant::now() + LAST;
+        while !self.is_over() && Instant::now() < last {
+            thread::sleep(LOOK);
+        }
+        let consumers = self.consumers.into_iter();
+        consumers
+            .map(|consumer| consumer.finish(is_whole))
+            .collect()
     }
 }
 

@@ -441,32 +441,38 @@ impl Connections {
         }
     }
 
-    /// Closes a connection with a word, and counts it, while there is a sender.
-    fn refuse(&mut self, mut connection: Connection, judge: &mut dyn Judge) {
+    /// Refuses a connection while there is a sender.
+    fn refuse(&mut self, connection: Connection, judge: &mut dyn Judge) {
         let sender = self.sender.as_ref().map_or("", |sender| &sender.from);
-        connection.refuse(&format!("{sender} sends already"), &mut self.buffer);
-        self.tally.refused_connections += 1;
-        self.tally.alien_bytes += connection.bytes;
-        let refused = self.tally.refused_connections;
-        // Few lines, however many come.
-        if refused.is_power_of_two() {
-            judge.tell(&format!(
-                "refused a connection of {}: {sender} sends already ({refused} refused so far)",
-                connection.from
-            ));
-        }
+        let why = format!("{sender} sends already");
+        self.close(connection, &why, true, judge);
     }
 
-    /// Closes a candidate with a word, and counts it.
-    fn give_up(&mut self, mut connection: Connection, why: &str, judge: &mut dyn Judge) {
+    /// Gives up a candidate.
+    fn give_up(&mut self, connection: Connection, why: &str, judge: &mut dyn Judge) {
+        self.close(connection, why, false, judge);
+    }
+
+    /// Closes a connection with a word, and counts it.
+    fn close(
+        &mut self,
+        mut connection: Connection,
+        why: &str,
+        is_refused: bool,
+        judge: &mut dyn Judge,
+    ) {
         connection.refuse(why, &mut self.buffer);
-        self.tally.alien_connections += 1;
         self.tally.alien_bytes += connection.bytes;
-        let aliens = self.tally.alien_connections;
-        if aliens.is_power_of_two() {
+        let (count, did) = match is_refused {
+            true => (&mut self.tally.refused_connections, "refused"),
+            false => (&mut self.tally.alien_connections, "left out"),
+        };
+        *count += 1;
+        // Few lines, however many come.
+        if count.is_power_of_two() {
+            let from = connection.from;
             judge.tell(&format!(
-                "left out a connection of {}: {why} ({aliens} left out so far)",
-                connection.from
+                "{did} a connection of {from}: {why} ({count} {did} so far)"
             ));
         }
     }
