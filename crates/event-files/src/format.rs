@@ -352,8 +352,18 @@ pub(crate) fn refuse_unknown(pipe: &mut Piped, name: &str) -> Result<()> {
     if front.len() < START_BYTES {
         return Ok(());
     }
-    let front = Cursor::new(front.to_vec());
-    tell(&mut Input::new(Box::new(front), name)?).map(drop)
+    let front = front.to_vec();
+    // Noise may begin as text does: text has no mark of its own, but it has no zeros either.
+    let zero = front.iter().position(|byte| *byte == 0);
+    let zero = zero.filter(|_| !text::is_utf16(&front));
+    let format = tell(&mut Input::new(Box::new(Cursor::new(front)), name)?)?;
+    match zero {
+        Some(zero) if format.name == text::FORMAT.name => bail!(
+            Damaged,
+            "{name}: byte {zero}: a zero, which no text has: not a recording of a known format"
+        ),
+        _ => Ok(()),
+    }
 }
 
 /// Returns whether a recording can be opened by its first bytes, and read as a stream, whatever follows them.

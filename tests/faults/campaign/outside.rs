@@ -137,26 +137,26 @@ fn inputs_without_an_end_are_refused() {
     let line = "encode --loopback --domain-id 93 --ros-args --params-file zero.yaml";
     let output = run(&bench, "eecvs-ros", line, MEMORY_KIB);
     assert_eq!(output.status.code(), Some(2), "{line}: {output:?}");
-    // A pipe whose writer never ends.
-    for line in [
-        "info -",
-        "inspect -",
-        "encode - -o OUT.eecvs",
-        "convert - OUT.csv",
+    // A pipe whose writer never ends; noise behind an empty line, as in text.
+    for (line, endless) in [
+        ("info -", "exec cat /dev/zero"),
+        ("info -", "echo; exec cat /dev/urandom"),
+        ("inspect -", "exec cat /dev/zero"),
+        ("encode - -o OUT.eecvs", "exec cat /dev/zero"),
+        ("convert - OUT.csv", "echo 1,2; exec cat /dev/urandom"),
     ] {
-        let mut zeros = Command::new("cat");
-        let mut zeros = zeros
-            .arg("/dev/zero")
+        let mut endless = Command::new("sh")
+            .args(["-c", endless])
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();
         let mut command = limited(&bench, "eecvs", MEMORY_KIB);
         let command = command
             .args(line.split(' '))
-            .stdin(zeros.stdout.take().unwrap());
+            .stdin(endless.stdout.take().unwrap());
         refused(&end(command.spawn().unwrap(), line), line);
-        zeros.kill().unwrap();
-        zeros.wait().unwrap();
+        endless.kill().unwrap();
+        endless.wait().unwrap();
     }
     for name in ["OUT.csv", "OUT.eecvs", "OUT.raw", "OUT.gif", "OUT.toml"] {
         assert!(!bench.at("in").join(name).exists(), "{name}");

@@ -41,7 +41,8 @@ use crate::table::time_unit;
 use crate::text::decimal::Decimal;
 pub use crate::text::layout::Layout;
 use crate::text::layout::{Found, Header, polarity, times_of};
-use crate::text::utf16::{Utf16, is_utf16};
+use crate::text::utf16::Utf16;
+pub(crate) use crate::text::utf16::is_utf16;
 use crate::text::writer::TextWriter;
 use crate::{Assumption, BadEvents, Skipped, format};
 
