@@ -3,10 +3,12 @@
 //! Keys are elliptic, on P-256. A hub's certificate contains the hosts under which it is reached; a client's
 //! certificate contains only its identity.
 
-use std::fs;
+use std::fs::{self, File, TryLockError};
+use std::io::ErrorKind;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, SystemTime};
+use std::thread;
+use std::time::{Duration, Instant, SystemTime};
 
 use anyhow::{Context as _, Result, ensure};
 use event_files::output::{sync_folder, write, write_private};
@@ -26,13 +28,39 @@ const AUTHORITY: &str = "ca.pem";
 /// Largest file of a key or a certificate, in bytes.
 const PEM_BYTES_MAX: u64 = 1 << 20;
 
+/// How long a process waits for others that make keys in the folder.
+const PATIENCE: Duration = Duration::from_secs(10);
+
 /// How far clocks of two machines may differ: certificates are valid from this long before their creation.
 const CLOCKS: Duration = Duration::from_secs(24 * 3600);
 
 /// A folder with an authority's key and the list of the members that it has signed.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct Authority {
     folder: PathBuf,
+    /// Locked, so that no other process makes keys in the folder meanwhile.
+    _lock: File,
+}
+
+/// Locks a folder for this process, after any other that makes keys in it; the lock ends when the file is closed.
+fn locked(folder: &Path) -> Result<File> {
+    let until = Instant::now() + PATIENCE;
+    // The file is the folder itself, which every system can open but Windows.
+    let file = File::open(folder)?;
+    loop {
+        match file.try_lock() {
+            Ok(()) => return Ok(file),
+            Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported => {
+                return Ok(file);
+            }
+            Err(TryLockError::Error(error)) => return Err(error.into()),
+            Err(TryLockError::WouldBlock) => ensure!(
+                Instant::now() < until,
+                "another process makes keys here: repeat the command when it has ended"
+            ),
+        }
+        thread::sleep(Duration::from_millis(10));
+    }
 }
 
 impl Authority {
@@ -41,8 +69,11 @@ impl Authority {
     /// # Errors
     /// The folder cannot be written, or it has the authority's certificate without its key.
     pub fn open(folder: &Path, days: u32) -> Result<Self> {
+        let at = || folder.display().to_string();
+        fs::create_dir_all(folder).with_context(at)?;
         let authority = Self {
             folder: folder.to_owned(),
+            _lock: locked(folder).with_context(at)?,
         };
         let [of_key, of_certificate] = [AUTHORITY_KEY, AUTHORITY].map(|name| folder.join(name));
         ensure!(
@@ -51,7 +82,6 @@ impl Authority {
             folder.display()
         );
         if !of_certificate.exists() {
-            fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
             let key = match of_key.exists() {
                 // The creation was cut short, or the certificate was lost: another one of the same key and the same
                 // name stands for the same authority.

@@ -1,21 +1,22 @@
 //! Passes the frames that an encoder writes to a sensor's link.
 
-use std::io::{self, Write};
+use std::io;
 
 use anyhow::Result;
-use eecvs_nostd::Frame;
+use eecvs::frame_file::FrameSink;
+use eecvs_nostd::Header;
 
 use crate::uplink::Uplink;
 
-/// A writer that takes one frame of docs/wire-format.md per write and passes it to an [`Uplink`].
-pub struct FrameSink<'u> {
+/// Takes frames and passes them to an [`Uplink`].
+pub struct UplinkSink<'u> {
     uplink: &'u Uplink,
     /// Converts the sensor's time to the time at which it was due, by the run's clock.
     end_us: &'u dyn Fn(u64) -> u64,
     failed: Option<anyhow::Error>,
 }
 
-impl<'u> FrameSink<'u> {
+impl<'u> UplinkSink<'u> {
     /// Creates a sink; `end_us` converts the sensor's time to the time at which it was due, by the run's clock: in
     /// microseconds since 1970.
     pub fn new(uplink: &'u Uplink, end_us: &'u dyn Fn(u64) -> u64) -> Self {
@@ -35,26 +36,15 @@ impl<'u> FrameSink<'u> {
     }
 }
 
-impl Write for FrameSink<'_> {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let sent = Frame::parse(bytes)
-            .map_err(|error| anyhow::anyhow!("a frame from this encoder cannot be read: {error}"))
-            .and_then(|frame| {
-                let header = frame.header;
-                let end_us = header.t0_us.saturating_add(header.duration_us.into());
-                self.uplink
-                    .send_parsed(&header, bytes, (self.end_us)(end_us))
-            });
-        match sent {
-            Ok(()) => Ok(bytes.len()),
-            Err(error) => {
-                self.failed = Some(error);
-                Err(io::Error::other("not sent"))
-            }
-        }
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
+impl FrameSink for UplinkSink<'_> {
+    fn frame(&mut self, header: &Header, bytes: &[u8]) -> io::Result<()> {
+        let end_us = header.t0_us.saturating_add(header.duration_us.into());
+        let sent = self
+            .uplink
+            .send_parsed(header, bytes, (self.end_us)(end_us));
+        sent.map_err(|error| {
+            self.failed = Some(error);
+            io::Error::other("not sent")
+        })
     }
 }

@@ -9,7 +9,7 @@
 
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
-use std::io::{self, Write};
+use std::io;
 use std::net::TcpListener;
 use std::num::NonZeroUsize;
 use std::path::Path;
@@ -19,8 +19,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, ensure};
 use eecvs::encode::{Limits, encode};
+use eecvs::frame_file::FrameSink;
 use eecvs::thresholds_file::ThresholdsFile;
-use eecvs_nostd::{Coder, Config, Fidelity, Frame, Hybrid, Mode, Sensor, WindowConfig};
+use eecvs_nostd::{Coder, Config, Fidelity, Header, Hybrid, Mode, Sensor, WindowConfig};
 use event_emulator::{PRESETS, SceneConfig, emulate};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng as _, SeedableRng as _};
@@ -371,18 +372,13 @@ fn scenes(options: Options, stop: &Stop) -> Result<Vec<Arc<Played>>> {
     Ok(scenes)
 }
 
-/// Writer that collects frames and their numbers of events, one frame per write.
+/// Collects frames and their numbers of events.
 #[derive(Default)]
 struct Pieces(Played);
 
-impl Write for Pieces {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let events = Frame::parse(bytes).map_or(0, |frame| frame.header.events);
-        self.0.push((bytes.to_vec(), events));
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
+impl FrameSink for Pieces {
+    fn frame(&mut self, header: &Header, bytes: &[u8]) -> io::Result<()> {
+        self.0.push((bytes.to_vec(), header.events));
         Ok(())
     }
 }

@@ -15,17 +15,18 @@
 //! An operator that needs only the events of one window at a time can implement [`WindowCoder`]; [`Windowed`] turns
 //! it into an operator.
 
-use std::io::{self, Write};
+use std::io;
 use std::num::NonZeroUsize;
 
 use anyhow::{Context, Result};
 use eecvs::decode::{FrameCounts, Windows};
 use eecvs::encode::{Codec, EncodeSummary, Limits, encode};
+use eecvs::frame_file::FrameSink;
 use eecvs::reconstruct::DecodedWindow;
 use eecvs::reconstruct::hybrid::Refused;
 use eecvs::window_limit::WindowLimit;
 use eecvs_cli::codec::CodecOptions;
-use eecvs_nostd::{Event, Sensor};
+use eecvs_nostd::{Event, Header, Sensor};
 use event_files::{EventReader, Pause};
 
 /// A window's sensor size and time span, in the sensor's time.
@@ -181,12 +182,12 @@ impl Operator for Eecvs {
     }
 }
 
-/// Returns a writer that takes one frame of docs/wire-format.md per write and passes it to `put`.
+/// Returns a sink that passes each frame to `put`.
 pub fn frames<'p>(put: &'p mut dyn FnMut(Encoded<'_>) -> Result<()>) -> Frames<'p> {
     Frames { put, failed: None }
 }
 
-/// Writer returned by [`frames`].
+/// The sink returned by [`frames`].
 pub struct Frames<'p> {
     put: &'p mut dyn FnMut(Encoded<'_>) -> Result<()>,
     failed: Option<anyhow::Error>,
@@ -202,34 +203,23 @@ impl Frames<'_> {
     }
 }
 
-impl Write for Frames<'_> {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let put = eecvs_nostd::Frame::parse(bytes)
-            .map_err(|error| anyhow::anyhow!("a frame from this operator cannot be read: {error}"))
-            .and_then(|frame| {
-                (self.put)(Encoded {
-                    span: Span {
-                        sensor: frame.header.sensor,
-                        t0_us: frame.header.t0_us,
-                        duration_us: frame.header.duration_us,
-                    },
-                    events: frame.header.events,
-                    begins_run: frame.header.begins_run && frame.header.part == 0,
-                    late: frame.header.late,
-                    data: bytes,
-                })
-            });
-        match put {
-            Ok(()) => Ok(bytes.len()),
-            Err(error) => {
-                self.failed = Some(error);
-                Err(io::Error::other("not published"))
-            }
-        }
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
+impl FrameSink for Frames<'_> {
+    fn frame(&mut self, header: &Header, bytes: &[u8]) -> io::Result<()> {
+        let put = (self.put)(Encoded {
+            span: Span {
+                sensor: header.sensor,
+                t0_us: header.t0_us,
+                duration_us: header.duration_us,
+            },
+            events: header.events,
+            begins_run: header.begins_run && header.part == 0,
+            late: header.late,
+            data: bytes,
+        });
+        put.map_err(|error| {
+            self.failed = Some(error);
+            io::Error::other("not published")
+        })
     }
 }
 

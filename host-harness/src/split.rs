@@ -4,11 +4,12 @@
 //! wherever the sequence numbers restart: after a recording that was appended to the first, or after an encoder was
 //! restarted. Interleaved frames of two sensors of the same size cannot be separated.
 
-use std::io::{Read, Write};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use eecvs::frame_file::FrameReader;
+use eecvs::frame_file::{FrameFileWriter, FrameReader, FrameSink};
+use eecvs_cli::output::frame_file;
 use eecvs_nostd::Sensor;
 use event_files::output::{Kind, OutputFile, check};
 use serde::Serialize;
@@ -59,14 +60,14 @@ pub fn split(
     folder: &Path,
     overwrite: bool,
 ) -> Result<Vec<Part>> {
-    let mut parts: Vec<(Part, OutputFile)> = Vec::new();
+    let mut parts: Vec<(Part, FrameFileWriter<OutputFile>)> = Vec::new();
     let mut restarts = 0;
     while let Some(located) = reader.next_frame().context("cannot be read")? {
         let header = located.frame.header;
         let is_new = located.restarts > restarts;
         restarts = located.restarts;
         let Sensor { width, height } = header.sensor;
-        let is_of = |(part, _): &(Part, OutputFile)| (part.width, part.height) == (width, height);
+        let is_of = |(part, _): &(Part, _)| (part.width, part.height) == (width, height);
         let latest = parts.iter().rposition(is_of).filter(|_| !is_new);
         let at = match latest {
             Some(at) => at,
@@ -79,7 +80,7 @@ pub fn split(
                 );
                 let file = folder.join(format!("{}-{width}x{height}.eecvs", parts.len() + 1));
                 check(&file, Kind::Frames, overwrite, &[])?;
-                let out = OutputFile::create(&file)?;
+                let out = frame_file(&file)?;
                 let part = Part {
                     file,
                     width,
@@ -94,14 +95,14 @@ pub fn split(
             }
         };
         if let Some((part, out)) = parts.get_mut(at) {
-            out.write_all(located.bytes)?;
+            out.frame(&header, located.bytes)?;
             part.frames += 1;
             part.events += u64::from(header.events);
             part.bytes += located.bytes.len() as u64;
         }
     }
     let kept = parts.into_iter().map(|(part, out)| {
-        out.finish()?;
+        out.finish()?.finish()?;
         Ok(part)
     });
     kept.collect()

@@ -5,6 +5,7 @@ mod documents;
 mod exact_times;
 mod firmware_image;
 mod fixed_vs_float;
+mod frame_files;
 mod fuzz_targets;
 mod hostile;
 mod hybrid;

@@ -6,6 +6,7 @@ use std::num::NonZeroUsize;
 
 use anyhow::Result;
 use eecvs::encode::{EncodeSummary, Limits, encode};
+use eecvs::frame_file::FrameSink;
 use eecvs_nostd::{Coder, Config, Event, Mode, OUTPUT_BYTES_MIN, Sensor, Thresholds, Transform};
 use event_emulator::{Preset, SceneConfig, emulate};
 use event_files::{ErrorKind, EventReader, Skipped};
@@ -105,7 +106,7 @@ fn run(
     config: Config,
     limits: Limits,
     threads: usize,
-    out: &mut dyn Write,
+    out: &mut dyn FrameSink,
 ) -> Result<EncodeSummary> {
     let threads = NonZeroUsize::new(threads).expect("not 0");
     let (mut last, events) = (0, source.events.len() as u64);

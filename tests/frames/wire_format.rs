@@ -1,10 +1,30 @@
 //! The worked example of docs/wire-format.md is what the encoder writes.
 
-use eecvs_nostd::{Config, Event, Polarity, Sensor, Transform};
+use eecvs::frame_file::{FrameFileWriter, FrameSink};
+use eecvs_nostd::{Config, Event, Frame, Polarity, Sensor, Transform};
 use strategies::{encode, plain_config};
 
-#[test]
-fn the_documents_example_is_true() {
+const DOCUMENT: &str = include_str!("../../docs/wire-format.md");
+
+/// Returns the bytes in the table of a section of the document.
+fn bytes_of(section: &str) -> String {
+    let example = DOCUMENT
+        .split(section)
+        .nth(1)
+        .and_then(|rest| rest.split("\n#").next())
+        .expect("the example's section");
+    example
+        .lines()
+        .filter_map(|line| line.split_once(" | `")?.1.split_once('`'))
+        .flat_map(|(bytes, _)| bytes.split(' '))
+        .collect()
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02X}")).collect()
+}
+
+fn frame() -> Vec<u8> {
     let config = Config {
         grid: Some(4),
         ..plain_config(
@@ -22,22 +42,21 @@ fn the_documents_example_is_true() {
         y: 1,
         polarity: Polarity::On,
     };
-    let frames = encode(config, &[event], 10, 4096);
-    let document = include_str!("../../docs/wire-format.md");
-    let example = document
-        .split("## Worked example")
-        .nth(1)
-        .and_then(|rest| rest.split("\n# ").next())
-        .expect("the example's section");
-    let hex: String = example
-        .lines()
-        .filter_map(|line| line.split_once(" | `")?.1.split_once('`'))
-        .flat_map(|(bytes, _)| bytes.split(' '))
-        .collect();
-    let found: String = frames
-        .concat()
-        .iter()
-        .map(|byte| format!("{byte:02X}"))
-        .collect();
-    assert_eq!(hex, found);
+    encode(config, &[event], 10, 4096).concat()
+}
+
+#[test]
+fn the_documents_frame_is_true() {
+    assert_eq!(bytes_of("\n## Worked example"), hex(&frame()));
+}
+
+#[test]
+fn the_documents_file_is_true() {
+    let frame = frame();
+    let mut out = FrameFileWriter::new(Vec::new()).expect("memory");
+    let header = Frame::parse(&frame).expect("a frame").header;
+    out.frame(&header, &frame).expect("memory");
+    let file = out.finish().expect("memory");
+    let (begin, end) = (&file[..12], &file[12 + frame.len()..]);
+    assert_eq!(bytes_of("\n### Worked example"), hex(begin) + &hex(end));
 }

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, Result, anyhow};
 use eecvs::encode::{Codec, EncodeSummary, Limits, encode};
+use eecvs::frame_file::{FrameFileWriter, FrameSink};
 use eecvs_nostd::Event;
 use eecvs_nostd::frame::Header as FrameHeader;
 use event_files::{EventReader, Intact, Pause, output};
@@ -207,7 +208,7 @@ pub struct Kept {
     pub encoding: Option<EncodeSummary>,
 }
 
-/// Encodes events into frames, each written with one `write_all`, until the stream ends or fails. All events before
+/// Encodes events into frames until the stream ends or fails. All events before
 /// a failure are in frames; `kept` receives their counts.
 ///
 /// # Errors
@@ -216,7 +217,7 @@ pub fn encode_live(
     reader: Box<dyn EventReader>,
     codec: Codec<'_>,
     limits: Limits,
-    out: &mut dyn Write,
+    out: &mut dyn FrameSink,
     kept: &mut Kept,
 ) -> Result<()> {
     let mut reader = Intact::new(reader);
@@ -238,19 +239,23 @@ pub fn frames(
     path: &Path,
     kept: &mut Kept,
 ) -> Result<()> {
-    let mut out = create(path)?;
+    let mut out = create_frames(path)?;
     let encoded = encode_live(reader, codec, limits, &mut out, kept);
-    let flushed = flush(&mut out, path);
+    let flushed = finish(out, path);
     encoded.with_context(|| path.display().to_string())?;
     flushed
 }
 
-/// Writes an MCU's frames unchanged, each with one `write_all`, until the stream ends or fails, and adds the counts
+/// Writes an MCU's frames unchanged until the stream ends or fails, and adds the counts
 /// of their headers to `order`.
 ///
 /// # Errors
 /// The link failed, or the output cannot be written.
-pub fn encoders_frames(session: &Session, out: &mut dyn Write, order: &mut Order) -> Result<()> {
+pub fn encoders_frames(
+    session: &Session,
+    out: &mut dyn FrameSink,
+    order: &mut Order,
+) -> Result<()> {
     let mut messages = Messages::default();
     each_chunk(session, |chunk| kept(&mut messages, chunk, out, order))
         .context("frames cannot be written")?;
@@ -261,13 +266,13 @@ pub fn encoders_frames(session: &Session, out: &mut dyn Write, order: &mut Order
 fn kept(
     messages: &mut Messages,
     chunk: &Chunk,
-    out: &mut dyn Write,
+    out: &mut dyn FrameSink,
     order: &mut Order,
 ) -> io::Result<()> {
     let mut write = |messages: &mut Messages| {
         while let Some(message) = messages.next() {
             if let Message::Frame { bytes, frame, .. } = message {
-                out.write_all(bytes)?;
+                out.frame(&frame.header, bytes)?;
                 order.frame(&frame.header);
             }
         }
@@ -296,12 +301,28 @@ pub fn create(path: &Path) -> Result<BufWriter<File>> {
     Ok(BufWriter::with_capacity(room, file))
 }
 
-/// Writes out what is buffered.
+/// A file of frames that is being written.
+pub type FrameFile = FrameFileWriter<BufWriter<File>>;
+
+/// Begins a file of frames, with marks; stdout, a device or a pipe takes a stream, without them.
+///
+/// # Errors
+/// Those of [`create`], or the file cannot be written; the message names it.
+pub fn create_frames(path: &Path) -> Result<FrameFile> {
+    let out = create(path)?;
+    let is_file = out.get_ref().metadata().is_ok_and(|about| about.is_file());
+    if output::is_stdout(path) || !is_file {
+        return Ok(FrameFileWriter::stream(out));
+    }
+    FrameFileWriter::new(out).with_context(|| format!("{}: cannot be written", path.display()))
+}
+
+/// Marks the end of a file of frames, and writes out what is buffered.
 ///
 /// # Errors
 /// The file cannot be written; the message names it.
-pub fn flush(out: &mut dyn Write, path: &Path) -> Result<()> {
-    let flushed = out.flush();
+pub fn finish(out: FrameFile, path: &Path) -> Result<()> {
+    let flushed = out.finish().and_then(|mut out| out.flush());
     flushed.with_context(|| format!("{}: cannot be written", path.display()))
 }
 

@@ -1,15 +1,15 @@
 //! Sending a recording through an encoder: the flags and the report shared by `eecvs mcu` and `eecvs-usb mcu`.
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use clap::Args;
-use eecvs_nostd::{Config, Event, Sensor};
+use eecvs::frame_file::FrameSink;
+use eecvs_nostd::{Config, Event, Scan, Sensor, scan};
 use event_emulator::{Preset, SceneConfig, emulate};
 use event_files::content::Rereadable;
 use event_files::input::piped::name_of;
-use event_files::output::{Kind, OutputFile};
+use event_files::output::Kind;
 use event_files::{EventReader, Skipped};
 use event_types::stream::Error;
 use mcu_link::{Connection, Job, Outcome};
@@ -17,7 +17,7 @@ use serde::Serialize;
 
 use crate::codec::CodecOptions;
 use crate::options::{OutputOptions, ReadingOptions};
-use crate::output::Place;
+use crate::output::{Place, frame_file};
 use crate::progress::Progress;
 
 /// Scene encoded if no recording is given: a few windows of a small sensor, covering every regime.
@@ -193,9 +193,13 @@ impl Prepared<'_> {
         let outcome = mcu_link::run(connection, &job, &|events| progress.set(events))
             .with_context(|| options.name())?;
         if let Some(path) = &options.output {
-            let mut out = OutputFile::create(path)?;
-            out.write_all(&outcome.bytes)?;
-            out.finish()?;
+            let (mut out, mut rest) = (frame_file(path)?, outcome.bytes.as_slice());
+            while let Scan::Frame(frame) = scan(rest) {
+                let (bytes, after) = rest.split_at(frame.bytes);
+                out.frame(&frame.header, bytes)?;
+                rest = after;
+            }
+            out.finish()?.finish()?;
         }
         Ok(outcome)
     }

@@ -1,11 +1,13 @@
 //! Flags shared by several subcommands.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use clap::Args;
 use clap::builder::RangedU64ValueParser;
+use clap::error::ErrorKind;
 use eecvs::frame_file::LinkReport;
 use eecvs::thresholds_file::ThresholdsFile;
 use eecvs::window_limit::WindowLimit;
@@ -273,6 +275,39 @@ pub fn tell_link(name: &str, link: &LinkReport) -> Result<()> {
         say!("eecvs: {name}: {warning}");
     }
     Ok(())
+}
+
+/// The times whose events are wanted.
+#[derive(Debug, Clone, Default, Args)]
+pub struct TimeOptions {
+    /// Only events at or after this time of the recording, in microseconds
+    #[arg(long, value_name = "T")]
+    pub from_us: Option<u64>,
+
+    /// Only events before this time of the recording, in microseconds
+    #[arg(long, value_name = "T")]
+    pub to_us: Option<u64>,
+}
+
+impl TimeOptions {
+    /// Ends the process with a word on the usage of `command` if the first time is after the last one.
+    pub fn check(&self, command: &'static str) {
+        if let (Some(from), Some(to)) = (self.from_us, self.to_us)
+            && from > to
+        {
+            let message = format!("--from-us {from} is after --to-us {to}\n");
+            clap::Command::new(command)
+                .error(ErrorKind::ValueValidation, message)
+                .exit();
+        }
+    }
+
+    /// Returns the times from the first to before the last; `None` for all.
+    #[must_use]
+    pub fn times(&self) -> Option<Range<u64>> {
+        let is_all = self.from_us.is_none() && self.to_us.is_none();
+        (!is_all).then(|| self.from_us.unwrap_or(0)..self.to_us.unwrap_or(u64::MAX))
+    }
 }
 
 /// Density thresholds.

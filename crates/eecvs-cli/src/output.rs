@@ -5,7 +5,8 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::{Context, Error, Result, bail};
-use event_files::output::{Output, is_stdout};
+use eecvs::frame_file::FrameFileWriter;
+use event_files::output::{Output, OutputFile, is_stdout};
 use event_types::plain;
 use serde::Serialize;
 
@@ -91,6 +92,19 @@ pub fn print_json(value: &impl Serialize) -> Result<()> {
 fn json_line(value: &impl Serialize) -> Result<String> {
     let text = serde_json::to_string(value)?;
     Ok(format!("{}\n", plain::json(&text)))
+}
+
+/// Begins a file of frames, with marks; a device or a pipe takes a stream, without them.
+///
+/// # Errors
+/// The file cannot be created; the message names it.
+pub fn frame_file(path: &Path) -> Result<FrameFileWriter<OutputFile>> {
+    let out = OutputFile::create(path)?;
+    Ok(if out.is_direct() {
+        FrameFileWriter::stream(out)
+    } else {
+        FrameFileWriter::new(out)?
+    })
 }
 
 /// Where a command prints its report: stdout, unless the command writes a data stream there.

@@ -1,14 +1,14 @@
 //! Decodes frames to windows and events.
 
 use std::collections::VecDeque;
-use std::io::Read;
+use std::io::{Read, Seek};
 use std::time::{Duration, Instant};
 
-use eecvs_nostd::{Event, Frame, Mode, Sensor};
+use eecvs_nostd::{Event, Frame, Header, Mode, Sensor};
 use event_types::stream::{Context, Error, EventWriter, Result};
 use serde::Serialize;
 
-use crate::frame_file::{FrameReader, LinkReport};
+use crate::frame_file::{FrameReader, LinkReport, Times};
 use crate::reconstruct::arrival::Arrivals;
 use crate::reconstruct::coefficients::CoefficientDecoder;
 use crate::reconstruct::events::{EventDecoder, Finder};
@@ -23,6 +23,8 @@ pub struct WindowReader<R> {
     windows: Windows,
     /// Complete windows that have not been taken yet: at most two.
     ready: VecDeque<DecodedWindow>,
+    /// Windows outside of these times are left out.
+    times: Times,
     /// Time spent on decoding payloads.
     busy: Duration,
 }
@@ -70,6 +72,7 @@ impl<R: Read> WindowReader<R> {
             frames,
             windows: Windows::default(),
             ready: VecDeque::new(),
+            times: 0..u64::MAX,
             busy: Duration::ZERO,
         }
     }
@@ -79,6 +82,19 @@ impl<R: Read> WindowReader<R> {
     pub fn with_limit(mut self, limit: WindowLimit) -> Self {
         self.windows.limit = limit;
         self
+    }
+
+    /// Leaves out windows outside of these times.
+    #[must_use]
+    pub fn within(mut self, times: Times) -> Self {
+        self.times = times;
+        self
+    }
+
+    /// Returns the times whose events are wanted: all, unless [`WindowReader::within`] or [`WindowReader::seek`] chose
+    /// some.
+    pub const fn times(&self) -> &Times {
+        &self.times
     }
 
     /// Returns the report on the frames so far.
@@ -113,10 +129,15 @@ impl<R: Read> WindowReader<R> {
     pub fn next_window(&mut self) -> Result<Option<DecodedWindow>> {
         loop {
             if let Some(window) = self.ready.pop_front() {
-                return Ok(Some(window));
+                if overlaps(&self.times, &window.header) {
+                    return Ok(Some(window));
+                }
+                self.windows.reuse(window);
+                continue;
             }
             let Some(located) = self.frames.next_frame().context("reading frames")? else {
-                return Ok(self.windows.end());
+                let last = self.windows.end();
+                return Ok(last.filter(|window| overlaps(&self.times, &window.header)));
             };
             let started = Instant::now();
             let taken = self
@@ -127,6 +148,29 @@ impl<R: Read> WindowReader<R> {
                 self.frames.count_refused(refused);
             }
         }
+    }
+}
+
+/// Returns whether a window has some of these times.
+fn overlaps(times: &Times, header: &Header) -> bool {
+    let end_us = header.t0_us.saturating_add(header.duration_us.into());
+    header.t0_us < times.end && end_us > times.start
+}
+
+impl<R: Read + Seek> WindowReader<R> {
+    /// Continues with the windows between two times, if the source has an index, and leaves out all others, whose
+    /// frames are not even read. Returns false, and changes nothing, without an index.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn seek(&mut self, times: Times) -> Result<bool> {
+        let sought = self.frames.seek(&times).context("reading the index")?;
+        if sought {
+            self.windows.end();
+            self.ready.clear();
+            self.times = times;
+        }
+        Ok(sought)
     }
 }
 
@@ -331,6 +375,8 @@ pub fn decode<R: Read, E: From<Error>>(
         if let Some(output) = output {
             let started = Instant::now();
             summary.confidences.add(events.fill(&mut window));
+            let times = windows.times();
+            window.events.retain(|event| times.contains(&event.t_us));
             decoding += started.elapsed();
             output.write(&window.events)?;
             summary.events += window.events.len() as u64;

@@ -84,6 +84,14 @@ impl StreamBuffer {
         self.advance(bytes);
     }
 
+    /// Forgets all bytes: the next ones pushed begin at byte `used` of the stream.
+    pub fn go_to(&mut self, used: u64) {
+        self.bytes.clear();
+        self.start = 0;
+        self.used = used;
+        self.in_damage = false;
+    }
+
     /// Removes and returns the bytes that are not used up.
     #[must_use]
     pub fn take_rest(&mut self) -> Vec<u8> {

@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 
 use event_types::stream::{Context, Result};
 
-use crate::format::{FRAMES_SYNC, refuse_unknown};
+use crate::format::{FRAMES_MARK, FRAMES_SYNC, refuse_unknown};
+use crate::input::ReadSeek;
 use crate::input::piped::{Piped, is_stream, name_of, open_bytes};
 use crate::output::temporary::{Temporary, copy};
 use crate::{EventReader, Reading};
@@ -14,7 +15,7 @@ use crate::{EventReader, Reading};
 /// What a path leads to, decided by [`Content::of`].
 pub enum Content {
     /// EECVS frames, from the first byte on.
-    Frames(Box<dyn Read + Send>),
+    Frames(Box<dyn ReadSeek>),
     /// Anything else, which is opened as a recording.
     Recording(Unopened),
 }
@@ -42,7 +43,7 @@ impl Content {
             let mut pipe = Piped::open(path)?;
             let front = pipe.front(FRAMES_SYNC.len());
             let front = front.with_context(|| format!("{name}: cannot be read"))?;
-            return Ok(if is_named_so || front == FRAMES_SYNC {
+            return Ok(if is_named_so || are_frames(front) {
                 Self::Frames(Box::new(pipe))
             } else {
                 Self::Recording(Unopened::Pipe(pipe, name))
@@ -56,13 +57,18 @@ impl Content {
     }
 }
 
+/// Returns whether a file or a stream that begins so holds frames.
+fn are_frames(start: &[u8]) -> bool {
+    [FRAMES_SYNC, FRAMES_MARK].iter().any(|sync| start == sync)
+}
+
 fn begins_with_frames(path: &Path) -> Result<bool> {
     let mut start = Vec::new();
     open_bytes(path)?
         .take(FRAMES_SYNC.len() as u64)
         .read_to_end(&mut start)
         .with_context(|| format!("{}: cannot be read", path.display()))?;
-    Ok(start == FRAMES_SYNC)
+    Ok(are_frames(&start))
 }
 
 impl Unopened {

@@ -208,6 +208,9 @@ fn copy(
     if let Some(from_us) = filter.from_us {
         reader.seek(from_us)?;
     }
+    if let Some(to_us) = filter.to_us {
+        reader.end_at(to_us)?;
+    }
     let end_us = filter.to_us.map(|to| to.saturating_add(STEP_BACK_MAX_US));
     let mut events = Vec::with_capacity(crate::BATCH_EVENTS);
     let mut kept = Vec::with_capacity(crate::BATCH_EVENTS);

@@ -45,6 +45,8 @@ pub const FRAMES_ENDING: &str = ".eecvs";
 
 /// First bytes of every EECVS frame.
 pub const FRAMES_SYNC: [u8; 2] = [0xEE, 0xC5];
+/// First two bytes of a file of frames whose end is marked.
+pub const FRAMES_MARK: [u8; 2] = [0xEE, 0xC8];
 
 /// Formats that this build leaves out: their titles and the features that add them.
 const LEFT_OUT: &[(&str, &str)] = &[

@@ -6,13 +6,14 @@
 //! the frames after it, and ends with an error that describes the damage; it counts what the encoder left out.
 //!
 //! Frames are recognised by their first bytes, or by the ending of the file's name, as damage may hide the first
-//! bytes. The reader holds one window. It cannot seek, because a frame may depend on those before it. Only
-//! `eecvs encode` writes frames, since encoding has many options.
+//! bytes. The reader holds one window. It seeks where the file has an index. Only `eecvs encode` writes
+//! frames, since encoding has many options.
 
-use std::io::Read;
+use std::io::{Read, Seek};
+use std::ops::Range;
 
 use eecvs::decode::WindowReader;
-use eecvs::frame_file::{FrameReader, LinkReport};
+use eecvs::frame_file::{FrameReader, LinkReport, mark};
 use eecvs::reconstruct::DecodedWindow;
 use eecvs::reconstruct::events::{EventDecoder, Finder};
 use eecvs_nostd::frame::SYNC;
@@ -20,18 +21,21 @@ use event_types::stream::{Context, Result};
 use event_types::{Event, Sensor, bail};
 
 pub use crate::format::FRAMES_ENDING as ENDING;
-use crate::format::{FRAMES, FRAMES_SYNC, Format, Limits, Opening};
+use crate::format::{FRAMES, FRAMES_MARK, FRAMES_SYNC, Format, Limits, Opening};
 use crate::input::{Batch, Decode, ReadSeek, Reader};
 use crate::{Reading, Skipped};
 
 const _: () = assert!(FRAMES_SYNC[0] == SYNC[0] && FRAMES_SYNC[1] == SYNC[1]);
+const _: () = assert!(FRAMES_MARK[0] == mark::SYNC[0] && FRAMES_MARK[1] == mark::SYNC[1]);
 
 /// This format's entry in the table of formats.
 pub const FORMAT: Format = Format {
     name: FRAMES,
     title: "EECVS frames",
     endings: &[ENDING],
-    detect: |start| start.begins(&FRAMES_SYNC) || start.is_named(ENDING),
+    detect: |start| {
+        start.begins(&FRAMES_SYNC) || start.begins(&FRAMES_MARK) || start.is_named(ENDING)
+    },
     open: |opening| {
         let Opening {
             source,
@@ -102,6 +106,22 @@ impl<R: Read> FrameEvents<R> {
             .map_or(&[], |window| window.events.as_slice())
     }
 
+    /// Continues with the windows between two times; see [`WindowReader::seek`]. Without an index, nothing changes.
+    ///
+    /// # Errors
+    /// I/O.
+    pub fn seek(&mut self, times: Range<u64>) -> Result<bool>
+    where
+        R: Seek,
+    {
+        let sought = self.windows.seek(times);
+        let sought = sought.with_context(|| self.name.clone())?;
+        if sought {
+            self.ahead = None;
+        }
+        Ok(sought)
+    }
+
     /// Returns the next window that has events, or `None` at the end.
     ///
     /// # Errors
@@ -147,6 +167,7 @@ impl FramesReader {
             frames: FrameEvents::new(source, name, reading)?,
             window: None,
             given: 0,
+            times: 0..u64::MAX,
             skipped: Skipped::default(),
         }))
     }
@@ -159,10 +180,21 @@ pub struct FramesDecoder {
     window: Option<DecodedWindow>,
     /// Number of its events that have been returned.
     given: usize,
+    /// The times that are wanted.
+    times: Range<u64>,
     skipped: Skipped,
 }
 
 impl FramesDecoder {
+    fn go(&mut self, times: Range<u64>) -> Result<bool> {
+        self.times = times.clone();
+        let sought = self.frames.seek(times)?;
+        if sought {
+            self.window = None;
+        }
+        Ok(sought)
+    }
+
     /// Counts what the encoder left out, and returns an error if frames were damaged or lost.
     fn end(&mut self) -> Result<()> {
         let windows = &self.frames.windows;
@@ -182,6 +214,7 @@ impl FramesDecoder {
             ("frames that came twice", report.frames_repeated),
             ("frames out of order, used", report.frames_reordered),
             ("new beginnings of the frames' numbers", report.restarts),
+            ("frames without an end mark, used", report.frames_unmarked),
         ] {
             self.skipped.add(kind, frames);
         }
@@ -206,6 +239,14 @@ impl Decode for FramesDecoder {
 
     fn skipped(&self) -> &Skipped {
         &self.skipped
+    }
+
+    fn seek(&mut self, t_us: u64) -> Result<bool> {
+        self.go(t_us..self.times.end)
+    }
+
+    fn end_at(&mut self, t_us: u64) -> Result<()> {
+        self.go(self.times.start..t_us).map(drop)
     }
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> Result<()> {

@@ -7,8 +7,10 @@ use std::io::{BufWriter, ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
+use eecvs::frame_file::mark::{BEGIN, Segment};
 use eecvs_cli::output::io_causes;
 use eecvs_cli::say;
+use eecvs_nostd::Frame;
 use event_files::output;
 use serde::Serialize;
 
@@ -39,8 +41,8 @@ type Who = (Name, usize);
 pub(super) struct Files {
     folder: PathBuf,
     open: BTreeMap<Who, BufWriter<File>>,
-    /// All files so far, with the number of frames in each.
-    paths: BTreeMap<Who, (PathBuf, u64)>,
+    /// All files so far, with the frames that were written to each.
+    paths: BTreeMap<Who, (PathBuf, Segment)>,
 }
 
 impl Files {
@@ -52,11 +54,12 @@ impl Files {
         }
     }
 
-    /// Writes a frame to the file of its sensor.
+    /// Writes a frame to the file of its sensor, whose segment it begins if it is the first.
     ///
     /// # Errors
-    /// The file cannot be written, or another process writes to it.
+    /// The file cannot be written, another process writes to it, or `frame` is no frame.
     pub(super) fn write(&mut self, name: &Name, lane: usize, frame: &[u8]) -> Result<()> {
+        let header = Frame::parse(frame).context("not a frame")?.header;
         let who = (name.clone(), lane);
         if !self.open.contains_key(&who) {
             if self.open.len() >= OPEN_MAX
@@ -67,21 +70,24 @@ impl Files {
                 first.flush().with_context(|| path.display().to_string())?;
             }
             let file = match self.paths.get(&who) {
-                Some((path, _)) => append(path, false)?,
+                Some((path, _)) => BufWriter::new(append(path, false)?),
                 None => {
                     let (path, file) = self.create(name, lane)?;
-                    self.paths.insert(who.clone(), (path, 0));
+                    let mut file = BufWriter::new(file);
+                    let begun = file.write_all(&BEGIN);
+                    begun.with_context(|| path.display().to_string())?;
+                    self.paths.insert(who.clone(), (path, Segment::default()));
                     file
                 }
             };
-            self.open.insert(who.clone(), BufWriter::new(file));
+            self.open.insert(who.clone(), file);
         }
-        if let (Some(file), Some((path, frames))) =
+        if let (Some(file), Some((path, segment))) =
             (self.open.get_mut(&who), self.paths.get_mut(&who))
         {
             file.write_all(frame)
                 .with_context(|| path.display().to_string())?;
-            *frames += 1;
+            segment.add(&header, frame);
         }
         Ok(())
     }
@@ -143,25 +149,24 @@ impl Files {
         Ok(alias_among(&names, file_name))
     }
 
-    /// Writes all that is left to the disk, and returns what was written.
+    /// Marks the ends of all segments, writes all that is left to the disk, and returns what was written.
     ///
     /// # Errors
     /// The first error, after all files have been written as far as possible.
     pub(super) fn finish(&mut self) -> Result<Vec<Written>> {
         let mut outcome = Ok(());
-        for (who, (path, _)) in &self.paths {
-            let flushed = self.open.get_mut(who).map_or(Ok(()), std::io::Write::flush);
-            let flushed = flushed.with_context(|| path.display().to_string());
-            outcome = outcome.and(flushed.and_then(|()| sync(path)));
+        for (who, (path, segment)) in &self.paths {
+            let ended = end(self.open.remove(who), path, segment);
+            outcome = outcome.and(ended.and_then(|()| sync(path)));
         }
         let at = || self.folder.display().to_string();
         outcome.and(output::sync_folder(&self.folder).with_context(at))?;
         let paths = self.paths.iter();
         Ok(paths
-            .map(|((name, _), (path, frames))| Written {
+            .map(|((name, _), (path, segment))| Written {
                 sensor: name.to_string(),
                 file: path.display().to_string(),
-                frames: *frames,
+                frames: segment.totals().frames,
             })
             .collect())
     }
@@ -176,6 +181,17 @@ fn alias_among(names: &[String], file_name: &str) -> Option<String> {
     let mut names = names.iter();
     let other = names.find(|name| name.eq_ignore_ascii_case(file_name));
     Some(other.map_or("another name", String::as_str).to_owned())
+}
+
+/// Writes what is buffered, and marks the end of the segment.
+fn end(open: Option<BufWriter<File>>, path: &Path, segment: &Segment) -> Result<()> {
+    let mut file = match open {
+        Some(file) => file,
+        None => BufWriter::new(append(path, false)?),
+    };
+    file.write_all(&segment.end().to_bytes())
+        .and_then(|()| file.flush())
+        .with_context(|| path.display().to_string())
 }
 
 /// Writes what the system still holds of a file to the disk.
@@ -199,7 +215,59 @@ fn is_there(error: &anyhow::Error) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use eecvs::frame_file::{FrameReader, LinkReport};
+    use eecvs_nostd::frame::{Header, seal};
+    use eecvs_nostd::{Mode, Quantiser, Regime, Sensor, Transform};
+
     use super::*;
+
+    /// A frame that only its number distinguishes.
+    fn frame(number: u8) -> Vec<u8> {
+        let header = Header {
+            truncated: false,
+            begins_run: false,
+            last: true,
+            regime: Regime::Sparse,
+            mode: Mode::Transform,
+            is_key: true,
+            has_previous: false,
+            scans: None,
+            order: None,
+            sequence: number.into(),
+            part: 0,
+            sensor: Sensor {
+                width: 8,
+                height: 8,
+            },
+            t0_us: 0,
+            duration_us: 1000,
+            window_events: 0,
+            events: 0,
+            pixels: 0,
+            late: 0,
+            filtered: 0,
+            dropped: 0,
+            thinned: 0,
+            saturated: 0,
+            transform: Transform::Dwt,
+            m: 8,
+            grid: 16,
+            quantiser: Quantiser::DEFAULT,
+        };
+        let mut out = [0; 200];
+        let range = seal(&header, 0, &mut out).unwrap();
+        out[range].to_vec()
+    }
+
+    /// Returns the numbers of the frames in a file, and its report.
+    fn read(path: impl AsRef<Path>) -> (Vec<u8>, LinkReport) {
+        let mut reader = FrameReader::new(File::open(path).unwrap());
+        let mut numbers = Vec::new();
+        while let Some(located) = reader.next_frame().unwrap() {
+            numbers.push(located.frame.header.sequence as u8);
+        }
+        (numbers, reader.report().clone())
+    }
 
     fn names<const N: usize>(names: [&str; N]) -> [Name; N] {
         names.map(|name| name.parse().unwrap())
@@ -222,18 +290,20 @@ mod tests {
             .into_iter()
             .enumerate()
             {
-                files.write(name, lane, &[index as u8, round]).unwrap();
+                let number = 3 * index as u8 + round;
+                files.write(name, lane, &frame(number)).unwrap();
             }
         }
         let written = files.finish().unwrap();
         assert_eq!(written.len(), 6);
         let mut seen = std::collections::BTreeSet::new();
         for file in &written {
-            let bytes = fs::read(&file.file).unwrap();
-            let index = bytes[0];
-            assert_eq!(bytes, [index, 0, index, 1, index, 2], "{file:?}");
+            let (numbers, report) = read(&file.file);
+            let first = numbers[0];
+            assert_eq!(numbers, [first, first + 1, first + 2], "{file:?}");
+            assert_eq!(report.segments_ended, 1, "{file:?}");
             assert_eq!(file.frames, 3);
-            assert!(seen.insert(index));
+            assert!(seen.insert(first));
         }
         let names: Vec<&str> = written
             .iter()
@@ -253,8 +323,8 @@ mod tests {
         let [door] = names(["door"]);
         for session in 0..2_u8 {
             let mut files = Files::new(folder.path());
-            files.write(&door, 0, &[session]).unwrap();
-            files.write(&door, 1, &[session]).unwrap();
+            files.write(&door, 0, &frame(session)).unwrap();
+            files.write(&door, 1, &frame(session)).unwrap();
             files.finish().unwrap();
         }
         for (file, want) in [
@@ -262,7 +332,9 @@ mod tests {
             ("door~2.eecvs", &[0]),
             ("door~3.eecvs", &[1]),
         ] {
-            assert_eq!(fs::read(folder.path().join(file)).unwrap(), want, "{file}");
+            let (numbers, report) = read(folder.path().join(file));
+            assert_eq!(numbers, want, "{file}");
+            assert_eq!(report.segments_ended, want.len() as u64, "{file}");
         }
     }
 
@@ -271,9 +343,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let [door] = names(["door"]);
         let mut first = Files::new(folder.path());
-        first.write(&door, 0, &[1]).unwrap();
+        first.write(&door, 0, &frame(1)).unwrap();
         let mut second = Files::new(folder.path());
-        let said = second.write(&door, 0, &[2]).unwrap_err().to_string();
+        let said = second.write(&door, 0, &frame(2)).unwrap_err().to_string();
         assert!(
             said.contains("door.eecvs: another process uses it"),
             "{said}"
@@ -284,10 +356,10 @@ mod tests {
             let [gate] = names(["gate"]);
             let link = folder.path().join("gate.eecvs");
             std::os::unix::fs::symlink("door.eecvs", link).unwrap();
-            assert!(first.write(&gate, 0, &[3]).is_err());
+            assert!(first.write(&gate, 0, &frame(3)).is_err());
         }
         first.finish().unwrap();
-        assert_eq!(fs::read(folder.path().join("door.eecvs")).unwrap(), [1]);
+        assert_eq!(read(folder.path().join("door.eecvs")).0, [1]);
     }
 
     #[test]
@@ -310,13 +382,18 @@ mod tests {
         for round in 0..2_u8 {
             for number in 0..many {
                 let name: Name = format!("s{number}").parse().unwrap();
-                files.write(&name, number % 2, &[round]).unwrap();
+                files.write(&name, number % 2, &frame(round)).unwrap();
             }
         }
         let written = files.finish().unwrap();
         assert_eq!(written.len(), many);
         for file in written {
-            assert_eq!(fs::read(&file.file).unwrap(), [0, 1], "{file:?}");
+            let (numbers, report) = read(&file.file);
+            assert_eq!(
+                (numbers, report.segments_ended),
+                (vec![0, 1], 1),
+                "{file:?}"
+            );
         }
     }
 }

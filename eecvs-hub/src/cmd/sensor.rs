@@ -25,7 +25,7 @@ use usb_bridge::stop::Stop;
 
 use super::options::ClientOptions;
 use crate::clock::Clock;
-use crate::frames::FrameSink;
+use crate::frames::UplinkSink;
 use crate::key::Name;
 use crate::source::Live;
 use crate::store::disk::Settings;
@@ -258,7 +258,7 @@ impl Sensor {
             true => {
                 drop(reader);
                 let end_us = |_| clock.now_us();
-                let mut out = FrameSink::new(&uplink, &end_us);
+                let mut out = UplinkSink::new(&uplink, &end_us);
                 let mut order = Order::default();
                 let ended = encoders_frames(&session, &mut out, &mut order);
                 out.finish(ended).map(|()| EncodeSummary {
@@ -298,7 +298,7 @@ impl Sensor {
             reorder_us: self.order.reorder_us,
             ..Limits::default()
         };
-        let mut out = FrameSink::new(uplink, end_us);
+        let mut out = UplinkSink::new(uplink, end_us);
         let encoded = encode(
             reader.as_mut(),
             codec,

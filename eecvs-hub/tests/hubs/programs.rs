@@ -479,3 +479,29 @@ fn arguments_may_be_of_any_bytes() {
         );
     }
 }
+
+/// Each has the same authority's keys, and all are listed.
+#[test]
+fn many_may_make_keys_in_one_folder_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("fleet");
+    let fleet = path.to_str().unwrap();
+    let names: Vec<String> = (0..12).map(|number| format!("door{number}")).collect();
+    let started: Vec<Program> = names
+        .iter()
+        .map(|name| Program::start(&["keys", fleet, "sensor", name]))
+        .collect();
+    for program in started {
+        let output = program.end();
+        assert!(output.status.success(), "{output:?}");
+    }
+    let authority = std::fs::read(path.join("ca.pem")).unwrap();
+    for name in &names {
+        let own = path.join(format!("sensor-{name}/ca.pem"));
+        assert_eq!(std::fs::read(own).unwrap(), authority, "{name}");
+    }
+    let listed = std::fs::read_to_string(path.join("access.toml")).unwrap();
+    for name in &names {
+        assert!(listed.contains(&format!("\"{name}\"")), "{listed}");
+    }
+}

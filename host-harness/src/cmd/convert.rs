@@ -4,9 +4,8 @@ use std::path::PathBuf;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
-use clap::error::ErrorKind;
 use eecvs_cli::options::{
-    FollowOptions, FormatOptions, OutputOptions, ReadingOptions, tell_damage,
+    FollowOptions, FormatOptions, OutputOptions, ReadingOptions, TimeOptions, tell_damage,
 };
 use eecvs_cli::order::SortOptions;
 use eecvs_cli::output::{Place, rows};
@@ -23,13 +22,8 @@ pub struct Convert {
     #[arg(value_name = "OUT")]
     output: PathBuf,
 
-    /// Only events at or after this time of the recording, in microseconds
-    #[arg(long, value_name = "T")]
-    from_us: Option<u64>,
-
-    /// Only events before this time of the recording, in microseconds
-    #[arg(long, value_name = "T")]
-    to_us: Option<u64>,
+    #[command(flatten)]
+    times: TimeOptions,
 
     /// Only this part of the sensor; its corner becomes (0, 0)
     #[arg(long, value_name = "X,Y,W,H", value_parser = crop)]
@@ -86,18 +80,11 @@ impl Convert {
     /// # Errors
     /// Fails if a recording cannot be read to its end, or the output's format cannot hold its events.
     pub fn run(self) -> Result<()> {
-        if let (Some(from), Some(to)) = (self.from_us, self.to_us)
-            && from > to
-        {
-            let message = format!("--from-us {from} is after --to-us {to}\n");
-            clap::Command::new("eecvs convert")
-                .error(ErrorKind::ValueValidation, message)
-                .exit();
-        }
+        self.times.check("eecvs convert");
         let conversion = Conversion {
             filter: Filter {
-                from_us: self.from_us,
-                to_us: self.to_us,
+                from_us: self.times.from_us,
+                to_us: self.times.to_us,
                 crop: self.crop,
             },
             allow_loss: self.allow_loss,

@@ -9,7 +9,9 @@ use eecvs::frame_file::FrameReader;
 use eecvs::reconstruct::events::Finder;
 use eecvs::reconstruct::volume::Maker;
 use eecvs_cli::memory::look_for;
-use eecvs_cli::options::{FormatOptions, OutputOptions, WindowLimitOptions, tell_link};
+use eecvs_cli::options::{
+    FormatOptions, OutputOptions, TimeOptions, WindowLimitOptions, tell_link,
+};
 use eecvs_cli::output::{Place, rows};
 use eecvs_cli::progress::Progress;
 use eecvs_cli::values::finder;
@@ -39,7 +41,11 @@ pub struct Decode {
     #[arg(long, value_name = "V.npy|V.npz")]
     volume: Option<PathBuf>,
 
-    /// Number of the window whose volume is written, from 0; windows without events are not counted
+    #[command(flatten)]
+    times: TimeOptions,
+
+    /// Number of the window whose volume is written, from 0; windows without events, or outside of the times, are not
+    /// counted
     #[arg(long, value_name = "I", requires = "volume", default_value = "0")]
     window: u64,
 
@@ -72,6 +78,7 @@ impl Decode {
     /// Fails if a file cannot be read or holds no frame, the window does not exist, or an output cannot be written.
     /// Also fails if frames are damaged or missing, but then the outputs hold everything else.
     pub fn run(self) -> Result<()> {
+        self.times.check("eecvs decode");
         let name = name_of(&self.input);
         let volume = self.volume.as_deref();
         // Times that an earlier run left beside an array are not of this one's only window.
@@ -109,6 +116,10 @@ impl Decode {
         let mut maker = Maker::new(self.form.form(), self.events);
         let windows = WindowReader::new(FrameReader::new(open_bytes(&self.input)?));
         let mut windows = windows.with_limit(self.window_limit.limit());
+        if let Some(times) = self.times.times() {
+            windows = windows.within(times.clone());
+            windows.seek(times)?;
+        }
         let progress = Progress::new("events");
         let summary = decode(
             &mut windows,
@@ -192,6 +203,10 @@ fn table(summary: &DecodeSummary) -> String {
         ),
         ("frames lost", summary.link.frames_lost.to_string()),
         ("damaged bytes", summary.link.damaged_bytes.to_string()),
+        (
+            "frames without an end mark",
+            summary.link.frames_unmarked.to_string(),
+        ),
         (
             "decoding",
             format!(

@@ -14,7 +14,7 @@ use eecvs::reconstruct::events::Finder;
 use eecvs::thresholds_file::ThresholdsFile;
 use eecvs_bench::record_file;
 use eecvs_cli::folder::RunFolder;
-use eecvs_cli::output::print;
+use eecvs_cli::output::{frame_file, print};
 use eecvs_cli::progress::Progress;
 use eecvs_cli::values::preset;
 use eecvs_nostd::{
@@ -24,7 +24,7 @@ use eecvs_nostd::{
 use event_emulator::{Preset, SceneConfig, emulate};
 use event_files::EventReader;
 use event_files::input::piped::open_bytes;
-use event_files::output::{self, OutputFile};
+use event_files::output;
 use event_pictures::frame_picture::{FrameStyle, FrameSums, comparison_strip};
 
 use super::monitor::{chart_thresholds, points};
@@ -245,7 +245,7 @@ impl Run {
     /// Encodes the scene to a file, decodes that to another file and compares the result with the scene.
     fn row(&self, name: &'static str, mode: Mode, transform: Option<Transform>) -> Result<Row> {
         let frames = self.folder.join(frames_name(name));
-        let mut out = OutputFile::create(&frames)?;
+        let mut out = frame_file(&frames)?;
         let config = Config {
             transform,
             m: M,
@@ -267,7 +267,7 @@ impl Run {
             &mut out,
             &mut show,
         )?;
-        out.finish()?;
+        out.finish()?.finish()?;
 
         let decoded = self.decoded(name);
         decode(

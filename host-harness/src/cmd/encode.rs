@@ -12,12 +12,12 @@ use eecvs_cli::codec::{CodecOptions, KernelName, LimitOptions};
 use eecvs_cli::memory::look_for;
 use eecvs_cli::options::{FollowOptions, OutputOptions, ReadingOptions, tell_damage};
 use eecvs_cli::order::{SortOptions, tell_disorder};
-use eecvs_cli::output::{Place, rows};
+use eecvs_cli::output::{Place, frame_file, rows};
 use eecvs_cli::progress::Progress;
 use event_files::findings::Findings;
 use event_files::input::growing::open_growing;
 use event_files::input::piped::{is_stream, name_of};
-use event_files::output::{Kind, OutputFile};
+use event_files::output::Kind;
 use event_files::{EventReader, Intact};
 use serde::Serialize;
 
@@ -92,7 +92,7 @@ impl Encode {
             config,
             kernel: self.kernel.kernel(),
         };
-        let mut out = OutputFile::create(&self.output)?;
+        let mut out = frame_file(&self.output)?;
         let progress = Progress::new("events");
         let limits = self.limits.limits();
         let mut summary = encode(
@@ -111,6 +111,8 @@ impl Encode {
         if summary.frames == 0 && damage.is_none() {
             encode_nothing(codec, limits, &mut out, &mut summary)?;
         }
+        summary.add_marks(out.mark_bytes());
+        let out = out.finish()?;
         let output = match damage {
             Some(_) if summary.events_in == 0 => {
                 return tell_damage(damage.as_deref(), None, &self.output, false);

@@ -8,10 +8,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::Args;
-use clap::error::ErrorKind;
 use eecvs_cli::folder::RunFolder;
 use eecvs_cli::memory::look_for;
-use eecvs_cli::options::{OutputOptions, ReadingOptions, tell_link};
+use eecvs_cli::options::{OutputOptions, ReadingOptions, TimeOptions, tell_link};
 use eecvs_cli::output::{Place, rows};
 use eecvs_cli::progress::Progress;
 use eecvs_cli::say;
@@ -66,13 +65,8 @@ pub struct View {
     #[arg(long, value_name = "T", value_parser = clap::value_parser!(u64).range(1..))]
     slice_us: Option<u64>,
 
-    /// Only events at or after this time of the recording, in microseconds
-    #[arg(long, value_name = "T")]
-    from_us: Option<u64>,
-
-    /// Only events before this time of the recording, in microseconds
-    #[arg(long, value_name = "T")]
-    to_us: Option<u64>,
+    #[command(flatten)]
+    times: TimeOptions,
 
     /// Stop after N frames
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
@@ -142,14 +136,7 @@ impl View {
     /// Fails if a file cannot be read or has no events, if the output cannot be written, or if there is neither a
     /// terminal nor an output.
     pub fn run(self) -> Result<()> {
-        if let (Some(from), Some(to)) = (self.from_us, self.to_us)
-            && from > to
-        {
-            let message = format!("--from-us {from} is after --to-us {to}\n");
-            clap::Command::new("eecvs view")
-                .error(ErrorKind::ValueValidation, message)
-                .exit();
-        }
+        self.times.check("eecvs view");
         let name = self.file.display();
         ensure!(
             self.output.is_some() || self.terminal_columns.is_some() || stdout().is_terminal(),
@@ -160,8 +147,8 @@ impl View {
             self.check(output)?;
         }
         let reading = self.reading.reading();
-        let original = Input::open(&self.file, &reading)?;
-        let decoded = match &self.decoded {
+        let mut original = Input::open(&self.file, &reading)?;
+        let mut decoded = match &self.decoded {
             Some(path) => Some(Input::open(path, &reading)?),
             None => None,
         };
@@ -173,10 +160,15 @@ impl View {
         });
         look_for(sensor, &name.to_string())?;
         let grid = Grid {
-            from_us: self.from_us.or(first_us).unwrap_or(0),
-            to_us: self.to_us,
+            from_us: self.times.from_us.or(first_us).unwrap_or(0),
+            to_us: self.times.to_us,
             slice_us: self.slice_us(),
         };
+        if let Some(times) = self.times.times() {
+            for input in iter::once(&mut original).chain(&mut decoded) {
+                input.seek(times.clone())?;
+            }
+        }
         let stop = stop_on_signals();
         // The screen comes first: an unusable terminal or name must be reported before a long search for events.
         let origin_us = first_us.unwrap_or(grid.from_us);
@@ -206,7 +198,7 @@ impl View {
         ensure!(
             played.frames > 0 || is_stopped,
             "{name}: no events{}",
-            if self.from_us.is_some() || self.to_us.is_some() {
+            if self.times.from_us.is_some() || self.times.to_us.is_some() {
                 " at these times: `eecvs info` prints the first and the last"
             } else {
                 ""

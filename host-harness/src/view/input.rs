@@ -1,6 +1,6 @@
 //! Reads a recording or a file of frames as one stream of events.
 
-use std::io::Read;
+use std::ops::Range;
 use std::path::Path;
 
 use anyhow::Result;
@@ -8,6 +8,7 @@ use eecvs::frame_file::LinkReport;
 use eecvs_nostd::{Event, Sensor};
 use event_files::content::Content;
 use event_files::frames::FrameEvents;
+use event_files::input::ReadSeek;
 use event_files::input::piped::name_of;
 use event_files::{Ahead, BATCH_EVENTS, EventReader, Reading};
 
@@ -16,7 +17,7 @@ pub enum Input {
     /// Events of a recording.
     Recording(Ahead),
     /// Events decoded from frames.
-    Frames(Box<FrameEvents<Box<dyn Read + Send>>>),
+    Frames(Box<FrameEvents<Box<dyn ReadSeek>>>),
 }
 
 impl Input {
@@ -59,6 +60,21 @@ impl Input {
             Self::Frames(frames) => frames.ahead(),
         };
         events.iter().map(|event| event.t_us).min()
+    }
+
+    /// Leaves out what can be left out because it is not between two times, if the file has an index of them.
+    ///
+    /// # Errors
+    /// Fails if the index cannot be read.
+    pub fn seek(&mut self, times: Range<u64>) -> Result<()> {
+        match self {
+            // Its first events have been read already.
+            Self::Recording(_) => {}
+            Self::Frames(frames) => {
+                frames.seek(times)?;
+            }
+        }
+        Ok(())
     }
 
     /// Appends the next events and returns their number; 0 at the end.

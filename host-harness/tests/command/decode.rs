@@ -2,6 +2,7 @@
 //! settings, and the demo.
 
 use crate::support::{Folder, count, number, total};
+use eecvs::frame_file::mark::BEGIN;
 use serde_json::Value;
 
 /// What `inspect` says of every frame.
@@ -247,7 +248,7 @@ fn a_truncated_file_gives_its_whole_frames() {
     let bytes = folder.bytes("a.eecvs");
     let frames = folder.frames("a.eecvs");
     let rows = rows(&folder, "a.eecvs");
-    let two = frames[0].len() + frames[1].len();
+    let two = BEGIN.len() + frames[0].len() + frames[1].len();
     for end in [
         two + 1,
         two + 2,
@@ -266,7 +267,7 @@ fn a_truncated_file_gives_its_whole_frames() {
         assert_eq!(folder.pixels("b.csv").len() as u64, events);
         folder.eecvs("inspect cut.eecvs").loses(&["cut.eecvs"]);
     }
-    folder.write("cut.eecvs", &bytes[..frames[0].len() - 1]);
+    folder.write("cut.eecvs", &bytes[..BEGIN.len() + frames[0].len() - 1]);
     folder
         .eecvs("decode cut.eecvs -o none.csv")
         .fails(&["cut.eecvs"]);

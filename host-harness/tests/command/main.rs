@@ -5,6 +5,7 @@ mod bench;
 mod browser;
 mod decode;
 mod formats_peers;
+mod frame_files;
 mod frames;
 mod hybrid;
 mod kernel;

@@ -218,7 +218,7 @@ fn a_pipeline_carries_every_event_and_its_tables_stay_out_of_it() {
     for output in ["-", "/dev/stdout"] {
         let line = format!("encode - -o {output} --json");
         let (outcome, frames) = piped(&folder, &line, &raw);
-        assert!(frames == folder.bytes("a.eecvs"), "{outcome}");
+        assert!(frames == folder.frames("a.eecvs").concat(), "{outcome}");
         assert_eq!(count(&said(&outcome.stderr), "events_late"), 0);
         let (outcome, decoded) = piped(&folder, "decode - -o - --format evt3", &frames);
         assert!(outcome.stderr.contains("windows"), "{outcome}");
@@ -234,7 +234,7 @@ fn a_pipeline_carries_every_event_and_its_tables_stay_out_of_it() {
     let mut command = folder.command(&["encode", "a.raw", "-o", "-"]);
     let status = command.stdout(out).stderr(Stdio::null()).status().unwrap();
     assert!(status.success());
-    let both = [b"before".to_vec(), folder.bytes("a.eecvs")].concat();
+    let both = [b"before".to_vec(), folder.frames("a.eecvs").concat()].concat();
     assert!(folder.bytes("c.eecvs") == both);
     // Damage in the middle of a pipeline is said, with all else in the output.
     let mut frames = folder.bytes("a.eecvs");
@@ -343,7 +343,7 @@ fn a_named_pipe_is_a_file_to_every_command() {
     let feeding = feed("a.raw");
     folder.as_is("encode in -o out.eecvs").ok();
     feeding.join().unwrap();
-    assert!(reading.join().unwrap() == folder.bytes("a.eecvs"));
+    assert!(reading.join().unwrap() == folder.frames("a.eecvs").concat());
 }
 
 #[test]
@@ -445,8 +445,8 @@ fn frames_of_two_sensors_are_never_mixed_and_can_be_taken_apart() {
                 c.concat()
             }
         };
-        assert!(folder.bytes(&format!("{name}/1-{one}.eecvs")) == of(one));
-        assert!(folder.bytes(&format!("{name}/2-{two}.eecvs")) == of(two));
+        assert!(folder.frames(&format!("{name}/1-{one}.eecvs")).concat() == of(one));
+        assert!(folder.frames(&format!("{name}/2-{two}.eecvs")).concat() == of(two));
         folder
             .as_is(&format!("split {file} -o {name}"))
             .fails(&["already has files", "--overwrite"]);
@@ -458,12 +458,12 @@ fn frames_of_two_sensors_are_never_mixed_and_can_be_taken_apart() {
     let b = folder.frames("b.eecvs").concat();
     folder.write("ab.eecvs", [a.concat(), b.clone()].concat());
     folder.eecvs("split ab.eecvs -o ab").ok();
-    assert!(folder.bytes("ab/1-40x30.eecvs") == a.concat());
-    assert!(folder.bytes("ab/2-40x30.eecvs") == b);
+    assert!(folder.frames("ab/1-40x30.eecvs").concat() == a.concat());
+    assert!(folder.frames("ab/2-40x30.eecvs").concat() == b);
     // Parts of an earlier input are not taken for this one's, and what is no part stays.
     folder.write("ab/notes.eecvs", "");
     folder.eecvs("split a.eecvs -o ab --overwrite").ok();
-    assert!(folder.bytes("ab/1-40x30.eecvs") == a.concat());
+    assert!(folder.frames("ab/1-40x30.eecvs").concat() == a.concat());
     assert!(!exists(&folder.path("ab/2-40x30.eecvs")));
     assert!(exists(&folder.path("ab/notes.eecvs")));
     // Through a pipe; nothing of what is damaged.

@@ -9,6 +9,8 @@ pub enum Kind {
     Live,
     /// A new folder, in which one file is the last: without it the folder is not finished.
     Folder(&'static str),
+    /// A file that grows at its end: what was there stays, whatever fails; a part of what is appended may follow.
+    Appended,
     /// Files that appear together, after which the command can be repeated if it failed.
     Together,
 }
@@ -181,6 +183,12 @@ pub const CASES: &[Case] = &[
         line: "bench --errors --quick -o OUT",
         old: &[],
         kind: Kind::Folder(""),
+    },
+    Case {
+        program: "eecvs",
+        line: "index OUT.eecvs",
+        old: &["OUT.eecvs"],
+        kind: Kind::Appended,
     },
     live(
         "capture --device sim:dvs128:IN/scene.raw -o OUT.raw --rate max --overwrite",

@@ -120,6 +120,9 @@ impl Reference {
                 // Nobody could remove it.
                 _ if !is_known && outcome.is_killed() => true,
                 _ if !is_known && failed.starts_with("unlink") => true,
+                Kind::Appended => {
+                    !is_success && before.get(name).is_some_and(|old| bytes.starts_with(old))
+                }
                 Kind::Live => own.starts_with("incomplete-") && !is_success,
                 // The messages of half a bag can be indexed again.
                 Kind::Folder(last) => !last.is_empty() && own != last && !is_success,

@@ -248,6 +248,97 @@ fn memory_that_an_input_asks_for_may_be_refused() {
     assert!(refused_by_memory >= 8, "{refused_by_memory}");
 }
 
+/// Endings of the formats whose files [`sizes_in_headers_are_refused_or_read`] changes, and the lengths of their headers
+/// that the usual tests go over.
+const HEADERS: [(&str, usize); 21] = [
+    ("aedat4", 200),
+    ("arrow", 200),
+    ("arrows", 200),
+    ("bag", 200),
+    ("bin", 40),
+    ("csv", 40),
+    ("dat", 120),
+    ("db3", 200),
+    ("eecvs", 80),
+    ("es", 80),
+    ("evt2", 120),
+    ("evt21", 120),
+    ("evt4", 120),
+    ("h5", 200),
+    ("mat", 200),
+    ("mcap", 200),
+    ("npy", 160),
+    ("npz", 120),
+    ("parquet", 80),
+    ("raw", 120),
+    ("aedat", 200),
+];
+
+/// Whatever number stands in place of any four bytes of a file's beginning or end, the memory that it asks for is refused
+/// with a message where the system has none, and no program is aborted.
+#[test]
+fn sizes_in_headers_are_refused_or_read() {
+    let bench = Bench::new();
+    let at = |name: &str| bench.at("in").join(name);
+    for (line, name) in [
+        (
+            "emulate motorcycle -o small.aedat --width 128 --height 128 --duration-us 20000",
+            "aedat",
+        ),
+        (
+            "emulate motorcycle -o small.bin --width 34 --height 34 --duration-us 60000",
+            "bin",
+        ),
+        ("encode scene.raw -o small.eecvs", "eecvs"),
+    ] {
+        let output = run(&bench, "eecvs", line, MEMORY_KIB);
+        assert!(output.status.success(), "{name}: {output:?}");
+    }
+    let (mut refused_by_memory, mut runs) = (0, 0);
+    for (ending, header) in HEADERS {
+        let small = format!("small.{ending}");
+        if !at(&small).exists() {
+            let line = format!("convert scene.raw {small}");
+            assert!(
+                run(&bench, "eecvs", &line, MEMORY_KIB).status.success(),
+                "{line}"
+            );
+        }
+        let least = least_kib(&bench, &format!("info {small}"));
+        let whole = std::fs::read(at(&small)).unwrap();
+        let header = if crate::is_whole() { 4096 } else { header }.min(whole.len() - 4);
+        let from_end = whole.len() - 4 - header.min(64);
+        let front = (0..header).step_by(4);
+        let back = (from_end..whole.len() - 4).step_by(if crate::is_whole() { 1 } else { 4 });
+        let changed = format!("changed.{ending}");
+        for place in front.chain(back) {
+            // 1 GiB, in the order of bytes of the format; a length of 64 bits has it in its lower half.
+            let is_big_endian = matches!(ending, "aedat" | "bin" | "db3");
+            let size = if is_big_endian {
+                0x3FFF_FFF0_u32.to_be_bytes()
+            } else {
+                0x3FFF_FFF0_u32.to_le_bytes()
+            };
+            let mut bytes = whole.clone();
+            bytes[place..place + 4].copy_from_slice(&size);
+            std::fs::write(at(&changed), bytes).unwrap();
+            let line = format!("info {changed}");
+            let output = run(&bench, "eecvs", &line, least + (16 << 10));
+            let said = String::from_utf8_lossy(&output.stderr);
+            assert!(
+                matches!(output.status.code(), Some(0 | 1)),
+                "{ending}, byte {place}: {}: {said}",
+                output.status
+            );
+            assert!(!said.contains("panicked"), "{ending}, byte {place}: {said}");
+            refused_by_memory += usize::from(said.contains("the system refuses"));
+            runs += 1;
+        }
+    }
+    println!("{runs:>6}  headers, {refused_by_memory} of them refused for want of memory");
+    assert!(runs > 500, "{runs}");
+}
+
 #[test]
 fn names_do_not_reach_a_terminal() {
     let bench = Bench::new();

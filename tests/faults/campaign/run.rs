@@ -76,8 +76,18 @@ impl Bench {
         let run = self.at("run");
         std::fs::remove_dir_all(&run).expect("a folder");
         std::fs::create_dir_all(run.join("tmp")).expect("a folder");
+        let old = match case.kind {
+            // Frames without an end mark.
+            Kind::Appended => {
+                let whole = std::fs::read(self.at("in/scene.eecvs")).expect("an input");
+                let mark_bytes = whole.last_chunk::<8>().expect("an end mark");
+                let mark_bytes = u32::from_le_bytes(*mark_bytes.first_chunk().expect("4 of 8"));
+                whole[..whole.len() - mark_bytes as usize].to_vec()
+            }
+            _ => b"old".to_vec(),
+        };
         for name in case.old {
-            std::fs::write(run.join(name), "old").expect("a file");
+            std::fs::write(run.join(name), &old).expect("a file");
         }
         if case.kind == Kind::Together {
             copy(&self.at("in/fleet"), &run.join("fleet"));

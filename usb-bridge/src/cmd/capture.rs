@@ -147,9 +147,9 @@ impl Capture {
                 record::events(&mut reader, path, reorder_us, &mut kept.order)
             }
             Kind::Frames if self.device.sets_up() => {
-                let mut out = record::create(path)?;
+                let mut out = record::create_frames(path)?;
                 let written = record::encoders_frames(session, &mut out, &mut kept.order);
-                written.and(record::flush(&mut out, path))
+                written.and(record::finish(out, path))
             }
             Kind::Frames => {
                 let reader: Box<dyn EventReader> = Box::new(session.reader_of_sensor()?);

@@ -6,6 +6,8 @@ use std::net::TcpListener;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
+#[cfg(all(target_os = "linux", target_pointer_width = "64"))]
+use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
@@ -14,6 +16,8 @@ use eecvs_cli::output::{print, print_json, rows};
 use eecvs_cli::progress::Progress;
 use eecvs_cli::say;
 use eecvs_nostd::Sensor;
+#[cfg(all(target_os = "linux", target_pointer_width = "64"))]
+use rustix::process::{Pid, Signal, kill_process};
 use serde::Serialize;
 
 use crate::device::{Due, MODELS, Model, Stream, find};
@@ -223,15 +227,24 @@ impl Source<'_> {
             .args(arguments)
             .spawn()
             .with_context(|| format!("{name}: cannot run this program"))?;
+        let mut ending: Option<Instant> = None;
         let status = loop {
             if let Some(status) = child.try_wait().with_context(|| format!("{name}"))? {
                 break status;
             }
             if stop.is_asked() {
-                // A signal from the terminal reaches the program as well, which may end in order.
-                std::thread::sleep(GRACE);
-                // It may have ended meanwhile.
-                let _ = child.kill();
+                match ending {
+                    // A signal from a terminal reaches the program as well; another one does not.
+                    None => {
+                        // It may have ended meanwhile.
+                        let _ = kill_process(Pid::from_child(&child), Signal::TERM);
+                        ending = Some(Instant::now());
+                    }
+                    Some(since) if since.elapsed() > GRACE => {
+                        let _ = child.kill();
+                    }
+                    Some(_) => {}
+                }
             }
             std::thread::sleep(Duration::from_millis(10));
         };

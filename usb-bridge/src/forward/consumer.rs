@@ -424,7 +424,9 @@ impl Shared {
                 self.take_back(before, why);
             }
         }
-        sink.end();
+        if let Err(error) = sink.end() {
+            self.fail(error.to_string());
+        }
     }
 
     /// Waits until then, or until the time for sending is over.

@@ -1,5 +1,6 @@
 //! Extracts frames and packets from a stream of bytes that may be damaged.
 
+use eecvs::frame_file::mark::{self, Mark, MarkError};
 use eecvs::stream_buffer::StreamBuffer;
 use eecvs_nostd::frame::SYNC as FRAME_SYNC;
 use eecvs_nostd::{FRAME_BYTES_MAX, Frame, FrameError, Scan, scan};
@@ -82,6 +83,15 @@ impl Demux {
             if rest.is_empty() {
                 return None;
             }
+            // Those of a file that is sent: the stream goes on behind it.
+            match Mark::parse(rest) {
+                Ok((_, bytes)) => {
+                    self.buffer.take(bytes);
+                    continue;
+                }
+                Err(MarkError::Incomplete) if rest.len() > 1 => return None,
+                Err(_) => {}
+            }
             let of_packet = match Packet::look(rest) {
                 Look::Packet(_, bytes) => return Some(bytes),
                 Look::Incomplete if rest.len() < PACKET_BYTES_MAX && rest.len() > 1 => return None,
@@ -150,7 +160,7 @@ fn next_sync(bytes: &[u8]) -> usize {
         bytes.get(*at) == Some(&first)
             && bytes
                 .get(*at + 1)
-                .is_none_or(|byte| *byte == second || *byte == packet::SYNC[1])
+                .is_none_or(|byte| [second, packet::SYNC[1], mark::SYNC[1]].contains(byte))
     };
     (1..bytes.len()).find(begins).unwrap_or(bytes.len())
 }
@@ -194,6 +204,37 @@ mod tests {
             met.extend(sequences(demux));
         }
         met
+    }
+
+    /// A file of frames may be sent as it is.
+    #[test]
+    fn the_marks_of_a_file_are_no_damage() {
+        let (begin, end) = (mark::BEGIN, mark::End::default().to_bytes());
+        let stream = [
+            &begin[..],
+            &packet(1, b"ab"),
+            &end,
+            &begin,
+            &packet(2, b""),
+            &end,
+        ]
+        .concat();
+        for piece in [1, 7, stream.len()] {
+            let (mut demux, mut found) = (Demux::default(), Vec::new());
+            for bytes in stream.chunks(piece) {
+                demux.push(bytes);
+                found.extend(sequences(&mut demux));
+            }
+            assert_eq!(
+                (found, demux.damaged_bytes(), demux.rest_bytes()),
+                (vec![1, 2], 0, 0)
+            );
+        }
+        // One that is cut off hides nothing behind it.
+        let mut demux = Demux::default();
+        demux.push(&[&end[..10], &packet(3, b"")].concat());
+        assert_eq!(rest(&mut demux), [3]);
+        assert_eq!(demux.damaged_bytes(), 10);
     }
 
     proptest! {

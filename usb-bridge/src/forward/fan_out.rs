@@ -1,14 +1,15 @@
 //! Gives the same messages to every consumer.
 
 use std::collections::VecDeque;
-use std::io::{self, Write};
+use std::io;
 use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
+use eecvs::frame_file::FrameSink;
 use eecvs_cli::output::io_causes;
-use eecvs_nostd::Frame;
+use eecvs_nostd::Header;
 use thiserror::Error;
 
 use super::address::Address;
@@ -39,8 +40,7 @@ impl NobodyLeft {
     }
 }
 
-/// All consumers of a stream. As a writer it takes one whole frame per `write_all`, the way the encoder writes
-/// frames.
+/// All consumers of a stream.
 pub struct FanOut {
     consumers: Vec<Consumer>,
     /// Bytes of the latest messages, the oldest first.
@@ -86,6 +86,15 @@ impl FanOut {
         for consumer in &self.consumers {
             consumer.give(message.clone());
         }
+    }
+
+    /// Gives every consumer a message, unless all of them have stopped.
+    fn take(&mut self, bytes: &[u8], events: u64) -> io::Result<()> {
+        if self.is_over() {
+            return Err(io::Error::other(NobodyLeft));
+        }
+        self.give(bytes, events);
+        Ok(())
     }
 
     /// Returns a buffer for a message: that of the oldest message if every consumer is done with it.
@@ -140,18 +149,9 @@ impl FanOut {
     }
 }
 
-impl Write for FanOut {
-    fn write(&mut self, frame: &[u8]) -> io::Result<usize> {
-        if self.is_over() {
-            return Err(io::Error::other(NobodyLeft));
-        }
-        let events = Frame::parse(frame).map_or(0, |frame| u64::from(frame.header.events));
-        self.give(frame, events);
-        Ok(frame.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
+impl FrameSink for FanOut {
+    fn frame(&mut self, header: &Header, bytes: &[u8]) -> io::Result<()> {
+        self.take(bytes, header.events.into())
     }
 }
 
@@ -385,7 +385,7 @@ mod tests {
         )
         .unwrap();
         let until = Instant::now() + Duration::from_secs(20);
-        while fan_out.write_all(b"bytes").is_ok() {
+        while fan_out.take(b"bytes", 0).is_ok() {
             assert!(Instant::now() < until);
             thread::sleep(Duration::from_millis(2));
         }

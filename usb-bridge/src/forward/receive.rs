@@ -1,12 +1,11 @@
 //! Writes frames and packets received over a link to a file.
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
+use eecvs::frame_file::FrameSink;
 use eecvs_nostd::{Event, Order, Sensor, Sequence};
 use event_files::EventWriter;
 use serde::Serialize;
@@ -15,7 +14,7 @@ use super::demux::Message;
 use super::packet::Packet;
 use super::senders::{DATAGRAMS_BYTES, Found, Judge, Senders};
 use crate::device::{self, Parse};
-use crate::record::{self, Kind};
+use crate::record::{self, FrameFile, Kind};
 use crate::session;
 use crate::stop::Stop;
 
@@ -174,7 +173,7 @@ impl Numbers {
 /// Output for the messages.
 enum Output {
     /// A file of frames, written unchanged.
-    Frames(BufWriter<File>),
+    Frames(FrameFile),
     /// A recording of one sensor; its writer is created with the first message.
     Events(Option<(Sensor, Box<dyn EventWriter>)>),
 }
@@ -206,7 +205,7 @@ pub fn receive(
 ) -> (Received, Result<()>) {
     let output = match kind {
         Kind::Events => Output::Events(None),
-        Kind::Frames => match record::create(path) {
+        Kind::Frames => match record::create_frames(path) {
             Ok(file) => Output::Frames(file),
             Err(error) => return (Received::default(), Err(error)),
         },
@@ -294,7 +293,7 @@ impl Receiver<'_> {
         }
         match &mut self.output {
             Output::Frames(file) => {
-                file.write_all(found.bytes)
+                file.frame(&header, found.bytes)
                     .with_context(|| format!("{}: cannot be written", self.path.display()))?;
                 self.count(found.bytes.len(), header.events);
             }
@@ -412,9 +411,7 @@ impl Receiver<'_> {
     fn finish(&mut self) -> Result<()> {
         self.let_go();
         match std::mem::replace(&mut self.output, Output::Events(None)) {
-            Output::Frames(mut file) => file
-                .flush()
-                .with_context(|| format!("{}: cannot be written", self.path.display())),
+            Output::Frames(file) => record::finish(file, self.path),
             Output::Events(Some((_, writer))) => Ok(writer.finish()?),
             Output::Events(None) => Ok(()),
         }

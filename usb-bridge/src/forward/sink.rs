@@ -6,6 +6,8 @@ use std::net::{SocketAddr, TcpStream, UdpSocket};
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use eecvs::frame_file::mark::{BEGIN, Segment};
+use eecvs_nostd::Frame;
 use event_files::output::create_bytes;
 
 use super::address::Address;
@@ -29,8 +31,8 @@ pub enum Sink {
     Udp(UdpSocket, Cutter, Vec<u8>),
     /// A connected Unix domain socket.
     Unix(UnixStream),
-    /// A file.
-    File(File),
+    /// A file, and the segment of its frames; `None` for a device or a pipe, for packets, and before the first frame.
+    File(File, Option<Segment>),
     /// Standard output.
     Stdout,
 }
@@ -59,7 +61,7 @@ impl Sink {
                 stream.set_write_timeout(Some(WAIT))?;
                 Self::Unix(stream)
             }
-            Address::File(path) => Self::File(create_bytes(path)?),
+            Address::File(path) => Self::File(create_bytes(path)?, None),
             Address::Stdout => Self::Stdout,
         })
     }
@@ -85,7 +87,7 @@ impl Sink {
                 stream.set_nonblocking(false).ok()?;
                 word
             }
-            Self::Udp(..) | Self::File(_) | Self::Stdout => None,
+            Self::Udp(..) | Self::File(..) | Self::Stdout => None,
         }
     }
 
@@ -98,7 +100,7 @@ impl Sink {
         match self {
             Self::Tcp(stream) => send_all(stream, message, goes_on),
             Self::Unix(stream) => send_all(stream, message, goes_on),
-            Self::File(file) => file.write_all(message),
+            Self::File(file, segment) => to_file(file, segment, message),
             Self::Stdout => {
                 let mut out = io::stdout().lock();
                 out.write_all(message)?;
@@ -130,8 +132,15 @@ impl Sink {
         }
     }
 
-    /// Announces the end of the stream over UDP; a closed connection or file needs no announcement.
-    pub fn end(&mut self) {
+    /// Announces the end of the stream over UDP, and marks it in a file of frames; a closed connection needs no
+    /// announcement.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn end(&mut self) -> io::Result<()> {
+        if let Self::File(file, Some(segment)) = self {
+            return file.write_all(&segment.end().to_bytes());
+        }
         if let Self::Udp(socket, cutter, datagram) = self
             && !cutter.is_at_start()
         {
@@ -141,6 +150,7 @@ impl Sink {
                 let _ = socket.send(datagram);
             }
         }
+        Ok(())
     }
 
     /// Returns whether the sink can be used further after this error, although the message is lost: UDP has no
@@ -167,6 +177,20 @@ impl Sink {
 /// Returns whether the system had no room for a datagram.
 fn is_full(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut)
+}
+
+/// Writes a message; the first frame begins the segment of a regular file.
+fn to_file(file: &mut File, segment: &mut Option<Segment>, message: &[u8]) -> io::Result<()> {
+    let frame = Frame::parse(message).ok();
+    if frame.is_some() && segment.is_none() && file.metadata()?.is_file() {
+        file.write_all(&BEGIN)?;
+        *segment = Some(Segment::default());
+    }
+    file.write_all(message)?;
+    if let (Some(segment), Some(frame)) = (segment, frame) {
+        segment.add(&frame.header, message);
+    }
+    Ok(())
 }
 
 fn send_all(stream: &mut impl Write, message: &[u8], goes_on: &dyn Fn() -> bool) -> io::Result<()> {

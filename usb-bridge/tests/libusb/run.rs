@@ -2,6 +2,7 @@
 
 use std::path::Path;
 use std::process::{Command, Output};
+use std::time::{Duration, Instant};
 
 use usb_bridge::device::MODELS;
 
@@ -122,4 +123,40 @@ fn it_ends_as_the_program_does() {
     assert_eq!(output.status.code(), Some(3));
     let mut entries = std::fs::read_dir(temporary.path()).unwrap();
     assert!(!entries.any(|entry| left(&entry.unwrap().file_name())));
+}
+
+/// A signal that reaches only this command reaches the program through it, which may end in order.
+#[test]
+fn a_signal_is_passed_on() {
+    if !has_library() {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("scene.csv"), "t,x,y,p\n100,1,2,1\n").unwrap();
+    let script =
+        "trap 'echo in order > ended; exit 5' TERM; echo > begun; while :; do sleep 0.05; done";
+    let mut child = Command::new(PROGRAM)
+        .current_dir(folder.path())
+        .args([
+            "simulate",
+            "dvs128",
+            "scene.csv",
+            "--width",
+            "128",
+            "--height",
+            "128",
+        ])
+        .args(["--run", "sh", "-c", script])
+        .spawn()
+        .unwrap();
+    let until = Instant::now() + Duration::from_secs(20);
+    while !folder.path().join("begun").exists() {
+        assert!(Instant::now() < until);
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let id = child.id().to_string();
+    let sent = Command::new("kill").args(["-TERM", &id]).status().unwrap();
+    assert!(sent.success());
+    assert_eq!(child.wait().unwrap().code(), Some(5));
+    assert!(folder.path().join("ended").exists());
 }

@@ -6,7 +6,6 @@ mod parallel;
 pub mod readout;
 pub mod step;
 
-use std::io::Write;
 use std::num::NonZeroUsize;
 use std::time::{Duration, Instant};
 
@@ -15,6 +14,7 @@ use event_types::stream::{Context, EventReader, Pause, Result};
 use event_types::{bail, ensure};
 use serde::{Deserialize, Serialize};
 
+use crate::frame_file::FrameSink;
 use crate::storage::touch;
 pub use crate::storage::{HostStorage, Limits, WINDOW_EVENTS};
 pub use codec::{Budget, Codec};
@@ -75,7 +75,7 @@ pub struct EncodeSummary {
     pub levels_saturated: u64,
     /// Frames written.
     pub frames: u64,
-    /// Bytes written.
+    /// Bytes written: those of all frames, and of the marks of a file once they are added.
     pub bytes_out: u64,
     /// 8 `bytes_out` / `events_in`; 0 without events.
     pub bits_per_event: f64,
@@ -142,11 +142,19 @@ impl EncodeSummary {
         self.events_encoded.saturating_sub(self.events_approximate)
     }
 
+    /// Adds the bytes of a file that are not frames: its marks.
+    pub fn add_marks(&mut self, bytes: u64) {
+        self.bytes_out += bytes;
+        if self.events_in > 0 {
+            self.bits_per_event = self.bytes_out as f64 * 8.0 / self.events_in as f64;
+        }
+    }
+
     fn finish(&mut self, encoding: Duration, wall: Duration) {
         self.encode_s = encoding.as_secs_f64() / self.threads.max(1) as f64;
         self.wall_s = wall.as_secs_f64();
+        self.add_marks(0);
         if self.events_in > 0 {
-            self.bits_per_event = self.bytes_out as f64 * 8.0 / self.events_in as f64;
             self.events_per_s = self.events_in as f64 / self.encode_s.max(1e-9);
         }
     }
@@ -155,7 +163,8 @@ impl EncodeSummary {
 /// A summary without its times, and the total time that the threads spent encoding.
 type Outcome = (EncodeSummary, Duration);
 
-/// Encodes a recording and writes its frames to `out`; `progress` is called with the number of events read so far.
+/// Encodes a recording and writes its frames to `out`: a stream, or a file by a
+/// [`FrameFileWriter`](crate::frame_file::FrameFileWriter). `progress` is called with the number of events read so far.
 ///
 /// The frames do not depend on `threads`. A live source or a byte budget uses one thread. With one thread
 /// everything runs on the calling thread; with more, a separate thread reads ahead and the calling thread writes. A
@@ -171,7 +180,7 @@ pub fn encode<'h>(
     codec: impl Into<Codec<'h>>,
     limits: Limits,
     threads: NonZeroUsize,
-    out: &mut dyn Write,
+    out: &mut dyn FrameSink,
     progress: &mut dyn FnMut(u64),
 ) -> Result<EncodeSummary> {
     let codec = codec.into();
@@ -227,7 +236,7 @@ pub fn encode<'h>(
 pub fn encode_nothing<'h>(
     codec: impl Into<Codec<'h>>,
     limits: Limits,
-    out: &mut dyn Write,
+    out: &mut dyn FrameSink,
     summary: &mut EncodeSummary,
 ) -> Result<()> {
     let mut codec = codec.into();
@@ -247,7 +256,7 @@ pub fn encode_nothing<'h>(
         match codec.next_frame(&mut encoder, window, &mut frame) {
             Ok(Some(encoded)) => {
                 summary.add(&encoded.header, encoded.range.len());
-                write_frame(out, &frame[encoded.range])?;
+                write_frame(out, &encoded.header, &frame[encoded.range])?;
             }
             Ok(None) => return Ok(()),
             Err(_) => bail!(Refused, "{}", NO_ROOM),
@@ -260,7 +269,7 @@ fn encode_here(
     reader: &mut dyn EventReader,
     codec: Codec<'_>,
     limits: Limits,
-    out: &mut dyn Write,
+    out: &mut dyn FrameSink,
     progress: &mut dyn FnMut(u64),
 ) -> Result<Outcome> {
     let mut storage = HostStorage::with_windows(1, codec.config.window.sensor, limits);
@@ -283,7 +292,7 @@ fn encode_here(
             match encoded {
                 Ok(Some(encoded)) => {
                     summary.add(&encoded.header, encoded.range.len());
-                    write_frame(out, &frame[encoded.range])?;
+                    write_frame(out, &encoded.header, &frame[encoded.range])?;
                 }
                 Ok(None) => break,
                 Err(_) => bail!(Refused, "{}", NO_ROOM),
@@ -299,6 +308,6 @@ fn encode_here(
 /// Message for an error that cannot occur: [`encode`] checks that a frame has room for [`OUTPUT_BYTES_MIN`] bytes.
 const NO_ROOM: &str = "a frame has no room for a pixel";
 
-fn write_frame(out: &mut dyn Write, frame: &[u8]) -> Result<()> {
-    out.write_all(frame).context("writing frames")
+fn write_frame(out: &mut dyn FrameSink, header: &Header, frame: &[u8]) -> Result<()> {
+    out.frame(header, frame).context("writing frames")
 }

@@ -15,7 +15,6 @@
 //! There is no deadlock: the encoder of the oldest window holds no lock, and the writer waits for that encoder
 //! alone. A thread that ends, for whatever reason, drops its ends of the channels, which ends the others.
 
-use std::io::Write;
 use std::num::NonZeroUsize;
 use std::ops::Range;
 use std::panic::resume_unwind;
@@ -33,6 +32,7 @@ use event_types::{bail, error};
 
 use super::cutter::{Batches, Cutter};
 use super::{Codec, EncodeSummary, HostStorage, Limits, NO_ROOM, Outcome, REORDER_US, write_frame};
+use crate::frame_file::FrameSink;
 
 /// Batches of events read ahead.
 const BATCHES_AHEAD: usize = 4;
@@ -104,7 +104,7 @@ pub fn encode(
     codec: Codec<'_>,
     limits: Limits,
     threads: NonZeroUsize,
-    out: &mut dyn Write,
+    out: &mut dyn FrameSink,
     progress: &mut dyn FnMut(u64),
 ) -> Result<Outcome> {
     let sensor = codec.config.window.sensor;
@@ -338,7 +338,7 @@ impl Shared {
 fn write(
     cuts: Receiver<Cut>,
     shared: &Shared,
-    out: &mut dyn Write,
+    out: &mut dyn FrameSink,
     progress: &mut dyn FnMut(u64),
 ) -> Result<EncodeSummary> {
     let mut summary = EncodeSummary::default();
@@ -356,7 +356,8 @@ fn write(
                 }
                 sequence = sequence.wrapping_add(1);
                 extra_frames = extra_frames.wrapping_add(u32::from(!made.header.last));
-                write_frame(out, room.get(made.range.clone()).unwrap_or_default())?;
+                let frame = room.get(made.range.clone()).unwrap_or_default();
+                write_frame(out, &made.header, frame)?;
                 summary.add(&made.header, made.range.len());
             }
             let is_last = chunk.is_last;

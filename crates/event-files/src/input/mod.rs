@@ -288,6 +288,15 @@ pub trait Decode: Send {
         Ok(false)
     }
 
+    /// Implements [`EventReader::end_at`].
+    ///
+    /// # Errors
+    /// Those of [`EventReader::end_at`].
+    fn end_at(&mut self, t_us: u64) -> Result<()> {
+        let _ = t_us;
+        Ok(())
+    }
+
     /// Appends events until the batch has no room left, or the recording ends.
     ///
     /// If it appends none, the recording has ended. Events appended before an error are valid.
@@ -401,6 +410,10 @@ impl<D: Decode> EventReader for Reader<D> {
         // The end may have been reached before the seek.
         self.ended &= !sought;
         Ok(sought)
+    }
+
+    fn end_at(&mut self, t_us: u64) -> Result<()> {
+        self.decoder.end_at(t_us)
     }
 
     fn skipped(&self) -> &Skipped {

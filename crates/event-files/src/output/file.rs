@@ -34,6 +34,12 @@ impl OutputFile {
         })
     }
 
+    /// Returns whether the output is a device or a pipe, like [`Output::is_direct`].
+    #[must_use]
+    pub const fn is_direct(&self) -> bool {
+        self.output.is_direct()
+    }
+
     /// Flushes the buffer and gives the file its name.
     ///
     /// # Errors

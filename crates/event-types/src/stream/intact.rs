@@ -63,6 +63,10 @@ impl EventReader for Intact {
         self.reader.seek(t_us)
     }
 
+    fn end_at(&mut self, t_us: u64) -> Result<()> {
+        self.reader.end_at(t_us)
+    }
+
     fn pause(&self) -> Pause {
         if self.damage.is_some() {
             Pause::Ended

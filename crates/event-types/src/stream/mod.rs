@@ -83,6 +83,16 @@ pub trait EventReader: Send {
         Ok(false)
     }
 
+    /// Allows the reader to leave out events at or after `t_us`, if the format can find where they are: after this, and
+    /// in any case, events after `t_us` may still come.
+    ///
+    /// # Errors
+    /// The index is damaged.
+    fn end_at(&mut self, t_us: u64) -> Result<()> {
+        let _ = t_us;
+        Ok(())
+    }
+
     /// Leaves out and counts invalid events from here on, instead of ending with an error. Returns false if the
     /// reader knows no invalid events, or takes this choice only when it is opened.
     fn leave_out_bad_events(&mut self) -> bool {

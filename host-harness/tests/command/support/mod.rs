@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use eecvs::frame_file::FrameReader;
 use eecvs_nostd::{Event, Polarity, Sensor};
 use serde_json::Value;
 
@@ -137,19 +138,12 @@ impl Folder {
     /// The frames of a file, cut apart by what `inspect` says of their sizes.
     pub fn frames(&self, name: &str) -> Vec<Vec<u8>> {
         let bytes = self.bytes(name);
-        let mut start = 0;
-        let frames: Vec<Vec<u8>> = self
-            .eecvs(&format!("inspect {name} --json"))
-            .array()
-            .iter()
-            .map(|row| {
-                let end = start + count(row, "bytes") as usize;
-                let frame = bytes[start..end].to_vec();
-                start = end;
-                frame
-            })
-            .collect();
-        assert_eq!(start, bytes.len(), "the rows' bytes make up the file");
+        let mut reader = FrameReader::new(&bytes[..]);
+        let mut frames = Vec::new();
+        while let Some(located) = reader.next_frame().expect("memory") {
+            frames.push(located.bytes.to_vec());
+        }
+        assert!(reader.report().is_clean(), "{:?}", reader.report());
         frames
     }
 }

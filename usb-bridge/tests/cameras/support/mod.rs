@@ -133,3 +133,18 @@ pub fn listening(port: u16, kind: &str) {
         std::thread::sleep(Duration::from_millis(10));
     }
 }
+
+/// The frames of a file without its marks; all of them are there.
+pub fn frames(path: &Path) -> Vec<u8> {
+    let mut reader = FrameReader::new(std::fs::File::open(path).unwrap());
+    let mut frames = Vec::new();
+    while let Some(located) = reader.next_frame().unwrap() {
+        frames.extend(located.bytes);
+    }
+    let report = reader.report();
+    assert!(
+        report.is_clean() && report.segments_ended == 1,
+        "{report:?}"
+    );
+    frames
+}
