@@ -8,6 +8,7 @@ use eecvs::encode::{Limits, encode, readout};
 use eecvs::frame_file::FrameReader;
 use eecvs::reconstruct::DecodedWindow;
 use eecvs::reconstruct::events::{EventDecoder, Finder};
+use eecvs::work_limit::WorkLimit;
 use eecvs_bench::source::{Source, WINDOW_US};
 use eecvs_nostd::{Config, Event, Mode, Thresholds, Transform, WindowConfig};
 
@@ -87,7 +88,8 @@ pub fn decode(
 ) -> Result<Vec<Event>> {
     let mut windows = WindowReader::new(FrameReader::new(file));
     let mut events = Vec::new();
-    let mut decoder = EventDecoder::new(finder);
+    // A study is of all pixels, whatever that takes.
+    let mut decoder = EventDecoder::new(finder).with_work_limit(WorkLimit::NONE);
     while let Some(mut window) = windows.next_window()? {
         each(&window)?;
         decoder.fill(&mut window);

@@ -12,6 +12,8 @@ use eecvs::encode::{Limits, all_cores, encode};
 use eecvs::frame_file::FrameReader;
 use eecvs::reconstruct::events::{EventDecoder, Finder};
 use eecvs::reconstruct::{DecodedWindow, recover::Confidences};
+use eecvs::thresholds_file::ThresholdsFile;
+use eecvs::work_limit::WorkLimit;
 use eecvs_bench::record_file;
 use eecvs_bench::table::exact_times::{self, Row, SCENES, SIZES};
 use eecvs_nostd::{Config, Event, Mode, Quantiser, Sensor, Thresholds, Transform, WindowConfig};
@@ -213,6 +215,7 @@ fn measure(open: &dyn Fn() -> Box<dyn EventReader>, step_log2: i8, name: &str) -
             let mut found = solved.events;
             found.sort_unstable_by_key(pixel_order);
             tally(&truth, &found, tallies);
+            assert_eq!(confidences.pixels_over_work_limit, 0, "{name}");
             if finder == Finder::Exact {
                 outcome.confidences.add(confidences);
             }
@@ -305,6 +308,45 @@ impl EventReader for Start {
     fn skipped(&self) -> &event_files::Skipped {
         self.reader.skipped()
     }
+}
+
+/// The first window of the densest recording, at the encoder's defaults: as docs/paper.md says, no pixel of it is
+/// beyond the default limit of work, and no other recording's window is as much work.
+#[test]
+fn the_densest_recording_stays_below_the_work_limit() {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data");
+    let path = data.join("gen3_vga_dense_evt2/evt2.raw");
+    if !path.exists() {
+        eprintln!("skipped: {} is absent", path.display());
+        return;
+    }
+    let mut reader = event_files::open(&path, None).expect("a recording");
+    let config = Config::new(
+        WindowConfig::new(reader.sensor(), WINDOW_US),
+        ThresholdsFile::scenes()
+            .and_then(|file| file.thresholds())
+            .expect("the built-in thresholds"),
+        Mode::Transform,
+    );
+    let mut bytes = Vec::new();
+    let limits = Limits::default();
+    encode(
+        &mut *reader,
+        config,
+        limits,
+        all_cores(),
+        &mut bytes,
+        &mut |_| (),
+    )
+    .expect("encoding works");
+    let mut windows = WindowReader::new(FrameReader::new(&bytes[..]));
+    let mut window = windows.next_window().expect("memory").expect("a window");
+    let mut decoder = EventDecoder::new(Finder::Exact);
+    let confidences = decoder.fill(&mut window);
+    println!("{} units, {confidences:?}", decoder.units());
+    assert_eq!(confidences.pixels_over_work_limit, 0);
+    let limit = WorkLimit::default().get();
+    assert!((limit / 4..limit).contains(&decoder.units()));
 }
 
 #[test]

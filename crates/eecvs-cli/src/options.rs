@@ -9,8 +9,10 @@ use clap::Args;
 use clap::builder::RangedU64ValueParser;
 use clap::error::ErrorKind;
 use eecvs::frame_file::LinkReport;
+use eecvs::reconstruct::recover::Confidences;
 use eecvs::thresholds_file::ThresholdsFile;
 use eecvs::window_limit::WindowLimit;
+use eecvs::work_limit::WorkLimit;
 use eecvs_nostd::{Sensor, Thresholds};
 use event_files::input::growing::Follow;
 use event_files::output::Kind;
@@ -61,6 +63,10 @@ pub struct ReadingOptions {
     /// The largest windows of frames.
     #[command(flatten)]
     pub window_limit: WindowLimitOptions,
+
+    /// The most work that their event times may cost.
+    #[command(flatten)]
+    pub work_limit: WorkLimitOptions,
 }
 
 /// How many events a window of frames may have.
@@ -79,6 +85,24 @@ impl WindowLimitOptions {
     #[must_use]
     pub fn limit(self) -> WindowLimit {
         self.max_events_per_window.into()
+    }
+}
+
+/// How much work the event times of a window of coefficients may cost.
+#[derive(Debug, Clone, Copy, Default, Args)]
+pub struct WorkLimitOptions {
+    /// Most work that finding the event times of a window of coefficients may cost, in millions of steps, which are
+    /// counted, not timed: about two a millisecond of one core. Pixels beyond it get rough times at once and are
+    /// counted [default: 40000]
+    #[arg(long, value_name = "N")]
+    max_work_per_window: Option<u32>,
+}
+
+impl WorkLimitOptions {
+    /// Returns the limit.
+    #[must_use]
+    pub fn limit(self) -> WorkLimit {
+        self.max_work_per_window.into()
     }
 }
 
@@ -200,6 +224,7 @@ impl ReadingOptions {
                 BadEvents::Refuse
             },
             window_events_max: self.window_limit.max_events_per_window,
+            window_work_max: self.work_limit.max_work_per_window,
         }
     }
 }
@@ -307,6 +332,13 @@ impl TimeOptions {
     pub fn times(&self) -> Option<Range<u64>> {
         let is_all = self.from_us.is_none() && self.to_us.is_none();
         (!is_all).then(|| self.from_us.unwrap_or(0)..self.to_us.unwrap_or(u64::MAX))
+    }
+}
+
+/// Reports pixels whose event times were not sought, as a line on stderr: no event is missing.
+pub fn tell_confidences(name: &str, confidences: &Confidences) {
+    if let Some(warning) = confidences.warning() {
+        say!("eecvs: {name}: {warning}");
     }
 }
 

@@ -11,7 +11,7 @@ use serde::Serialize;
 use crate::frame_file::{FrameReader, LinkReport, Times};
 use crate::reconstruct::arrival::Arrivals;
 use crate::reconstruct::coefficients::CoefficientDecoder;
-use crate::reconstruct::events::{EventDecoder, Finder};
+use crate::reconstruct::events::EventDecoder;
 use crate::reconstruct::hybrid::{HybridDecoder, Refused};
 use crate::reconstruct::recover::Confidences;
 use crate::reconstruct::{DecodedWindow, Pixel, pixels};
@@ -350,13 +350,13 @@ pub struct DecodeSummary {
 ///
 /// `create` opens the output once the sensor is known, even if no frame has events; if it returns `None`, no events are recovered or written.
 /// `each` is called with the index and the decoded content of every window, before event times are solved for.
-/// `progress` is called with the number of events so far. `finder` applies to windows of coefficients.
+/// `progress` is called with the number of events so far. `events` recovers the events of each window.
 ///
 /// # Errors
 /// Fails if reading or writing fails, and with the errors of `create` and `each`.
 pub fn decode<R: Read, E: From<Error>>(
     windows: &mut WindowReader<R>,
-    finder: Finder,
+    mut events: EventDecoder,
     create: &mut dyn FnMut(Sensor) -> Result<Option<Box<dyn EventWriter>>, E>,
     each: &mut dyn FnMut(u64, &DecodedWindow) -> Result<(), E>,
     progress: &mut dyn FnMut(u64),
@@ -364,7 +364,6 @@ pub fn decode<R: Read, E: From<Error>>(
     let mut summary = DecodeSummary::default();
     let mut decoding = Duration::ZERO;
     let mut writer: Option<Option<Box<dyn EventWriter>>> = None;
-    let mut events = EventDecoder::new(finder);
     while let Some(mut window) = windows.next_window()? {
         each(summary.windows, &window)?;
         let output = match &mut writer {

@@ -48,5 +48,6 @@ pub mod stream_buffer;
 pub mod thresholds_file;
 pub mod window_counts;
 pub mod window_limit;
+pub mod work_limit;
 
 pub use event_types::stream::{Error, ErrorKind};

@@ -16,6 +16,7 @@ use eecvs::decode::WindowReader;
 use eecvs::frame_file::{FrameReader, LinkReport, mark};
 use eecvs::reconstruct::DecodedWindow;
 use eecvs::reconstruct::events::{EventDecoder, Finder};
+use eecvs::reconstruct::recover::Confidences;
 use eecvs_nostd::frame::SYNC;
 use event_types::stream::{Context, Result};
 use event_types::{Event, Sensor, bail};
@@ -58,6 +59,7 @@ pub struct FrameEvents<R> {
     name: String,
     windows: WindowReader<R>,
     events: EventDecoder,
+    confidences: Confidences,
     sensor: Sensor,
     /// A decoded window that is returned next.
     ahead: Option<DecodedWindow>,
@@ -65,17 +67,19 @@ pub struct FrameEvents<R> {
 
 impl<R: Read> FrameEvents<R> {
     /// Reads up to the first window with events, or to the end if there is none; windows have at most
-    /// [`Reading::window_events_max`] events.
+    /// [`Reading::window_events_max`] events, and their times cost at most [`Reading::window_work_max`].
     ///
     /// # Errors
     /// I/O; there is no frame.
     pub fn new(source: R, name: &str, reading: &Reading) -> Result<Self> {
         let windows = WindowReader::new(FrameReader::new(source));
         let mut windows = windows.with_limit(reading.window_events_max.into());
-        let mut events = EventDecoder::new(Finder::default());
+        let events = EventDecoder::new(Finder::default());
+        let mut events = events.with_work_limit(reading.window_work_max.into());
+        let mut confidences = Confidences::default();
         let mut first = windows.next_window().with_context(|| name.to_owned())?;
         if let Some(window) = &mut first {
-            events.fill(window);
+            confidences.add(events.fill(window));
         }
         let Some(sensor) = windows.sensor() else {
             bail!(
@@ -88,6 +92,7 @@ impl<R: Read> FrameEvents<R> {
             sensor,
             windows,
             events,
+            confidences,
             ahead: first,
         })
     }
@@ -136,7 +141,7 @@ impl<R: Read> FrameEvents<R> {
             let Some(mut window) = next.with_context(|| name.clone())? else {
                 return Ok(None);
             };
-            self.events.fill(&mut window);
+            self.confidences.add(self.events.fill(&mut window));
             self.ahead = Some(window);
         };
         Ok(Some(window))
@@ -145,6 +150,11 @@ impl<R: Read> FrameEvents<R> {
     /// Takes back a window's memory, to be used for later windows.
     pub fn reuse(&mut self, window: DecodedWindow) {
         self.windows.reuse(window);
+    }
+
+    /// Returns the confidence counts of the times found so far.
+    pub const fn confidences(&self) -> Confidences {
+        self.confidences
     }
 
     /// Returns what was damaged or lost so far.
@@ -208,6 +218,10 @@ impl FramesDecoder {
         ] {
             self.skipped.add(kind, events);
         }
+        self.skipped.add(
+            "pixels of rough times, beyond --max-work-per-window",
+            self.frames.confidences.pixels_over_work_limit,
+        );
         let report = windows.report();
         for (kind, frames) in [
             ("frames before the first one", report.frames_before),

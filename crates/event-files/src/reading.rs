@@ -21,6 +21,9 @@ pub struct Reading {
     /// Largest number of events of a window of EECVS frames, or `None` for what a sensor can send. Frames of windows
     /// with more are left out and counted.
     pub window_events_max: Option<u32>,
+    /// Most work that finding the event times of a window of EECVS frames may cost, in millions of units, or `None`
+    /// for the default. Times beyond it are rough, and their pixels are counted.
+    pub window_work_max: Option<u32>,
 }
 
 impl From<Option<Sensor>> for Reading {

@@ -7,8 +7,9 @@ use clap::{Args, ValueEnum};
 use eecvs::decode::FrameCounts;
 use eecvs::reconstruct::DecodedWindow;
 use eecvs::reconstruct::events::{EventDecoder, Finder};
+use eecvs::reconstruct::recover::Confidences;
 use eecvs::reconstruct::volume::{Channels, Maker, Weights};
-use eecvs_cli::options::WindowLimitOptions;
+use eecvs_cli::options::{WindowLimitOptions, WorkLimitOptions};
 use eecvs_cli::values::finder;
 use eecvs_cli::volume::VolumeOptions;
 use eecvs_nostd::{Event, Polarity};
@@ -54,6 +55,9 @@ pub struct Decode {
 
     #[command(flatten)]
     window_limit: WindowLimitOptions,
+
+    #[command(flatten)]
+    work_limit: WorkLimitOptions,
 
     #[command(flatten)]
     packets: PacketOptions,
@@ -114,6 +118,7 @@ impl Decode {
         let mut totals = Totals::default();
         let mut ready: Vec<Decoded> = Vec::new();
         let mut latest = Header::default();
+        let mut is_warned = false;
         loop {
             let frame = frames.next_frame(&context, &mut ready)?;
             if let Some(now) = context.changed::<Self>() {
@@ -128,10 +133,17 @@ impl Decode {
             for decoded in ready.drain(..) {
                 totals.windows += 1;
                 totals.events += making.window(decoded, &latest, &mut outputs)?;
+                if !is_warned && let Some(warning) = making.confidences.warning() {
+                    context.say(&warning);
+                    is_warned = true;
+                }
             }
             if is_over {
                 break;
             }
+        }
+        if let Some(warning) = making.confidences.warning() {
+            context.say(&warning);
         }
         context.say(&totals.line(frames.account(), &frames.counts(), &outputs));
         refuse_losses(self.losses.allow_loss, &frames.account().losses())
@@ -165,6 +177,7 @@ impl Totals {
 struct Making<'o> {
     options: &'o Decode,
     finder: EventDecoder,
+    confidences: Confidences,
     packer: Option<((u32, u32), crate::packing::Packer)>,
     volumes: Maker,
     volume_seq: u64,
@@ -173,11 +186,14 @@ struct Making<'o> {
 
 impl<'o> Making<'o> {
     fn new(options: &'o Decode) -> Self {
+        let limit = options.work_limit.limit();
+        let events = || EventDecoder::new(options.events).with_work_limit(limit);
         Self {
             options,
-            finder: EventDecoder::new(options.events),
+            finder: events(),
+            confidences: Confidences::default(),
             packer: None,
-            volumes: Maker::new(options.form.form(), options.events),
+            volumes: Maker::new(options.form.form(), events()),
             volume_seq: 0,
             picture: Picture::new(options.image, options.image_hz),
         }
@@ -199,7 +215,7 @@ impl<'o> Making<'o> {
                 if outputs.volume.subscribers() > 0 {
                     self.volume(&window, header, &mut outputs.volume)?;
                 }
-                self.finder.fill(&mut window);
+                self.confidences.add(self.finder.fill(&mut window));
                 (window.header.sensor, window.events)
             }
             Decoded::Events(span, events) => (span.sensor, events),

@@ -6,11 +6,12 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::Args;
 use eecvs::decode::{DecodeSummary, WindowReader, decode};
 use eecvs::frame_file::FrameReader;
-use eecvs::reconstruct::events::Finder;
+use eecvs::reconstruct::events::{EventDecoder, Finder};
 use eecvs::reconstruct::volume::Maker;
 use eecvs_cli::memory::look_for;
 use eecvs_cli::options::{
-    FormatOptions, OutputOptions, TimeOptions, WindowLimitOptions, tell_link,
+    FormatOptions, OutputOptions, TimeOptions, WindowLimitOptions, WorkLimitOptions,
+    tell_confidences, tell_link,
 };
 use eecvs_cli::output::{Place, rows};
 use eecvs_cli::progress::Progress;
@@ -59,6 +60,9 @@ pub struct Decode {
 
     #[command(flatten)]
     window_limit: WindowLimitOptions,
+
+    #[command(flatten)]
+    work_limit: WorkLimitOptions,
 
     #[command(flatten)]
     format: FormatOptions,
@@ -113,7 +117,8 @@ impl Decode {
                 None
             }
         };
-        let mut maker = Maker::new(self.form.form(), self.events);
+        let events = || EventDecoder::new(self.events).with_work_limit(self.work_limit.limit());
+        let mut maker = Maker::new(self.form.form(), events());
         let windows = WindowReader::new(FrameReader::new(open_bytes(&self.input)?));
         let mut windows = windows.with_limit(self.window_limit.limit());
         if let Some(times) = self.times.times() {
@@ -123,7 +128,7 @@ impl Decode {
         let progress = Progress::new("events");
         let summary = decode(
             &mut windows,
-            self.events,
+            events(),
             &mut |sensor| match self.output.as_ref().zip(format) {
                 Some((path, format)) => event_files::create_as(path, format, sensor).map(Some),
                 None => Ok(None),
@@ -143,7 +148,10 @@ impl Decode {
             &mut |events| progress.set(events),
         );
         drop(progress);
-        let summary = summary?;
+        let mut summary = summary?;
+        // Times may have been found for the events, for the volumes, or for both.
+        let over = &mut summary.confidences.pixels_over_work_limit;
+        *over = (*over).max(maker.confidences().pixels_over_work_limit);
         if summary.link.frames == 0 {
             bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
         }
@@ -163,6 +171,7 @@ impl Decode {
         let outputs = [&self.output, &self.volume].into_iter().flatten();
         let place = Place::beside(outputs.map(PathBuf::as_path));
         place.tell(self.json, &summary, || table(&summary))?;
+        tell_confidences(&name, &summary.confidences);
         tell_link(&name, &summary.link)
     }
 }
@@ -200,6 +209,10 @@ fn table(summary: &DecodeSummary) -> String {
         (
             "  approximate",
             summary.confidences.pixels_approximate.to_string(),
+        ),
+        (
+            "  beyond the work limit",
+            summary.confidences.pixels_over_work_limit.to_string(),
         ),
         ("frames lost", summary.link.frames_lost.to_string()),
         ("damaged bytes", summary.link.damaged_bytes.to_string()),

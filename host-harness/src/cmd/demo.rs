@@ -10,7 +10,7 @@ use eecvs::decode::{WindowReader, decode};
 use eecvs::density_series::{WindowDensity, of_recording};
 use eecvs::encode::{Limits, encode};
 use eecvs::frame_file::FrameReader;
-use eecvs::reconstruct::events::Finder;
+use eecvs::reconstruct::events::{EventDecoder, Finder};
 use eecvs::thresholds_file::ThresholdsFile;
 use eecvs_bench::record_file;
 use eecvs_cli::folder::RunFolder;
@@ -272,7 +272,7 @@ impl Run {
         let decoded = self.decoded(name);
         decode(
             &mut WindowReader::new(FrameReader::new(open_bytes(&frames)?)),
-            Finder::Exact,
+            EventDecoder::new(Finder::Exact),
             &mut |sensor| event_files::create(&decoded, sensor).map(Some),
             &mut |_, _| Ok(()),
             &mut show,

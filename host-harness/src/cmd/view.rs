@@ -10,7 +10,7 @@ use anyhow::{Context, Result, anyhow, bail, ensure};
 use clap::Args;
 use eecvs_cli::folder::RunFolder;
 use eecvs_cli::memory::look_for;
-use eecvs_cli::options::{OutputOptions, ReadingOptions, TimeOptions, tell_link};
+use eecvs_cli::options::{OutputOptions, ReadingOptions, TimeOptions, tell_confidences, tell_link};
 use eecvs_cli::output::{Place, rows};
 use eecvs_cli::progress::Progress;
 use eecvs_cli::say;
@@ -350,6 +350,7 @@ impl View {
                 continue;
             };
             let name = name_of(path);
+            tell_confidences(&name, &slices.input().confidences());
             let report = slices.input().report();
             if let Some(Err(error)) = report.map(|report| tell_link(&name, report)) {
                 missing(error);

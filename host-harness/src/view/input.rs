@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::Result;
 use eecvs::frame_file::LinkReport;
+use eecvs::reconstruct::recover::Confidences;
 use eecvs_nostd::{Event, Sensor};
 use event_files::content::Content;
 use event_files::frames::FrameEvents;
@@ -93,6 +94,15 @@ impl Input {
                 frames.reuse(window);
                 Ok(count)
             }
+        }
+    }
+
+    /// Returns the confidence counts of the times found in frames so far.
+    #[must_use]
+    pub fn confidences(&self) -> Confidences {
+        match self {
+            Self::Recording(_) => Confidences::default(),
+            Self::Frames(frames) => frames.confidences(),
         }
     }
 

@@ -465,6 +465,39 @@ fn the_demo_writes_pictures_and_a_report() {
     }
 }
 
+/// Pixels whose times are more work than is allowed have all of their events, and are counted and named.
+#[test]
+fn work_beyond_the_limit_is_told() {
+    let folder = Folder::new();
+    folder.scene("scene.raw");
+    folder
+        .eecvs("encode scene.raw -o a.eecvs --mode transform")
+        .ok();
+    let key = "pixels_over_work_limit";
+    let decode = "decode a.eecvs -o b.raw --json";
+    assert_eq!(count(&folder.eecvs(decode).ok().object(), key), 0);
+    let told = ["a.eecvs", "rough", "--max-work-per-window"];
+    for finder in ["exact", "peaks"] {
+        let limited = format!("{decode} --events {finder} --max-work-per-window 1");
+        let summary = folder.eecvs(&limited).warns(&told).object();
+        assert!(count(&summary, key) > 0, "{finder}");
+        assert!(count(&summary, key) <= count(&summary, "pixels_approximate"));
+        assert_eq!(folder.pixels("b.raw"), folder.pixels("scene.raw"));
+    }
+    let volume = "decode a.eecvs --volume v.npy --bins 4 --voxel bilinear --json";
+    let limited = format!("{volume} --max-work-per-window 0");
+    let summary = folder.eecvs(&limited).warns(&told).object();
+    assert!(count(&summary, key) > 0);
+    // Readers of recordings count them among what a recording lacks.
+    let convert = "convert a.eecvs c.raw --max-work-per-window 0";
+    let told = folder.eecvs(convert);
+    assert!(
+        format!("{told}").contains("--max-work-per-window"),
+        "{told}"
+    );
+    assert_eq!(folder.pixels("c.raw"), folder.pixels("scene.raw"));
+}
+
 /// A pixel that sends ten events a microsecond is no sensor's.
 #[test]
 fn windows_of_more_events_than_a_sensor_sends_are_read_if_asked_for() {

@@ -24,15 +24,20 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::equations::Equations;
+use super::refine::Work;
 
 /// Points of the density for each period of the highest atom.
 const POINTS_PER_PERIOD: usize = 8;
+/// Smallest number of points.
+const POINTS_MIN: usize = 64;
 /// Largest number of points.
 const POINTS_MAX: usize = 512;
 /// Largest number of rows used, lowest k first.
-const ROWS_MAX: usize = 48;
+pub(super) const ROWS_MAX: usize = 48;
 /// Largest number of Newton steps.
-const ROUNDS: usize = 30;
+pub(super) const ROUNDS: usize = 30;
+/// Largest number of times that a Newton step is halved.
+pub(super) const HALVINGS: usize = 20;
 
 /// Writes the density of these exponents, normalised to a sum of 1; returns the log of the sum before normalising.
 fn normalised(exponents: &[f64], sign: f64, density: &mut Vec<f64>) -> f64 {
@@ -56,8 +61,8 @@ pub struct Densities {
 impl Densities {
     /// Computes the densities for a pixel's equations, whose signs are not used.
     #[must_use]
-    pub fn flattest(equations: &Equations) -> Self {
-        let [on, off] = densities(equations);
+    pub fn flattest(equations: &Equations, work: &mut Work) -> Self {
+        let [on, off] = densities(equations, work);
         Self {
             of: [(on, equations.on as usize), (off, equations.off as usize)],
         }
@@ -73,7 +78,19 @@ impl Densities {
     }
 }
 
-fn densities(equations: &Equations) -> [Vec<f64>; 2] {
+/// Returns the number of points of the densities of a pixel whose highest coefficient used is `highest`.
+pub(super) const fn points(highest: usize) -> usize {
+    let points = POINTS_PER_PERIOD * (highest + 1);
+    if points < POINTS_MIN {
+        POINTS_MIN
+    } else if points > POINTS_MAX {
+        POINTS_MAX
+    } else {
+        points
+    }
+}
+
+fn densities(equations: &Equations, work: &mut Work) -> [Vec<f64>; 2] {
     let counts = [f64::from(equations.on), f64::from(equations.off)];
     let rows = equations.rows().min(ROWS_MAX);
     if rows == 0 {
@@ -88,7 +105,9 @@ fn densities(equations: &Equations) -> [Vec<f64>; 2] {
             .copied()
             .unwrap_or(0),
     );
-    let points = (POINTS_PER_PERIOD * (highest + 1)).clamp(64, POINTS_MAX);
+    let points = points(highest);
+    let size = equations.size();
+    work.spend(size.density_start(points as u64));
     let mut atoms = DMatrix::zeros(points, rows);
     for j in 0..points {
         let u = (j as f64 + 0.5) / points as f64;
@@ -112,6 +131,7 @@ fn densities(equations: &Equations) -> [Vec<f64>; 2] {
     };
     let mut value = value_at(&lambda, &mut densities);
     for _ in 0..ROUNDS {
+        work.spend(size.density_round(points as u64));
         let mut gradient = &lambda * noise - &target;
         let mut hessian = DMatrix::identity(rows, rows) * noise;
         for ((count, sign), density) in counts.iter().zip([1.0, -1.0]).zip(&densities) {
@@ -125,7 +145,13 @@ fn densities(equations: &Equations) -> [Vec<f64>; 2] {
             for mut column in weighted.column_iter_mut() {
                 column.component_mul_assign(&density);
             }
-            hessian.gemm_tr(*count, &atoms, &weighted, 1.0);
+            // The lower triangle is all that the factorisation reads.
+            for j in 0..rows {
+                let rest = atoms.columns(j, rows - j);
+                let mut column = hessian.view_mut((j, j), (rows - j, 1));
+                let mut column = column.column_mut(0);
+                column.gemv_tr(*count, &rest, &weighted.column(j), 1.0);
+            }
             hessian.ger(-count, &mean, &mean, 1.0);
         }
         if gradient.amax() < equations.half {
@@ -138,7 +164,8 @@ fn densities(equations: &Equations) -> [Vec<f64>; 2] {
         let slope = gradient.dot(&step);
         let mut scale = 1.0;
         let mut is_better = false;
-        for _ in 0..20 {
+        for _ in 0..HALVINGS {
+            work.spend(size.density_value(points as u64));
             let next = &lambda - &step * scale;
             let after = value_at(&next, &mut densities);
             if after <= value - 1e-4 * scale * slope {
@@ -156,7 +183,7 @@ fn densities(equations: &Equations) -> [Vec<f64>; 2] {
 }
 
 /// Returns where the cumulative density reaches (i + place) / n, for i in 0..n.
-fn quantiles(density: &[f64], n: usize, place: f64) -> Vec<f64> {
+pub(super) fn quantiles(density: &[f64], n: usize, place: f64) -> Vec<f64> {
     let mut times = Vec::with_capacity(n);
     let (mut point, mut below) = (0, 0.0);
     let last = density.len() - 1;

@@ -11,7 +11,7 @@ use super::pursuit::Peaks;
 use super::refine::{Work, least_squares, rms};
 
 /// Values of `place` at which the flattest densities are sampled (see [`Densities::times`]).
-const PLACES: [f64; 7] = [0.5, 0.3, 0.7, 0.15, 0.85, 0.4, 0.6];
+pub(super) const PLACES: [f64; 7] = [0.5, 0.3, 0.7, 0.15, 0.85, 0.4, 0.6];
 /// RMS residual, in units of h, below which a result counts as a solution.
 const RMS_SOLVED: f64 = 1.0;
 
@@ -24,15 +24,16 @@ pub fn times(
     rounds: usize,
     work: &mut Work,
 ) -> Vec<f64> {
-    let densities = Densities::flattest(equations);
+    let densities = Densities::flattest(equations, work);
     let mut starts: Vec<Vec<f64>> = PLACES.map(|place| densities.times(place)).into();
     if let Some((peaks, pixel)) = peaks {
-        starts.push(peaks.times(pixel));
+        starts.push(peaks.times(pixel, work));
         starts.push(peaks.refined(pixel, equations, work));
     }
     let mut solutions: Vec<(f64, Vec<f64>)> = starts
         .into_iter()
         .map(|mut times| {
+            work.spend(equations.size().ordered());
             least_squares(equations, &mut times, rounds, work);
             let rms = rms(equations, &times, work);
             in_order(equations, &mut times);

@@ -11,6 +11,7 @@
 use eecvs_nostd::{Header, Kernel, Transform};
 
 use super::Pixel;
+use super::cost::Size;
 use super::pursuit::omega;
 
 /// The equations of one pixel.
@@ -77,6 +78,18 @@ impl Equations {
         self.on as usize + self.off as usize
     }
 
+    /// Returns the size of the pixel's problem.
+    #[must_use]
+    pub fn size(&self) -> Size {
+        Size {
+            on: self.on.into(),
+            off: self.off.into(),
+            terms: self.ks.len() as u64,
+            highest: self.ks.last().copied().unwrap_or(0).into(),
+            rows: self.rows() as u64,
+        }
+    }
+
     /// Returns the number of equations, R.
     #[must_use]
     pub const fn rows(&self) -> usize {
@@ -97,7 +110,7 @@ impl Equations {
         let base = omega(self.transform);
         let is_complex = self.transform.is_complex();
         // Use a recurrence where that is cheaper than a sine and a cosine for each k.
-        let is_dense = usize::from(self.ks.last().copied().unwrap_or(0)) <= 8 * self.ks.len();
+        let is_dense = self.size().is_dense();
         let (sin_1, cos_1) = (base * u).sin_cos();
         let (mut cos, mut sin, mut at) = (1.0_f64, 0.0_f64, 0);
         for (index, k) in self.ks.iter().enumerate() {

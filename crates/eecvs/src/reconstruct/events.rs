@@ -2,18 +2,24 @@
 //!
 //! The frames carry the counts, so n times are sought. For the DCT and the DTFT, [`super::recover`] finds the times
 //! that the coefficients determine, or, for comparison, [`super::pursuit`] finds the peaks of the summed atoms.
-//! Haar coefficients are inverted to signed counts per bin, and events are assigned one by one to the bin with the
-//! largest remaining count.
+//! Haar coefficients are inverted to signed counts per bin, to which events are dealt ([`super::bins`]).
+//!
+//! The work of a window has a limit ([`WorkLimit`]). Events of pixels beyond it are spread by their lowest
+//! coefficients ([`super::spread`]).
 
 use eecvs_nostd::{Event, Header, Mode, Polarity, Transform};
 use rayon::prelude::*;
 
+use super::bins::dealt;
+use super::cost::{self, OnGrid, Size};
 use super::order::ByTime;
 use super::pursuit::{Peaks, Placed};
 use super::recover::{self, Confidence, Confidences};
 use super::refine::Work;
+use super::spread::Spread;
 use super::volume::inverse::Inverse;
 use super::{DecodedWindow, Pixel};
+use crate::work_limit::WorkLimit;
 
 /// Method that finds event times in the coefficients of the DCT and the DTFT.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -60,36 +66,73 @@ impl Finder {
 #[derive(Debug)]
 pub struct EventDecoder {
     finder: Finder,
+    limit: WorkLimit,
+    /// Work that the last window cost.
+    units: u64,
     /// Tables for the shape of the last window of coefficients.
     times: Option<TimeDecoder>,
     by_time: ByTime,
 }
 
 impl EventDecoder {
-    /// Creates a decoder of events; `finder` applies to windows of coefficients.
+    /// Creates a decoder of events; `finder` applies to windows of coefficients, each of which may cost the default
+    /// [`WorkLimit`].
     #[must_use]
     pub fn new(finder: Finder) -> Self {
         Self {
             finder,
+            limit: WorkLimit::default(),
+            units: 0,
             times: None,
             by_time: ByTime::default(),
         }
+    }
+
+    /// Sets the most work that a window may cost; pixels beyond it get rough times and are counted in
+    /// [`Confidences::pixels_over_work_limit`].
+    #[must_use]
+    pub const fn with_work_limit(mut self, limit: WorkLimit) -> Self {
+        self.limit = limit;
+        self
+    }
+
+    /// Returns the work that the last window cost, in units.
+    #[must_use]
+    pub const fn units(&self) -> u64 {
+        self.units
+    }
+
+    /// Returns the most work that a window can cost without a limit, in units; 0 for a window sent as events.
+    #[must_use]
+    pub fn most(&mut self, window: &DecodedWindow) -> u64 {
+        if let Mode::Hybrid(_) = window.header.mode {
+            return 0;
+        }
+        let times = self.times(&window.header);
+        let most = window.pixels.iter().map(|pixel| times.most(pixel));
+        most.fold(0, u64::saturating_add)
     }
 
     /// Stores the window's events in it, sorted by time; returns the confidence counts of the times that were
     /// solved for.
     pub fn fill(&mut self, window: &mut DecodedWindow) -> Confidences {
         if let Mode::Hybrid(_) = window.header.mode {
+            self.units = 0;
             self.by_time.sort(&window.header, &mut window.events);
             return Confidences::default();
         }
-        let times = match &mut self.times {
-            Some(times) if times.fits(&window.header) => times,
-            times => times.insert(TimeDecoder::new(&window.header, self.finder)),
-        };
-        let confidences;
-        (window.events, confidences) = times.window(window);
-        confidences
+        let limit = self.limit;
+        let solved = self.times(&window.header).window(window, limit);
+        self.units = solved.units;
+        window.events = solved.events;
+        solved.confidences
+    }
+
+    /// Returns the tables for windows of the header's shape.
+    fn times(&mut self, header: &Header) -> &TimeDecoder {
+        let times = self.times.take().filter(|times| times.fits(header));
+        let times = times.unwrap_or_else(|| TimeDecoder::new(header, self.finder));
+        self.times.insert(times)
     }
 }
 
@@ -140,38 +183,81 @@ impl TimeDecoder {
     }
 
     /// Returns a window's events, sorted by time, row and column, and the confidence counts of its pixels.
-    fn window(&self, window: &DecodedWindow) -> (Vec<Event>, Confidences) {
-        let header = &window.header;
-        let (mut events, confidences) = window
-            .pixels
+    ///
+    /// Pixels are solved in the order of the most that they can cost, as many at once as the rest of the limit allows
+    /// even then; what they did not use goes to the next ones. So the work stays below the limit, and neither the
+    /// number of threads nor their speed decides which pixels are beyond it.
+    fn window(&self, window: &DecodedWindow, limit: WorkLimit) -> Solved {
+        let pixels = &window.pixels;
+        let most: Vec<u64> = pixels
             .par_iter()
-            .with_min_len(16)
-            .fold(
-                || (Vec::new(), Confidences::default(), Work::default()),
-                |(mut events, mut confidences, mut work), pixel| {
-                    let confidence = self.pixel(header, pixel, &mut work, |offset_us, is_on| {
-                        events.push(Event {
-                            t_us: header.t0_us.saturating_add(u64::from(offset_us)),
-                            x: pixel.x,
-                            y: pixel.y,
-                            polarity: Polarity::from_bool(is_on),
-                        });
-                    });
-                    confidences.count(confidence);
-                    (events, confidences, work)
-                },
-            )
-            .map(|(events, confidences, _)| (events, confidences))
-            .reduce(
-                Default::default,
-                |(mut events, mut confidences), (more, others)| {
-                    events.extend(more);
-                    confidences.add(others);
-                    (events, confidences)
-                },
-            );
-        events.par_sort_unstable_by_key(|event| (event.t_us, event.y, event.x, event.polarity));
-        (events, confidences)
+            .with_min_len(64)
+            .map(|pixel| self.most(pixel))
+            .collect();
+        let mut order: Vec<u32> = (0..pixels.len() as u32).collect();
+        if most
+            .iter()
+            .fold(0, |sum: u64, most| sum.saturating_add(*most))
+            > limit.get()
+        {
+            order.par_sort_unstable_by_key(|at| (most[*at as usize], *at));
+        }
+        let mut left = limit.get();
+        let mut rest = order.as_slice();
+        let mut solved = Solved::default();
+        loop {
+            let mut sum = 0_u64;
+            let fitting = rest.iter().take_while(|at| {
+                sum = sum.saturating_add(most[**at as usize]);
+                sum <= left
+            });
+            let (now, later) = rest.split_at(fitting.count());
+            if now.is_empty() {
+                break;
+            }
+            let more = solve(window, now, |pixel, work, each| {
+                self.pixel(&window.header, pixel, work, each)
+            });
+            left = left.saturating_sub(more.units);
+            solved = solved.with(more);
+            rest = later;
+        }
+        if !rest.is_empty() {
+            let spread = Spread::new(&window.header);
+            let mut rough = solve(window, rest, |pixel, _, each| {
+                place(&window.header, &spread.pixel(pixel), each);
+                Confidence::Approximate
+            });
+            rough.confidences.pixels_over_work_limit = rest.len() as u64;
+            solved = solved.with(rough);
+        }
+        solved
+            .events
+            .par_sort_unstable_by_key(|event| (event.t_us, event.y, event.x, event.polarity));
+        solved
+    }
+
+    /// Returns the most work that a pixel can cost.
+    fn most(&self, pixel: &Pixel) -> u64 {
+        if pixel.single_u.is_some() {
+            return cost::PIXEL;
+        }
+        let events = u64::from(pixel.on) + u64::from(pixel.off);
+        match &self.way {
+            Way::Peaks(peaks) if self.finder == Finder::Exact => {
+                let size = Size::of(self.transform, pixel);
+                let grid = OnGrid {
+                    grid: self.grid as u64,
+                    rows: size.rows,
+                };
+                size.exact(peaks.search(pixel), grid)
+            }
+            Way::Peaks(peaks) => peaks.search(pixel).peaks(events),
+            Way::Bins(_) => {
+                let coefficients = pixel.coefficients.len() as u64;
+                cost::bins(self.grid as u64, coefficients, events)
+            }
+        }
     }
 
     /// Calls `each` for each of a pixel's `on` ON events and `off` OFF events, in no particular order, with the
@@ -181,85 +267,90 @@ impl TimeDecoder {
         header: &Header,
         pixel: &Pixel,
         work: &mut Work,
-        mut each: impl FnMut(u32, bool),
+        each: &mut dyn FnMut(u32, bool),
     ) -> Confidence {
-        let placed = match &self.way {
-            Way::Peaks(peaks) if self.finder == Finder::Exact => {
-                let found = recover::pixel(header, peaks, pixel, work);
-                let polarities = (0..).map(|i| i < pixel.on as usize);
-                for (offset_us, is_on) in found.offsets_us.into_iter().zip(polarities) {
-                    each(offset_us, is_on);
-                }
-                return found.confidence;
+        if let (Way::Peaks(peaks), Finder::Exact) = (&self.way, self.finder) {
+            let found = recover::pixel(header, peaks, pixel, work);
+            let polarities = (0..).map(|i| i < pixel.on as usize);
+            for (offset_us, is_on) in found.offsets_us.into_iter().zip(polarities) {
+                each(offset_us, is_on);
             }
-            Way::Peaks(peaks) => placed_single(pixel).unwrap_or_else(|| peaks.pixel(pixel)),
-            Way::Bins(bins) => {
-                placed_single(pixel).unwrap_or_else(|| self.deal_to_bins(bins, pixel))
-            }
-        };
-        let duration_us = f64::from(header.duration_us);
-        for (u, sign) in placed {
-            let offset_us = (u * duration_us).round().clamp(0.0, duration_us - 1.0);
-            each(offset_us as u32, sign > 0.0);
+            return found.confidence;
         }
+        let single = placed_single(pixel);
+        if single.is_some() {
+            work.spend(cost::PIXEL);
+        }
+        let placed = match &self.way {
+            Way::Peaks(peaks) => single.unwrap_or_else(|| peaks.pixel(pixel, work)),
+            Way::Bins(table) => single.unwrap_or_else(|| dealt(table, pixel, work)),
+        };
+        place(header, &placed, each);
         Confidence::Approximate
     }
+}
 
-    /// Assigns a pixel's events to the bins whose signed counts they fit best.
-    fn deal_to_bins(&self, bins: &Inverse, pixel: &Pixel) -> Vec<Placed> {
-        let mut missing: Vec<f64> = (0..self.grid).map(|bin| bins.value(pixel, bin)).collect();
-        let mut dealt = Vec::with_capacity((pixel.on + pixel.off) as usize);
-        let mut held = vec![0_u32; self.grid];
-        let (mut on, mut off) = (pixel.on, pixel.off);
-        while on + off > 0 {
-            let (most_on, most_off) = (plateau(&missing, 1.0), plateau(&missing, -1.0));
-            let is_on = off == 0 || (on > 0 && missing[most_on] >= -missing[most_off]);
-            let (bin, sign) = if is_on {
-                (most_on, 1.0)
-            } else {
-                (most_off, -1.0)
-            };
-            if is_on {
-                on -= 1;
-            } else {
-                off -= 1;
-            }
-            missing[bin] -= sign;
-            held[bin] += 1;
-            dealt.push((bin, sign));
-        }
-        // Spread the events of one bin evenly over it.
-        let mut placed_in = vec![0_u32; self.grid];
-        dealt
-            .into_iter()
-            .map(|(bin, sign)| {
-                let within = (f64::from(placed_in[bin]) + 0.5) / f64::from(held[bin]);
-                placed_in[bin] += 1;
-                ((bin as f64 + within) / self.grid as f64, sign)
-            })
-            .collect()
+/// Calls `each` with the offset in microseconds of each event, and whether it is ON.
+fn place(header: &Header, placed: &[Placed], each: &mut dyn FnMut(u32, bool)) {
+    let duration_us = f64::from(header.duration_us);
+    for (u, sign) in placed {
+        let offset_us = (u * duration_us).round().clamp(0.0, duration_us - 1.0);
+        each(offset_us as u32, *sign > 0.0);
     }
+}
+
+/// Events of some pixels of a window.
+#[derive(Debug, Default)]
+struct Solved {
+    events: Vec<Event>,
+    confidences: Confidences,
+    /// Work that they cost.
+    units: u64,
+}
+
+impl Solved {
+    fn with(mut self, more: Self) -> Self {
+        self.events.extend(more.events);
+        self.confidences.add(more.confidences);
+        self.units += more.units;
+        self
+    }
+}
+
+/// Collects the events of the pixels at these indices; `pixel` calls its last argument with each event of a pixel.
+fn solve(
+    window: &DecodedWindow,
+    at: &[u32],
+    pixel: impl Fn(&Pixel, &mut Work, &mut dyn FnMut(u32, bool)) -> Confidence + Sync,
+) -> Solved {
+    let t0_us = window.header.t0_us;
+    at.par_iter()
+        .with_min_len(16)
+        .fold(
+            || (Solved::default(), Work::default()),
+            |(mut solved, mut work), at| {
+                let of = &window.pixels[*at as usize];
+                let confidence = pixel(of, &mut work, &mut |offset_us, is_on| {
+                    solved.events.push(Event {
+                        t_us: t0_us.saturating_add(u64::from(offset_us)),
+                        x: of.x,
+                        y: of.y,
+                        polarity: Polarity::from_bool(is_on),
+                    });
+                });
+                solved.confidences.count(confidence);
+                solved.units += work.take_units();
+                (solved, work)
+            },
+        )
+        .map(|(solved, _)| solved)
+        .reduce(Solved::default, Solved::with)
 }
 
 /// Returns the event of a pixel whose only event time is sent in the frame.
 fn placed_single(pixel: &Pixel) -> Option<Vec<Placed>> {
     let sign = if pixel.on > 0 { 1.0 } else { -1.0 };
     pixel.single_u.map(|u| vec![(u, sign)])
-}
-
-/// Returns the middle of the first run of bins where `sign` * value is largest. Pruning leaves runs of equal
-/// values, and their middle is the best guess.
-fn plateau(values: &[f64], sign: f64) -> usize {
-    let most = values
-        .iter()
-        .fold(f64::NEG_INFINITY, |most, value| most.max(sign * value));
-    let is_most = |value: &f64| sign * value >= most - 1e-9;
-    let start = values.iter().position(is_most).unwrap_or(0);
-    let len = values[start..]
-        .iter()
-        .take_while(|value| is_most(value))
-        .count();
-    start + len.saturating_sub(1) / 2
 }
 
 #[cfg(test)]
@@ -332,14 +423,19 @@ mod tests {
                     single_u: None,
                 };
                 let (mut found_on, mut found_off) = (0, 0);
-                decoder.pixel(&header, &pixel, &mut Work::default(), |offset_us, is_on| {
-                    assert!(offset_us < 1000);
-                    if is_on {
-                        found_on += 1;
-                    } else {
-                        found_off += 1;
-                    }
-                });
+                decoder.pixel(
+                    &header,
+                    &pixel,
+                    &mut Work::default(),
+                    &mut |offset_us, is_on| {
+                        assert!(offset_us < 1000);
+                        if is_on {
+                            found_on += 1;
+                        } else {
+                            found_off += 1;
+                        }
+                    },
+                );
                 assert_eq!((found_on, found_off), (on, off));
             }
         }

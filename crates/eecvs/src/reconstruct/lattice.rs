@@ -12,23 +12,25 @@ use eecvs_nostd::transform::phase::PhaseScale;
 use eecvs_nostd::transform::{Basis, Dct, Dtft};
 use eecvs_nostd::{Header, Transform};
 
+use super::cost::OnGrid;
 use super::equations::Equations;
+use super::refine::Work;
 
 /// Largest number of events in a pixel for which all neighbouring candidates are examined.
-const ALL_EVENTS_MAX: usize = 4;
+pub(super) const ALL_EVENTS_MAX: usize = 4;
 /// Largest move of each event in microseconds, by the number of events: 5^3 neighbours are examined for 3 events,
 /// and 3^4 for 4.
-const REACH: [i32; ALL_EVENTS_MAX + 1] = [2, 2, 2, 2, 1];
+pub(super) const REACH: [i32; ALL_EVENTS_MAX + 1] = [2, 2, 2, 2, 1];
 /// Largest move of an event from one candidate to the next, in microseconds.
 const REACH_MAX: i32 = 2;
 /// Number of offsets per event whose atoms are stored.
-const PLACES: usize = 2 * REACH_MAX as usize + 1;
+pub(super) const PLACES: usize = 2 * REACH_MAX as usize + 1;
 /// Largest number of agreeing candidates collected.
-const CANDIDATES_MAX: usize = 64;
+pub(super) const CANDIDATES_MAX: usize = 64;
 /// Largest number of steps in the descent to a candidate that agrees.
-const ROUNDS: usize = 40;
+pub(super) const ROUNDS: usize = 40;
 /// Largest number of events in a pixel for which the descent also moves pairs of events.
-const PAIRS_EVENTS_MAX: usize = 12;
+pub(super) const PAIRS_EVENTS_MAX: usize = 12;
 
 /// Largest number of events that can be verified, which is the number that the encoder sums in one chunk.
 pub const EVENTS_MAX: usize = CHUNK_EVENTS;
@@ -71,6 +73,8 @@ pub struct Lattice<'e> {
     equations: &'e Equations,
     scale: PhaseScale,
     grid: usize,
+    /// Sizes from which the work follows.
+    grid_size: OnGrid,
     sums: Vec<Sum>,
     /// For each row, the smallest and the largest sum that quantise to the received level.
     rooms: Vec<(i64, i64)>,
@@ -103,6 +107,10 @@ impl<'e> Lattice<'e> {
             equations,
             scale: PhaseScale::new(equations.duration_us),
             grid,
+            grid_size: OnGrid {
+                grid: grid as u64,
+                rows: equations.rows() as u64,
+            },
             sums: vec![Sum::ZERO; 2 * grid],
             rooms: equations.middles.iter().map(room).collect(),
         }
@@ -156,12 +164,12 @@ impl<'e> Lattice<'e> {
 
     /// Searches for times near `start` that encode to what was received.
     #[must_use]
-    pub fn agree(&mut self, start: &[u32]) -> Option<Agreed> {
-        let mut candidate = Candidate::new(self, start)?;
-        if !candidate.descend(self) {
+    pub fn agree(&mut self, start: &[u32], work: &mut Work) -> Option<Agreed> {
+        let mut candidate = Candidate::new(self, start, work)?;
+        if !candidate.descend(self, work) {
             return None;
         }
-        Some(candidate.middle(self))
+        Some(candidate.middle(self, work))
     }
 }
 
@@ -174,7 +182,7 @@ struct Candidate {
 }
 
 impl Candidate {
-    fn new(lattice: &mut Lattice<'_>, offsets: &[u32]) -> Option<Self> {
+    fn new(lattice: &mut Lattice<'_>, offsets: &[u32], work: &mut Work) -> Option<Self> {
         if offsets.len() > EVENTS_MAX || lattice.equations.duration_us <= PLACES as u32 {
             return None;
         }
@@ -183,6 +191,7 @@ impl Candidate {
             atoms: (0..offsets.len()).map(|_| Default::default()).collect(),
             sums: vec![0; lattice.rooms.len()],
         };
+        work.spend(offsets.len() as u64 * lattice.grid_size.place());
         for (i, offset_us) in offsets.iter().enumerate() {
             candidate.place(lattice, i, *offset_us);
         }
@@ -240,13 +249,14 @@ impl Candidate {
 
     /// Moves one or two events at a time by a microsecond, taking the move with the smallest miss, until all rows
     /// agree.
-    fn descend(&mut self, lattice: &mut Lattice<'_>) -> bool {
+    fn descend(&mut self, lattice: &mut Lattice<'_>, work: &mut Work) -> bool {
         let n = self.offsets.len();
         let mut least = self.outside(lattice, &[]);
         for _ in 0..ROUNDS {
             if least == 0 {
                 return true;
             }
+            work.spend(lattice.grid_size.descent(n as u64));
             let mut best: Option<([(usize, i32); 2], usize)> = None;
             let mut look = |this: &Self, moves: [(usize, i32); 2], len: usize| {
                 let outside = this.outside(lattice, &moves[..len]);
@@ -276,10 +286,11 @@ impl Candidate {
     }
 
     /// Collects the agreeing times that can be reached from these, and returns those nearest to their mean.
-    fn middle(mut self, lattice: &mut Lattice<'_>) -> Agreed {
+    fn middle(mut self, lattice: &mut Lattice<'_>, work: &mut Work) -> Agreed {
         let n = self.offsets.len();
         let first = self.offsets.clone();
         if n > ALL_EVENTS_MAX {
+            work.spend(lattice.grid_size.pairs(n as u64));
             let is_unique = !self.has_other(lattice);
             return Agreed {
                 offsets: first,
@@ -296,6 +307,7 @@ impl Candidate {
         while next < found.len() && found.len() < CANDIDATES_MAX {
             let at = found[next];
             next += 1;
+            work.spend(lattice.grid_size.around(n as u64));
             for i in 0..n {
                 let offset = lattice.beside(first[i], at[i]).unwrap_or(first[i]);
                 if self.offsets[i] != offset {

@@ -1,11 +1,14 @@
 //! Reconstructs coefficients, volumes and events from descriptors.
 
 pub mod arrival;
+pub mod bins;
 pub mod coefficients;
+pub mod cost;
 pub mod crowd;
 pub mod ensemble;
 pub mod equations;
 pub mod events;
+pub mod guide;
 pub mod hybrid;
 pub mod lattice;
 pub mod order;
@@ -13,11 +16,14 @@ pub mod prony;
 pub mod pursuit;
 pub mod recover;
 pub mod refine;
+pub mod spread;
 #[cfg(test)]
 mod test_header;
 #[cfg(test)]
 mod test_pixel;
 pub mod volume;
+#[cfg(test)]
+mod worst_windows;
 
 use eecvs_nostd::{Descriptor, Event, Frame, Header, UnpackError};
 

@@ -17,15 +17,16 @@
 use nalgebra::{Complex, DMatrix, DVector};
 
 use super::equations::Equations;
+use super::refine::Work;
 
 type C64 = Complex<f64>;
 
 /// Largest number of events: an eigenvalue problem of this size takes some tens of microseconds.
 pub const EVENTS_MAX: usize = 24;
 /// Largest number of coefficients used by the pencil, lowest k first.
-const ROWS_MAX: usize = 32;
+pub(super) const ROWS_MAX: usize = 32;
 /// Largest number of events for which all assignments of signs are tried.
-const ASSIGNED_MAX: usize = 9;
+pub(super) const ASSIGNED_MAX: usize = 9;
 /// Largest number of iterations in an eigenvalue problem.
 const ITERATIONS: usize = 1000;
 
@@ -47,7 +48,7 @@ fn time_of(z: C64) -> f64 {
 /// Returns `None` for the DCT, if coefficients are missing between the ones sent, for 0 or more than [`EVENTS_MAX`]
 /// events, if there are no more coefficients than events, or if the eigenvalues are not found.
 #[must_use]
-pub fn pencil(equations: &Equations) -> Option<Vec<f64>> {
+pub fn pencil(equations: &Equations, work: &mut Work) -> Option<Vec<f64>> {
     let n = equations.events();
     if !equations.transform.is_complex() || !equations.are_contiguous() || n > EVENTS_MAX {
         return None;
@@ -57,6 +58,7 @@ pub fn pencil(equations: &Equations) -> Option<Vec<f64>> {
     if n == 0 || n >= size {
         return None;
     }
+    work.spend(equations.size().pencil());
     let matrix = DMatrix::from_fn(
         size,
         size,
@@ -146,7 +148,7 @@ fn sorted_by_sign(equations: &Equations, c: &[C64], z: &[C64]) -> Option<Vec<f64
 /// Returns the times u by Newton's identities, those of the ON events first; `None` as for [`pencil`], or if a
 /// linear system or an eigenvalue problem has no solution.
 #[must_use]
-pub fn newton(equations: &Equations) -> Option<Vec<f64>> {
+pub fn newton(equations: &Equations, work: &mut Work) -> Option<Vec<f64>> {
     let (n, on, off) = (
         equations.events(),
         equations.on as usize,
@@ -160,6 +162,7 @@ pub fn newton(equations: &Equations) -> Option<Vec<f64>> {
     if n >= c.len() {
         return None;
     }
+    work.spend(equations.size().newton());
     // With f = exp(-sum c_k x^k / k): k f_k = -sum_(j=1..=k) c_j f_(k-j).
     let mut f = vec![C64::from(1.0)];
     for k in 1..=n {

@@ -15,23 +15,26 @@
 //! Mallat, Zhang: *Matching pursuits with time-frequency dictionaries*, IEEE Trans. Signal Processing 41 (1993).
 
 use eecvs_nostd::Transform;
+use nalgebra::Complex;
 
 use super::Pixel;
+use super::cost::{PIXEL, Search};
 use super::equations::Equations;
+use super::guide::Guide;
 use super::refine::{Work, least_squares};
 
 /// Points of the search grid for each atom.
 const POINTS_PER_ATOM: usize = 4;
 /// Largest number of Newton steps to polish a peak.
-const NEWTON_STEPS: usize = 12;
+pub(super) const NEWTON_STEPS: usize = 12;
 /// Rounds in which every event is placed again.
-const ROUNDS: usize = 3;
+pub(super) const ROUNDS: usize = 3;
 /// Largest number of events in a pixel whose events are placed again; for more, the rounds cost more than they
 /// gain.
-const ROUNDS_EVENTS_MAX: usize = 16;
+pub(super) const ROUNDS_EVENTS_MAX: usize = 16;
 
 /// Largest number of least-squares rounds after each event.
-const PARTIAL_ROUNDS: usize = 6;
+pub(super) const PARTIAL_ROUNDS: usize = 6;
 
 /// A decoded event of a pixel: time u, normalised to the window, and polarity p (+1 or -1).
 pub type Placed = (f64, f64);
@@ -50,6 +53,8 @@ pub struct Peaks {
     atoms_im: Vec<f32>,
     /// sum_k |phi_k|^2 / 2 at each point, for the DCT.
     half_energy: Vec<f32>,
+    /// Which points of a fine grid are looked at, for the DTFT.
+    guide: Option<Guide>,
 }
 
 impl Peaks {
@@ -65,7 +70,11 @@ impl Peaks {
             atoms_re: Vec::with_capacity(points * grid),
             atoms_im: Vec::with_capacity(points * grid),
             half_energy: Vec::with_capacity(points),
+            guide: None,
         };
+        if transform.is_complex() {
+            peaks.guide = Guide::new(points, grid);
+        }
         for point in 0..points {
             let u = (point as f64 + 0.5) / points as f64;
             let mut energy = 0.0;
@@ -84,15 +93,16 @@ impl Peaks {
 
     /// Returns (u, p) of a pixel's events, `on` with p = +1 and `off` with p = -1, in no particular order.
     #[must_use]
-    pub fn pixel(&self, pixel: &Pixel) -> Vec<Placed> {
-        Pursuit::new(self, pixel).run(pixel.on, pixel.off, ROUNDS_EVENTS_MAX)
+    pub fn pixel(&self, pixel: &Pixel, work: &mut Work) -> Vec<Placed> {
+        work.spend(PIXEL);
+        Pursuit::new(self, pixel).run(pixel.on, pixel.off, ROUNDS_EVENTS_MAX, work)
     }
 
     /// Returns the times u of a pixel's events, those of the ON events first. Unlike [`Self::pixel`] it places
     /// events again whatever their number.
     #[must_use]
-    pub fn times(&self, pixel: &Pixel) -> Vec<f64> {
-        let placed = Pursuit::new(self, pixel).run(pixel.on, pixel.off, usize::MAX);
+    pub fn times(&self, pixel: &Pixel, work: &mut Work) -> Vec<f64> {
+        let placed = Pursuit::new(self, pixel).run(pixel.on, pixel.off, usize::MAX, work);
         on_first(&placed)
     }
 
@@ -108,7 +118,9 @@ impl Peaks {
         let (mut on, mut off) = (pixel.on, pixel.off);
         let mut times: Vec<f64> = Vec::new();
         while on + off > 0 {
-            let (u, sign) = pursuit.best(on > 0, off > 0);
+            let placed = times.len() as u64 + 1;
+            work.spend(placed * pursuit.search.add());
+            let (u, sign) = pursuit.best(on > 0, off > 0, work);
             if sign > 0.0 {
                 on -= 1;
             } else {
@@ -125,6 +137,29 @@ impl Peaks {
         }
         let placed: Vec<Placed> = times.into_iter().zip(partial.signs).collect();
         on_first(&placed)
+    }
+
+    /// Returns the sizes of the search for a pixel's events.
+    #[must_use]
+    pub fn search(&self, pixel: &Pixel) -> Search {
+        let (known, limit) = if self.transform == Transform::Dct {
+            (self.kept.saturating_sub(1), self.kept)
+        } else {
+            let sent = pixel.coefficients.iter().filter(|(k, ..)| *k > 0);
+            let highest = pixel.coefficients.last().map_or(0, |(k, ..)| *k);
+            (sent.count(), usize::from(highest) + 1)
+        };
+        let plain = Search {
+            points: self.points as u64,
+            known: known as u64,
+            limit: limit as u64,
+            is_complex: self.transform.is_complex(),
+            is_guided: false,
+        };
+        Search {
+            is_guided: self.guide.is_some() && plain.is_better_guided(),
+            ..plain
+        }
     }
 
     /// Angle of atom k per unit of u.
@@ -159,6 +194,12 @@ struct Pursuit<'d> {
     /// Residual coefficients after the events placed so far.
     re: Vec<f32>,
     im: Vec<f32>,
+    /// Numbers of the guide.
+    numbers: Vec<Complex<f64>>,
+    /// Points that the guide found.
+    candidates: Vec<usize>,
+    /// Sizes from which the work follows.
+    search: Search,
 }
 
 impl<'d> Pursuit<'d> {
@@ -181,6 +222,9 @@ impl<'d> Pursuit<'d> {
             known,
             re,
             im,
+            numbers: Vec::new(),
+            candidates: Vec::new(),
+            search: peaks.search(pixel),
         }
     }
 
@@ -190,6 +234,7 @@ impl<'d> Pursuit<'d> {
     }
 
     /// Returns sum_k a_k b_k over the known coefficients; all others of `a` are 0.
+    #[inline]
     fn dot_known(&self, a: &[f32], b: &[f32]) -> f32 {
         let limit = self.limit();
         // A few coefficients of a large grid are picked out; otherwise summing all of them in vector registers is
@@ -201,23 +246,31 @@ impl<'d> Pursuit<'d> {
         }
     }
 
-    fn run(mut self, mut on: u32, mut off: u32, rounds_events_max: usize) -> Vec<Placed> {
+    fn run(
+        mut self,
+        mut on: u32,
+        mut off: u32,
+        rounds_events_max: usize,
+        work: &mut Work,
+    ) -> Vec<Placed> {
         let mut placed = Vec::with_capacity((on + off) as usize);
         while on + off > 0 {
-            let event = self.best(on > 0, off > 0);
+            let event = self.best(on > 0, off > 0, work);
             if event.1 > 0.0 {
                 on -= 1;
             } else {
                 off -= 1;
             }
+            work.spend(self.search.add());
             self.add(event, -1.0);
             placed.push(event);
         }
         if placed.len() > 1 && placed.len() <= rounds_events_max {
             for _ in 0..ROUNDS {
+                work.spend(2 * placed.len() as u64 * self.search.add());
                 for event in &mut placed {
                     self.add(*event, 1.0);
-                    *event = self.best(event.1 > 0.0, event.1 < 0.0);
+                    *event = self.best(event.1 > 0.0, event.1 < 0.0, work);
                     self.add(*event, -1.0);
                 }
             }
@@ -244,28 +297,57 @@ impl<'d> Pursuit<'d> {
     }
 
     /// Returns the event that explains the residual best.
-    fn best(&self, may_be_on: bool, may_be_off: bool) -> Placed {
-        let peaks = self.peaks;
+    fn best(&mut self, may_be_on: bool, may_be_off: bool, work: &mut Work) -> Placed {
         let mut best = (f32::NEG_INFINITY, 0, 1.0);
-        for point in 0..peaks.points {
-            let atoms = point * peaks.grid..(point + 1) * peaks.grid;
-            let mut correlation: f32 = self.dot_known(&self.re, &peaks.atoms_re[atoms.clone()]);
-            let mut half_energy = 0.0;
-            if peaks.transform.is_complex() {
-                correlation += self.dot_known(&self.im, &peaks.atoms_im[atoms]);
-            } else {
-                half_energy = peaks.half_energy[point];
+        let allowed = (may_be_on, may_be_off);
+        if self.guided(allowed) {
+            for point in &self.candidates {
+                self.look(*point, allowed, &mut best);
             }
-            if may_be_on && correlation - half_energy > best.0 {
-                best = (correlation - half_energy, point, 1.0);
+            work.spend(self.search.looked_at(self.candidates.len() as u64));
+        } else {
+            for point in 0..self.peaks.points {
+                self.look(point, allowed, &mut best);
             }
-            if may_be_off && -correlation - half_energy > best.0 {
-                best = (-correlation - half_energy, point, -1.0);
-            }
+            work.spend(self.search.looked_at(self.search.points));
         }
         let (_, point, sign) = best;
-        let u = (point as f64 + 0.5) / peaks.points as f64;
+        let u = (point as f64 + 0.5) / self.peaks.points as f64;
         (self.polish(u, sign), sign)
+    }
+
+    /// Collects the points where J may be largest; returns whether that could be done.
+    fn guided(&mut self, allowed: (bool, bool)) -> bool {
+        let guide = self.peaks.guide.as_ref();
+        let Some(guide) = guide.filter(|_| self.search.is_guided) else {
+            return false;
+        };
+        let residual = (&self.re[..], &self.im[..]);
+        self.candidates.clear();
+        let candidates = &mut self.candidates;
+        guide.peaks(&self.known, residual, allowed, &mut self.numbers, |point| {
+            candidates.push(point);
+        })
+    }
+
+    /// Compares a point with the best one so far: its J, its index and its sign.
+    #[inline]
+    fn look(&self, point: usize, may_be: (bool, bool), best: &mut (f32, usize, f64)) {
+        let peaks = self.peaks;
+        let atoms = point * peaks.grid..(point + 1) * peaks.grid;
+        let mut correlation: f32 = self.dot_known(&self.re, &peaks.atoms_re[atoms.clone()]);
+        let mut half_energy = 0.0;
+        if peaks.transform.is_complex() {
+            correlation += self.dot_known(&self.im, &peaks.atoms_im[atoms]);
+        } else {
+            half_energy = peaks.half_energy[point];
+        }
+        if may_be.0 && correlation - half_energy > best.0 {
+            *best = (correlation - half_energy, point, 1.0);
+        }
+        if may_be.1 && -correlation - half_energy > best.0 {
+            *best = (-correlation - half_energy, point, -1.0);
+        }
     }
 
     /// Takes Newton steps on J from a grid point, within one grid spacing of it.
@@ -316,6 +398,7 @@ impl<'d> Pursuit<'d> {
     }
 }
 
+#[inline]
 fn dot(a: &[f32], b: &[f32]) -> f32 {
     // Eight lanes, so that the compiler may use vector registers.
     let mut lanes = [0.0_f32; 8];
@@ -365,16 +448,63 @@ mod tests {
         let grid = transform.grid_size(16, None).min(16);
         let peaks = Peaks::new(transform, usize::from(grid), 16);
         let coefficients = coefficients(transform, grid, events);
-        let mut placed = peaks.pixel(&Pixel {
-            x: 0,
-            y: 0,
-            on,
-            off,
-            coefficients,
-            single_u: None,
-        });
+        let mut placed = peaks.pixel(
+            &Pixel {
+                x: 0,
+                y: 0,
+                on,
+                off,
+                coefficients,
+                single_u: None,
+            },
+            &mut Work::default(),
+        );
         placed.sort_by(|a, b| a.0.total_cmp(&b.0));
         placed
+    }
+
+    /// On a fine grid, a transform leaves out points, and changes nothing else.
+    #[test]
+    fn the_guide_leaves_out_only_points_that_are_lower() {
+        let grid = 1024;
+        let guided = Peaks::new(Transform::Dtft, grid, 64);
+        assert!(guided.guide.is_some());
+        let plain = Peaks {
+            guide: None,
+            ..Peaks::new(Transform::Dtft, grid, 64)
+        };
+        let mut random = 1_u64;
+        let mut next = || {
+            random = random
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            (random >> 33) as f64 / f64::from(1_u32 << 31)
+        };
+        for events in [2, 3, 8, 40] {
+            for spread in [1, 15] {
+                let true_events: Vec<Placed> = (0..events)
+                    .map(|i| (next(), if i % 3 == 0 { -1.0 } else { 1.0 }))
+                    .collect();
+                let on = true_events.iter().filter(|event| event.1 > 0.0).count() as u32;
+                let coefficients = coefficients(Transform::Dtft, 1024, &true_events);
+                let kept = coefficients.into_iter().step_by(spread).take(64);
+                let pixel = Pixel {
+                    x: 0,
+                    y: 0,
+                    on,
+                    off: events - on,
+                    coefficients: kept.collect(),
+                    single_u: None,
+                };
+                let [mut work, mut others] = [Work::default(), Work::default()];
+                let found = guided.pixel(&pixel, &mut work);
+                assert_eq!(found, plain.pixel(&pixel, &mut others));
+                let (units, plainly) = (work.take_units(), others.take_units());
+                // Sums over few k are as cheap as the transform.
+                assert!(units <= plainly);
+                assert!(spread == 1 || 5 * units < 3 * plainly, "{units} {plainly}");
+            }
+        }
     }
 
     #[test]

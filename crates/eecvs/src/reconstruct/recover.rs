@@ -20,22 +20,22 @@ use super::equations::Equations;
 use super::lattice::{self, Lattice};
 use super::pursuit::Peaks;
 use super::refine::{LEAST_SQUARES_ROUNDS, Work, centre, largest, least_squares, rms};
-use super::{ensemble, prony};
+use super::{cost, ensemble, prony};
 
 /// Largest number of events whose times are solved for one by one.
 pub const EVENTS_MAX: usize = 40;
 /// Largest ratio, in fifths, of such events to the numbers sent. With more unknowns than equations there are many
 /// solutions, but one from the right starting point is still closer than no solution.
-const EVENTS_FIFTHS: usize = 8;
+pub(super) const EVENTS_FIFTHS: usize = 8;
 /// Number of events from which the median of many solutions is taken.
-const MEDIAN_FROM: usize = 17;
+pub(super) const MEDIAN_FROM: usize = 17;
 /// RMS residual, in units of h, below which the residual is taken to be quantisation error. Uniform errors have an
 /// RMS of 0.58, with a standard deviation of 0.05 over 30 rows.
 const RMS_QUANTISED: f64 = 0.75;
 /// Rounds of least squares for a crowded pixel, and the largest number of events of a crowded pixel that is
 /// refined.
-const CROWD_ROUNDS: usize = 4;
-const CROWD_EVENTS_MAX: usize = 64;
+pub(super) const CROWD_ROUNDS: usize = 4;
+pub(super) const CROWD_EVENTS_MAX: usize = 64;
 
 /// Confidence in a pixel's event times.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -70,6 +70,9 @@ pub struct Confidences {
     pub pixels_consistent: u64,
     /// Pixels with [`Confidence::Approximate`], which includes all pixels whose times are not verified.
     pub pixels_approximate: u64,
+    /// Of these, pixels whose times were not sought, because the window's work was at its
+    /// [`WorkLimit`](crate::work_limit::WorkLimit); their events are spread by the lowest coefficients.
+    pub pixels_over_work_limit: u64,
 }
 
 impl Confidences {
@@ -87,6 +90,19 @@ impl Confidences {
         self.pixels_exact += others.pixels_exact;
         self.pixels_consistent += others.pixels_consistent;
         self.pixels_approximate += others.pixels_approximate;
+        self.pixels_over_work_limit += others.pixels_over_work_limit;
+    }
+
+    /// Returns one line about the pixels whose times were not sought, or `None` if there are none.
+    #[must_use]
+    pub fn warning(&self) -> Option<String> {
+        let pixels = self.pixels_over_work_limit;
+        (pixels > 0).then(|| {
+            format!(
+                "the times of {pixels} pixels are rough: finding them is more work than \
+                 --max-work-per-window allows"
+            )
+        })
     }
 }
 
@@ -105,6 +121,7 @@ pub struct Recovered {
 /// Recovers the events of a pixel of the DCT or the DTFT. The work is bounded, whatever the coefficients are.
 #[must_use]
 pub fn pixel(header: &Header, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> Recovered {
+    work.spend(cost::PIXEL);
     if let Some(u) = pixel.single_u {
         let (offset_us, is_unique) = lattice::single(header, u);
         return Recovered {
@@ -130,7 +147,7 @@ pub fn pixel(header: &Header, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> 
         centre(&equations, &mut middle, work);
         let mut lattice = Lattice::new(header, &equations);
         for times in [&middle, &times] {
-            if let Some(agreed) = lattice.agree(&offsets_us(&equations, times)) {
+            if let Some(agreed) = lattice.agree(&offsets_us(&equations, times), work) {
                 return Recovered {
                     confidence: Confidence::of(agreed.is_unique),
                     residual_steps: residual_steps(&equations, &agreed.offsets, work),
@@ -148,11 +165,11 @@ fn fitted(equations: &Equations, peaks: &Peaks, pixel: &Pixel, work: &mut Work) 
     let mut best: Option<(f64, Vec<f64>)> = None;
     for start in 0..5 {
         let times = match start {
-            0 => Some(peaks.times(pixel)),
+            0 => Some(peaks.times(pixel, work)),
             1 => Some(peaks.refined(pixel, equations, work)),
-            2 => prony::pencil(equations),
-            3 => prony::newton(equations),
-            _ => Some(Densities::flattest(equations).times(0.5)),
+            2 => prony::pencil(equations, work),
+            3 => prony::newton(equations, work),
+            _ => Some(Densities::flattest(equations, work).times(0.5)),
         };
         let Some(mut times) = times else {
             continue;
@@ -170,8 +187,9 @@ fn fitted(equations: &Equations, peaks: &Peaks, pixel: &Pixel, work: &mut Work) 
 }
 
 fn crowded(equations: Equations, work: &mut Work) -> Recovered {
+    work.spend(equations.size().placed());
     if equations.events() > CROWD_EVENTS_MAX {
-        let times = Densities::flattest(&equations).times(0.5);
+        let times = Densities::flattest(&equations, work).times(0.5);
         return Recovered {
             offsets_us: offsets_us(&equations, &times),
             confidence: Confidence::Approximate,

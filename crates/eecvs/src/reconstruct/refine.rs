@@ -17,10 +17,14 @@ use super::equations::Equations;
 
 /// Largest number of least-squares rounds; nearly all pixels converge earlier.
 pub const LEAST_SQUARES_ROUNDS: usize = 40;
+/// Largest number of damping factors that are tried in a round.
+pub(super) const TRIALS: usize = 8;
 /// Largest number of weighted rounds.
-const WEIGHTED_ROUNDS: usize = 24;
+pub(super) const WEIGHTED_ROUNDS: usize = 24;
 /// Largest number of Newton rounds on the barrier.
-const CENTRE_ROUNDS: usize = 10;
+pub(super) const CENTRE_ROUNDS: usize = 10;
+/// Largest number of times that a Newton step is halved.
+pub(super) const HALVINGS: usize = 12;
 /// The rounds end once a step moves no event by more than this fraction of the window.
 const STILL: f64 = 1e-10;
 
@@ -31,6 +35,20 @@ pub struct Work {
     trial: Vec<f64>,
     slopes: Vec<f64>,
     weights: Vec<f64>,
+    /// Units of work spent, see [`super::cost`].
+    units: u64,
+}
+
+impl Work {
+    /// Counts work that is about to be done.
+    pub const fn spend(&mut self, units: u64) {
+        self.units = self.units.saturating_add(units);
+    }
+
+    /// Returns the units of work spent since the last call.
+    pub const fn take_units(&mut self) -> u64 {
+        std::mem::replace(&mut self.units, 0)
+    }
 }
 
 /// Returns J^T diag(w) J and J^T diag(w) v.
@@ -77,6 +95,7 @@ fn squares(weights: &[f64], residual: &[f64]) -> f64 {
 
 /// Returns the largest |r_m|, in units of a coefficient.
 pub fn largest(equations: &Equations, u: &[f64], work: &mut Work) -> f64 {
+    work.spend(equations.size().residual(u.len() as u64));
     equations.residual(u, &mut work.residual);
     most(&work.residual)
 }
@@ -87,6 +106,7 @@ fn most(residual: &[f64]) -> f64 {
 
 /// Returns the root mean square of r_m in units of h.
 pub fn rms(equations: &Equations, u: &[f64], work: &mut Work) -> f64 {
+    work.spend(equations.size().residual(u.len() as u64));
     equations.residual(u, &mut work.residual);
     let sum: f64 = work.residual.iter().map(|r| r * r).sum();
     (sum / equations.rows().max(1) as f64).sqrt() / equations.half
@@ -113,7 +133,9 @@ fn weighted(
     let reach = 0.5 / f64::from(equations.ks.last().copied().unwrap_or(1).max(1));
     let mut lambda = 1e-3;
     let mut next = vec![0.0; n];
+    let (size, events) = (equations.size(), n as u64);
     for _ in 0..rounds {
+        work.spend(size.linearise(events));
         equations.linearise(u, &mut work.residual, &mut work.slopes);
         if let Some(power) = power {
             let most = most(&work.residual);
@@ -125,10 +147,12 @@ fn weighted(
             }
         }
         let before = squares(&work.weights, &work.residual);
+        work.spend(size.normal(events));
         let (matrix, vector) = normal(&work.slopes, rows, n, &work.weights, &work.residual);
         let mut moved = 0.0_f64;
         let mut gained = 0.0;
-        for _ in 0..8 {
+        for _ in 0..TRIALS {
+            work.spend(size.trial(events));
             let Some(step) = damped(&matrix, &vector, lambda) else {
                 lambda = (lambda * 10.0).max(1e-9);
                 continue;
@@ -185,7 +209,9 @@ pub fn centre(equations: &Equations, u: &mut [f64], work: &mut Work) -> bool {
         }
         Some(product)
     };
+    let (size, events) = (equations.size(), n as u64);
     for _ in 0..CENTRE_ROUNDS {
+        work.spend(size.linearise(events) + size.normal(events) + size.solve(events));
         equations.linearise(u, &mut work.residual, &mut work.slopes);
         let Some(before) = barrier(&work.residual) else {
             break;
@@ -206,7 +232,8 @@ pub fn centre(equations: &Equations, u: &mut [f64], work: &mut Work) -> bool {
         };
         let mut scale = 1.0;
         let mut is_better = false;
-        for _ in 0..12 {
+        for _ in 0..HALVINGS {
+            work.spend(size.residual(events));
             for ((next, u), d) in next.iter_mut().zip(&*u).zip(step.iter()) {
                 *next = u + scale * d;
                 if !equations.transform.is_complex() {

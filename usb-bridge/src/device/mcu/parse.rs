@@ -10,6 +10,7 @@ use eecvs::decode::Windows;
 use eecvs::frame_file::{FrameOrder, LinkReport};
 use eecvs::reconstruct::DecodedWindow;
 use eecvs::reconstruct::events::{EventDecoder, Finder};
+use eecvs::reconstruct::recover::Confidences;
 use eecvs_nostd::event_link::Kind;
 use eecvs_nostd::{Event, Sensor};
 use event_files::Skipped;
@@ -31,6 +32,7 @@ pub struct McuParser {
     /// Events found at a break, which the next call returns.
     late: Vec<Event>,
     decoder: EventDecoder,
+    confidences: Confidences,
     time_us: Option<u64>,
     events: u64,
     statuses: u64,
@@ -52,6 +54,7 @@ impl McuParser {
             ready: Vec::new(),
             late: Vec::new(),
             decoder: EventDecoder::new(Finder::Exact),
+            confidences: Confidences::default(),
             time_us: None,
             events: 0,
             statuses: 0,
@@ -93,7 +96,7 @@ impl McuParser {
                 Err(refused) => self.report.count_refused(refused),
             }
             for mut window in self.ready.drain(..) {
-                self.decoder.fill(&mut window);
+                self.confidences.add(self.decoder.fill(&mut window));
                 self.events += window.events.len() as u64;
                 events.extend_from_slice(&window.events);
                 self.windows.reuse(window);
@@ -141,6 +144,10 @@ impl Parse for McuParser {
             ("new beginnings of the numbering", self.report.restarts),
             ("packets of status", self.statuses),
             ("other packets", self.packets),
+            (
+                "pixels of rough times, since finding them is too much work",
+                self.confidences.pixels_over_work_limit,
+            ),
         ] {
             words.add(name, count);
         }

@@ -65,6 +65,29 @@ impl Inverse {
         pixel.net() * weights(0).0 + others.sum::<f64>()
     }
 
+    /// Writes `V[b]` of one pixel for all bins to `values`. Coefficients that the table does not have count as 0. For
+    /// the Haar transform, each coefficient costs as many steps as bins that it changes.
+    pub fn values(&self, pixel: &Pixel, values: &mut Vec<f64>) {
+        values.clear();
+        values.resize(self.bins, 0.0);
+        let known = pixel.coefficients.iter();
+        for (k, re, im) in known.filter(|(k, ..)| (1..self.grid).contains(k)) {
+            let (from, to) = if self.transform == Transform::Dwt {
+                let (_, start, end) = haar_support(*k);
+                let bins = self.bins as f64;
+                ((start * bins) as usize, (end * bins).ceil() as usize)
+            } else {
+                (0, self.bins)
+            };
+            let weights = &self.weights[usize::from(*k) * self.bins..];
+            let changed = values[from..to].iter_mut().zip(&weights[from..to]);
+            changed.for_each(|(value, (of_re, of_im))| *value += re * of_re + im * of_im);
+        }
+        for (value, (weight, _)) in values.iter_mut().zip(&self.weights) {
+            *value += pixel.net() * weight;
+        }
+    }
+
     /// Writes bin `bin` of a window into `plane`, an H x W plane of zeros in raster order.
     pub fn plane(&self, window: &DecodedWindow, bin: usize, plane: &mut [f32]) {
         let width = usize::from(window.header.sensor.width);

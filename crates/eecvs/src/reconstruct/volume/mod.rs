@@ -24,7 +24,8 @@ use self::normalise::Scale;
 pub use self::voxel::Weights;
 use self::voxel::{Form as VoxelForm, Voxels};
 use super::DecodedWindow;
-use super::events::{EventDecoder, Finder};
+use super::events::EventDecoder;
+use super::recover::Confidences;
 
 /// Meaning of a volume's channels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -59,6 +60,7 @@ pub struct Maker {
     form: Form,
     /// Recovers the events of windows sent as coefficients.
     events: EventDecoder,
+    confidences: Confidences,
     /// Table for the shape of the last window.
     inverse: Option<Inverse>,
 }
@@ -80,14 +82,21 @@ enum Values<'m> {
 }
 
 impl Maker {
-    /// Creates a maker of volumes of `form`; `finder` finds the event times of windows of coefficients.
+    /// Creates a maker of volumes of `form`; `events` finds the event times of windows of coefficients.
     #[must_use]
-    pub fn new(form: Form, finder: Finder) -> Self {
+    pub fn new(form: Form, events: EventDecoder) -> Self {
         Self {
             form,
-            events: EventDecoder::new(finder),
+            events,
+            confidences: Confidences::default(),
             inverse: None,
         }
+    }
+
+    /// Returns the confidence counts of the times that were found for the volumes so far.
+    #[must_use]
+    pub const fn confidences(&self) -> Confidences {
+        self.confidences
     }
 
     /// Prepares the volume of `window`.
@@ -136,7 +145,7 @@ impl Maker {
                 };
                 let voxels = if of_coefficients {
                     let mut window = window.clone();
-                    self.events.fill(&mut window);
+                    self.confidences.add(self.events.fill(&mut window));
                     Voxels::new(&window, form)
                 } else {
                     Voxels::new(window, form)
@@ -181,6 +190,7 @@ impl Volume<'_> {
 mod tests {
     use eecvs_nostd::{Event, Polarity};
 
+    use super::super::events::Finder;
     use super::super::{Pixel, test_header};
     use super::*;
 
@@ -207,7 +217,7 @@ mod tests {
     }
 
     fn values(form: Form, window: &DecodedWindow) -> Vec<f32> {
-        let mut maker = Maker::new(form, Finder::Exact);
+        let mut maker = Maker::new(form, EventDecoder::new(Finder::Exact));
         let volume = maker.volume(window).unwrap();
         let [channels, height, width] = volume.shape();
         let mut values = vec![7.0; channels * height * width];
@@ -292,7 +302,7 @@ mod tests {
             events: vec![],
         };
         let form = bins(4, Weights::Nearest, true, false);
-        let mut maker = Maker::new(form, Finder::Exact);
+        let mut maker = Maker::new(form, EventDecoder::new(Finder::Exact));
         assert!(maker.volume(&window).is_err());
         // c_0 comes from the counts, whether it was kept or not.
         let sums = values(bins(4, Weights::Nearest, false, false), &window);
