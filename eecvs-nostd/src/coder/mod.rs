@@ -16,6 +16,7 @@ pub mod key_frames;
 pub mod range;
 pub mod scan;
 pub mod times;
+pub mod tree;
 #[cfg(feature = "coefficients")]
 pub(crate) mod window_coefficients;
 pub(crate) mod window_events;
