@@ -8,8 +8,8 @@ use eecvs::encode::HostStorage;
 use eecvs_bench::marks::Marks;
 use eecvs_bench::record_file::{self, RecordFile};
 use eecvs_nostd::{
-    Coder, Config, Event, Fidelity, Frame, Hybrid, Mode, Polarity, Push, Quantiser, Scan, Sensor,
-    Thresholds, Transform, WindowConfig, scan,
+    Coder, Config, Effort, Event, Fidelity, Frame, Hybrid, Mode, Polarity, Push, Quantiser, Scan,
+    Sensor, Thresholds, Transform, WindowConfig, scan,
 };
 use proptest::prelude::*;
 use serde::Serialize;
@@ -97,8 +97,17 @@ pub fn hybrid() -> impl Strategy<Value = Hybrid> {
         1 => (0_u32..3000).prop_map(Fidelity::ToleranceUs),
         1 => (1_u16..300).prop_map(Fidelity::Bins),
     ];
-    (prop_oneof![Just(Coder::Fast), Just(Coder::Dense)], fidelity)
-        .prop_map(|(coder, fidelity)| Hybrid { coder, fidelity })
+    let effort = prop_oneof![
+        4 => Just(Effort::One),
+        1 => Just(Effort::Two),
+        1 => Just(Effort::Three),
+    ];
+    let coder = prop_oneof![
+        Just(Coder::Fast),
+        Just(Coder::Dense),
+        effort.prop_map(Coder::Tree),
+    ];
+    (coder, fidelity).prop_map(|(coder, fidelity)| Hybrid { coder, fidelity })
 }
 
 /// A configuration with its sensor and events.

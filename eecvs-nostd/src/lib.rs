@@ -16,6 +16,7 @@
 //!
 //! - `coefficients` (default): the encoder can use the adaptive coefficient coders ([`coder::coefficients`]).
 //! - `order` (default): the encoder supports [`Config::keep_order`].
+//! - `tree` (default): the encoder can use the tree coder ([`coder::tree`]).
 //! - `defmt`: derives `defmt::Format` on the public types.
 //! - `float`: adds two f32 kernels for comparison ([`kernel`]).
 //! - `portable`: replaces assembly with plain Rust, for comparison.
@@ -48,7 +49,7 @@ mod machine;
 pub mod stage;
 
 pub use coder::key_frames::KEY_WINDOWS;
-pub use coder::{Axis, Cells, Coder, Fidelity, Hybrid, Readout, Scans, Times};
+pub use coder::{Axis, Cells, Coder, Effort, Fidelity, Hybrid, Readout, Scans, Times};
 pub use encoder::Encoder;
 pub use encoder::config::{Config, ConfigError, HotError, Scratch, SetupError};
 pub use encoder::storage::Storage;

@@ -92,6 +92,7 @@ impl Encoding {
             totals: TOTALS.try_take()?,
             magnitudes: MAGNITUDES.try_take()?,
             dense: None,
+            tree: None,
             coefficients: None,
             hot: HOT.try_take()?,
             order: &mut [],

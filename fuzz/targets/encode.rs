@@ -7,8 +7,8 @@ use eecvs::reconstruct::arrival::Arrivals;
 use eecvs::reconstruct::coefficients::CoefficientDecoder;
 use eecvs::reconstruct::hybrid::HybridDecoder;
 use eecvs_nostd::{
-    Axis, Coder, Config, Event, Fidelity, Filter, Frame, Hybrid, Mode, Polarity, Push, Quantiser,
-    Readout, Region, Sensor, Thresholds, Transform, WindowConfig,
+    Axis, Coder, Config, Effort, Event, Fidelity, Filter, Frame, Hybrid, Mode, Polarity, Push,
+    Quantiser, Readout, Region, Sensor, Thresholds, Transform, WindowConfig,
 };
 
 /// A mode of every kind.
@@ -16,7 +16,7 @@ pub fn to_mode(mode: u8, fidelity: u8) -> Mode {
     let coder = match mode % 5 {
         0 => return Mode::Transform,
         1 => Coder::Fast,
-        2 => Coder::Dense,
+        2 => Effort::from_number(mode >> 6).map_or(Coder::Dense, Coder::Tree),
         3 => return Mode::Coefficients(Coder::Fast),
         _ => return Mode::Coefficients(Coder::Dense),
     };

@@ -115,6 +115,7 @@ pub fn run(data: &[u8]) {
         totals: &mut totals,
         magnitudes: &mut magnitudes,
         dense: None,
+        tree: None,
         coefficients: None,
         hot: &mut [0; 20],
         order: &mut [],

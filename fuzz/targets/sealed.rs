@@ -1,6 +1,7 @@
 //! Puts any payloads into frames that are whole, with headers of every kind: they decode to events or are refused.
 //! Their checksums keep a fuzzer out of [`super::frames`].
 
+use eecvs_nostd::coder::tree::Levels;
 use eecvs_nostd::frame::{CRC_BYTES, HEADER_BYTES_MAX, OrderSection, seal};
 use eecvs_nostd::{Axis, Header, Quantiser, Readout, Regime, Scans, Sensor, Transform};
 
@@ -42,6 +43,11 @@ pub fn run(data: &[u8]) {
             mode: to_mode(*mode, *fidelity),
             is_key: has(2),
             has_previous: has(3),
+            // All eight bits are in use: the fidelity's byte has levels too.
+            levels: Some(Levels {
+                first: *fidelity & 7,
+                second: *fidelity >> 3 & 7,
+            }),
             scans: readout
                 .filter(|_| has(4))
                 .and_then(|readout| Scans::new(readout, 0, SENSOR, WINDOW_US)),

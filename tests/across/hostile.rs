@@ -20,6 +20,7 @@ fn header() -> Header {
         mode: Mode::Transform,
         is_key: true,
         has_previous: false,
+        levels: None,
         scans: None,
         order: None,
         sequence: 0,

@@ -7,11 +7,12 @@ use eecvs::reconstruct::DecodedWindow;
 use eecvs::reconstruct::hybrid::HybridDecoder;
 use eecvs_nostd::coder::dense::model::Model;
 use eecvs_nostd::coder::dense::{self, DenseMemory};
+use eecvs_nostd::coder::tree::Levels;
 use eecvs_nostd::frame::{HEADER_BYTES_MAX, seal};
 use eecvs_nostd::{
-    Axis, Coder, Config, Event, Fidelity, Frame, Header, Hybrid, Mode, OUTPUT_BYTES_MIN, Polarity,
-    Readout, Scans, Scratch, Sensor, Slot, Window, WindowBuffers, WindowConfig, WindowEncoder,
-    bitmap_words, segments,
+    Axis, Coder, Config, Effort, Event, Fidelity, Frame, Header, Hybrid, Mode, OUTPUT_BYTES_MIN,
+    Polarity, Readout, Scans, Scratch, Sensor, Slot, Window, WindowBuffers, WindowConfig,
+    WindowEncoder, bitmap_words, segments,
 };
 use proptest::prelude::*;
 use strategies::{encode, hybrid, job, parse};
@@ -224,6 +225,16 @@ proptest! {
     ) {
         let scans = Scans::new(readout, phase_q16, Sensor { width, height }, duration_us);
         let scans = scans.filter(|_| hybrid.coder == Coder::Dense && hybrid.fidelity == Fidelity::Lossless);
+        // The tree coder codes whole windows whose times have 28 bits or less.
+        let effort = Mode::Hybrid(hybrid).effort();
+        let (more, duration_us) = match effort {
+            Some(_) => (0, 1 + duration_us % (1 << 28)),
+            None => (more, duration_us),
+        };
+        let has_previous = match effort {
+            Some(effort) => effort != Effort::One || flags & 4 != 0,
+            None => hybrid.coder == Coder::Dense && flags & 4 != 0,
+        };
         let header = Header {
             mode: Mode::Hybrid(hybrid),
             sensor: Sensor { width, height },
@@ -232,7 +243,8 @@ proptest! {
             window_events: events + more,
             last: flags & 1 != 0,
             is_key: hybrid.coder == Coder::Fast || flags & 2 != 0,
-            has_previous: hybrid.coder == Coder::Dense && flags & 4 != 0,
+            has_previous,
+            levels: effort.map(|_| Levels { first: 1, second: 0 }),
             pixels: 0,
             scans,
             ..header()
@@ -323,6 +335,7 @@ fn a_window_beyond_the_dense_coders_memory_is_a_fast_frame() {
             model: &mut model,
             words: &mut words,
         }),
+        tree: None,
         coefficients: None,
         hot: &mut [],
         order: &mut [],

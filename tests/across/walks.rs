@@ -33,6 +33,7 @@ fn frames(
         totals: &mut [WideSum::ZERO; 2 * GRID_MAX],
         magnitudes: &mut [0; 2 * GRID_MAX],
         dense: None,
+        tree: None,
         coefficients: None,
         hot: &mut [],
         order: &mut [],

@@ -9,7 +9,7 @@ use eecvs::encode::step::quantiser_within;
 use eecvs::encode::{Limits, readout};
 use eecvs::hot_pixels;
 use eecvs_nostd::{
-    Coder, Config, Fidelity, Filter, Hybrid, KEY_WINDOWS, Kernel, Mode, OUTPUT_BYTES_MIN,
+    Coder, Config, Effort, Fidelity, Filter, Hybrid, KEY_WINDOWS, Kernel, Mode, OUTPUT_BYTES_MIN,
     Quantiser, Region, Sensor, Transform, WindowConfig,
 };
 use event_files::EventReader;
@@ -35,6 +35,11 @@ pub struct CodecOptions {
     /// Entropy coder of events or coefficients [default: fast in mode hybrid, plain in mode transform]
     #[arg(long, value_enum)]
     coder: Option<CoderName>,
+
+    /// hybrid, dense: compute more for fewer bits, from 1 to 3; files of frames then need a reader of wire version 4.
+    /// 1 is as fast as 0; 2 takes some four times and 3 some nine times as long
+    #[arg(long, value_name = "E", default_value = "0", value_parser = clap::value_parser!(u8).range(0..=3))]
+    effort: u8,
 
     /// dense: send a key frame, which decodes without the frames before it, every N windows
     #[arg(long, value_name = "N", default_value_t = KEY_WINDOWS,
@@ -230,11 +235,18 @@ impl CodecOptions {
             (Some(tolerance_us), _) => Fidelity::ToleranceUs(tolerance_us),
             (_, Some(bins)) => Fidelity::Bins(bins),
         };
+        ensure!(
+            self.effort == 0
+                || (self.mode == ModeName::Hybrid && self.coder == Some(CoderName::Dense)),
+            "--effort is for --coder dense in --mode hybrid"
+        );
         let mode = match self.mode {
             ModeName::Hybrid => Mode::Hybrid(Hybrid {
                 coder: match self.coder {
                     None | Some(CoderName::Fast) => Coder::Fast,
-                    Some(CoderName::Dense) => Coder::Dense,
+                    Some(CoderName::Dense) => {
+                        Effort::from_number(self.effort).map_or(Coder::Dense, Coder::Tree)
+                    }
                     Some(CoderName::Plain) => {
                         bail!("--coder plain is for --mode transform")
                     }
@@ -314,6 +326,10 @@ impl CodecOptions {
     /// As for [`CodecOptions::config`], and flags that the firmware image does not support.
     pub fn config_of_image(&self, sensor: Sensor) -> Result<Config> {
         let config = self.config(sensor)?;
+        ensure!(
+            self.effort == 0,
+            "--effort is for eecvs encode: the image has no memory for it"
+        );
         ensure!(
             !config.keep_order,
             "--keep-order is for eecvs encode: the image has no memory for it"

@@ -46,6 +46,7 @@ pub mod storage;
 pub mod stream_buffer;
 #[cfg(feature = "thresholds")]
 pub mod thresholds_file;
+mod tree_memory;
 pub mod window_counts;
 pub mod window_limit;
 pub mod work_limit;

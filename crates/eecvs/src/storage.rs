@@ -18,6 +18,8 @@ use event_types::stream::{Context, Result};
 use event_types::{bail, ensure};
 use zerocopy::{FromBytes, IntoBytes};
 
+use crate::tree_memory::TreeStorage;
+
 /// Default capacity of a window's buffer on the host, in events.
 pub const WINDOW_EVENTS: usize = 1 << 20;
 
@@ -59,6 +61,7 @@ pub struct HostStorage {
     order: Vec<u32>,
     hot: Vec<u32>,
     coefficients: Box<CoefficientMemory>,
+    tree: TreeStorage,
 }
 
 /// Buffers of one window.
@@ -144,6 +147,7 @@ impl HostStorage {
             order: Vec::new(),
             hot: Vec::new(),
             coefficients: Box::new(CoefficientMemory::UNSET),
+            tree: TreeStorage::default(),
         }
     }
 
@@ -180,6 +184,10 @@ impl HostStorage {
             let slots = self.windows.first().map_or(0, WindowMemory::slots);
             self.order = vec![0; arrival::words(slots)];
         }
+        if let Some(effort) = config.mode.effort() {
+            let slots = self.windows.first().map_or(0, WindowMemory::slots);
+            self.tree = TreeStorage::new(config.window.sensor, effort, slots);
+        }
         self.hot.resize(hot.len(), 0);
         let windows: Option<Vec<_>> = self
             .windows
@@ -198,6 +206,7 @@ impl HostStorage {
                 model: &mut self.model,
                 words: &mut self.words,
             }),
+            tree: config.mode.effort().map(|_| self.tree.lent()),
             coefficients: Some(&mut self.coefficients),
             hot: &mut self.hot,
             order: &mut self.order,
@@ -238,8 +247,14 @@ fn reason(error: ConfigError, config: &Config) -> String {
             config.budget_min()
         ),
         ConfigError::Order => "the order of events can be kept only in mode hybrid".to_owned(),
+        ConfigError::Tree if config.mode.is_transform() => {
+            "the tree coder codes events, in mode hybrid".to_owned()
+        }
         // These cannot occur, because the memory is allocated for the configuration.
-        ConfigError::Scratch | ConfigError::Dense | ConfigError::Coefficients => {
+        ConfigError::Scratch
+        | ConfigError::Dense
+        | ConfigError::Coefficients
+        | ConfigError::Tree => {
             format!("the encoder's memory is too small ({error:?}): please report this")
         }
     }

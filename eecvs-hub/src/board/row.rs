@@ -98,10 +98,7 @@ pub enum Times {
 impl Latest {
     /// Describes the window of a frame.
     pub(super) fn of(header: &Header) -> Self {
-        let name = |coder| match coder {
-            Coder::Fast => "fast",
-            Coder::Dense => "dense",
-        };
+        let name = Coder::name;
         let (coder, times) = match header.mode {
             Mode::Transform => ("plain", Times::Coefficients(header.m)),
             Mode::Coefficients(coder) => (name(coder), Times::Coefficients(header.m)),

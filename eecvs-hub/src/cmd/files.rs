@@ -231,6 +231,7 @@ mod tests {
             mode: Mode::Transform,
             is_key: true,
             has_previous: false,
+            levels: None,
             scans: None,
             order: None,
             sequence: number.into(),

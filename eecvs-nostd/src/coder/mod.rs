@@ -1,7 +1,7 @@
 //! Coders of the events themselves: the payload of `hybrid` frames.
 //!
 //! ```text
-//! group -> cells -> fast or dense -> frame
+//! group -> cells -> fast, dense or tree -> frame
 //! ```
 
 pub mod arrival_order;
@@ -24,6 +24,7 @@ pub(crate) mod window_events;
 pub use cells::{Cells, Fidelity};
 pub use scan::{Axis, Readout, Scans};
 pub use times::Times;
+pub use tree::Effort;
 
 /// How events are coded into bits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
@@ -32,17 +33,23 @@ pub enum Coder {
     /// Adaptive Golomb-like codes, the cheaper to compute: [`fast`].
     #[default]
     Fast,
-    /// A range coder with learned contexts, the fewest bits: [`dense`].
+    /// A range coder with learned contexts, for fewer bits: [`dense`].
     Dense,
+    /// Trees of places and times, the fewest bits, for whole windows of events on a host: [`tree`]. A window that does
+    /// not fit its output or memory, and those of a sensor that scans, are coded by [`dense`].
+    Tree(Effort),
 }
 
 impl Coder {
-    /// Returns the name in lower case: `fast` or `dense`.
+    /// Returns the name in lower case: `fast`, `dense`, or `tree-1` to `tree-3` by the effort.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Fast => "fast",
             Self::Dense => "dense",
+            Self::Tree(Effort::One) => "tree-1",
+            Self::Tree(Effort::Two) => "tree-2",
+            Self::Tree(Effort::Three) => "tree-3",
         }
     }
 }

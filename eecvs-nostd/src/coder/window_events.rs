@@ -2,10 +2,11 @@
 
 use crate::coder::Times;
 use crate::coder::bits_msb_first::BigWriter;
-use crate::coder::content::{Content, Node, Parts, Walk};
+use crate::coder::content::{Content, END, Node, Parts, Walk};
 use crate::coder::dense::Dense;
 use crate::coder::fast::{Fast, ROOM_WORDS, Unordered, walk};
 use crate::coder::range::RangeEncoder;
+use crate::coder::tree::TreeEvent;
 use crate::frame::Header;
 use crate::group::sort::ascending;
 use crate::group::{Group, Impulses, Pixel};
@@ -192,6 +193,137 @@ impl<'e, 'w, 'b> EventEncoder<'e, 'w, 'b> {
             is_last: coded.events == left,
             overran: coded.overran,
         }
+    }
+}
+
+impl EventEncoder<'_, '_, '_> {
+    /// Takes all of the window's events, in raster order and in a pixel by coded time. Returns how many there are and
+    /// how many pixels they have.
+    #[inline(never)]
+    pub(crate) fn gather(&mut self, events: &mut [TreeEvent]) -> (usize, u32) {
+        let mut places = events.iter_mut();
+        let (mut taken, mut pixels) = (0, 0);
+        while let Some(pixel) = self.next() {
+            pixels += 1;
+            let impulses = Impulses::new(pixel, self.window.slots());
+            // In this order: the other would take a place too many.
+            for (impulse, place) in impulses.zip(places.by_ref()) {
+                *place = TreeEvent::at((pixel.x, pixel.y), impulse.offset_us, impulse.is_on);
+                taken += 1;
+            }
+        }
+        (taken, pixels)
+    }
+}
+
+/// Codes events of a window that were gathered, from `events` on, with [`Dense`] into `out`.
+#[inline(never)]
+pub(crate) fn dense_gathered(
+    dense: &mut Dense<'_>,
+    events: &[TreeEvent],
+    times: Times,
+    out: &mut [u8],
+) -> TakenEvents {
+    let mut coder = RangeEncoder::new(out);
+    let mut content = Gathered {
+        events,
+        at: 0,
+        end: 0,
+    };
+    let coded = dense.code(&mut coder, &mut content, times);
+    TakenEvents {
+        payload_bytes: coder.finish(),
+        events: coded.events,
+        is_last: coded.events as usize == events.len(),
+        overran: coded.overran,
+    }
+}
+
+/// Gathered events, as the dense coder reads them.
+struct Gathered<'g> {
+    events: &'g [TreeEvent],
+    /// The next event, and where the current pixel ends.
+    at: usize,
+    end: usize,
+}
+
+impl Gathered<'_> {
+    fn rest(&self) -> &[TreeEvent] {
+        self.events.get(self.at..).unwrap_or_default()
+    }
+
+    fn next(&self) -> Option<TreeEvent> {
+        self.rest().first().copied()
+    }
+}
+
+/// Columns of a segment.
+const SEGMENT: u16 = 32;
+
+impl Content for Gathered<'_> {
+    fn has_row(&mut self, y: u16) -> bool {
+        self.next().is_some_and(|event| event.position().1 == y)
+    }
+
+    fn has_segment(&mut self, segment: u16, y: u16) -> bool {
+        self.next().is_some_and(|event| {
+            let (x, row) = event.position();
+            (x / SEGMENT, row) == (segment, y)
+        })
+    }
+
+    fn columns(&mut self) -> u32 {
+        let segment = |event: &TreeEvent| {
+            let (x, y) = event.position();
+            (x / SEGMENT, y)
+        };
+        let Some(first) = self.next() else {
+            return 0;
+        };
+        let same = self
+            .rest()
+            .iter()
+            .take_while(|event| segment(event) == segment(&first));
+        same.fold(0, |columns, event| {
+            columns | 1 << (event.position().0 % SEGMENT)
+        })
+    }
+
+    fn enter(&mut self, position: (u16, u16)) -> u32 {
+        let same = self
+            .rest()
+            .iter()
+            .take_while(|event| event.position() == position);
+        self.end = self.at + same.count();
+        self.at as u32
+    }
+
+    fn is_more(&self) -> bool {
+        self.at < self.end
+    }
+
+    fn peek(&self) -> (u32, bool) {
+        self.next()
+            .map_or((0, false), |event| (event.cell(), event.is_on()))
+    }
+
+    fn take(&mut self, _cell: u32, _on: bool) {
+        self.at += 1;
+    }
+
+    fn is_over(&self) -> bool {
+        self.at >= self.events.len()
+    }
+
+    fn at(&self, list: u32) -> Option<Node> {
+        let event = self.events.get(list as usize)?;
+        let next = self.events.get(list as usize + 1);
+        let is_same = next.is_some_and(|next| next.position() == event.position());
+        Some(Node {
+            cell: event.cell(),
+            on: event.is_on(),
+            next: if is_same { list + 1 } else { END },
+        })
     }
 }
 

@@ -5,7 +5,8 @@ use core::num::NonZeroU32;
 use crate::coder::coefficients::CoefficientMemory;
 use crate::coder::dense::DenseMemory;
 use crate::coder::key_frames::KEY_WINDOWS;
-use crate::coder::{Fidelity, Hybrid, Readout};
+use crate::coder::tree::TreeMemory;
+use crate::coder::{Coder, Effort, Fidelity, Hybrid, Readout};
 use crate::encoder::rate::WINDOW_BYTES_MIN;
 use crate::fixed_point::{Sum, WideSum};
 use crate::frame::{M_DEFAULT, Mode};
@@ -17,6 +18,9 @@ use crate::window::filter::Filter;
 
 /// Whether windows can keep the order of their events; without the feature none of its code is compiled.
 pub(crate) const HAS_ORDER: bool = cfg!(feature = "order");
+
+/// Whether events can be coded by the tree coder; without the feature none of its code is compiled.
+pub(crate) const HAS_TREE: bool = cfg!(feature = "tree");
 
 /// Configuration of an encoder, fixed while it runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -67,6 +71,9 @@ pub enum ConfigError {
     Dense,
     /// [`Scratch::coefficients`] or the feature `coefficients` is missing.
     Coefficients,
+    /// [`Scratch::tree`] or the feature `tree` is missing, or the memory is too small for the sensor and the effort;
+    /// or the tree coder was asked for coefficients.
+    Tree,
     /// The volume has no bins.
     Bins,
     /// A budget in mode `transform`, or one of fewer than some 146 bytes per window.
@@ -148,6 +155,7 @@ impl Config {
             return Err(ConfigError::Order);
         }
         match self.mode {
+            Mode::Coefficients(Coder::Tree(_)) => Err(ConfigError::Tree),
             Mode::Transform | Mode::Coefficients(_) if scratch.numbers() < 2 * self.grid_max() => {
                 Err(ConfigError::Scratch)
             }
@@ -160,6 +168,10 @@ impl Config {
                 fidelity: Fidelity::Bins(0),
                 ..
             }) => Err(ConfigError::Bins),
+            Mode::Hybrid(Hybrid {
+                coder: Coder::Tree(effort),
+                ..
+            }) if !scratch.has_tree(self, effort) => Err(ConfigError::Tree),
             mode if mode.is_dense() => match &scratch.dense {
                 Some(memory) if memory.serves(self.window.sensor) => Ok(()),
                 _ => Err(ConfigError::Dense),
@@ -199,6 +211,8 @@ pub struct Scratch<'b> {
     pub magnitudes: &'b mut [u32],
     /// State of the dense coder; needed for that coder only.
     pub dense: Option<DenseMemory<'b>>,
+    /// State of the tree coder; needed for that coder only, beside [`Self::dense`].
+    pub tree: Option<TreeMemory<'b>>,
     /// State of the adaptive coders of coefficients; needed for these coders only.
     pub coefficients: Option<&'b mut CoefficientMemory>,
     /// One word for each pixel that is never sent: see [`crate::WindowEncoder::add_hot`].
@@ -209,6 +223,14 @@ pub struct Scratch<'b> {
 }
 
 impl Scratch<'_> {
+    /// Returns whether the tree coder has memory for the sensor and some events.
+    const fn has_tree(&self, config: &Config, effort: Effort) -> bool {
+        match &self.tree {
+            Some(memory) if HAS_TREE => memory.serves(config.window.sensor, effort),
+            _ => false,
+        }
+    }
+
     /// Returns how many numbers each part has room for.
     const fn numbers(&self) -> usize {
         let mut least = self.sums.len();

@@ -8,11 +8,12 @@ use crate::coder::arrival_order;
 use crate::coder::coefficients::{dense, pixel::Common};
 use crate::coder::dense::{Dense, DenseMemory, EVENT_BYTES_MAX};
 use crate::coder::key_frames::Chain;
+use crate::coder::tree::{Shape, Tree};
 #[cfg(feature = "coefficients")]
 use crate::coder::window_coefficients::{CoefficientEncoder, Numbers, TakenCoefficients};
-use crate::coder::window_events::EventEncoder;
-use crate::coder::{Cells, Coder, Fidelity, Hybrid, Scans, Times};
-use crate::encoder::config::{Config, ConfigError, HAS_ORDER, HotError, Scratch};
+use crate::coder::window_events::{EventEncoder, dense_gathered};
+use crate::coder::{Cells, Coder, Effort, Fidelity, Hybrid, Scans, Times};
+use crate::encoder::config::{Config, ConfigError, HAS_ORDER, HAS_TREE, HotError, Scratch};
 use crate::encoder::rate::Rate;
 use crate::frame::{
     CRC_BYTES, FRAME_BYTES_MAX, HEADER_BYTES_MAX, Header, Mode, NoRoom, OrderSection, seal,
@@ -29,6 +30,7 @@ use crate::transform::shape::PIXEL_BYTES_MAX;
 use crate::transform::{Basis, Dct, Dtft, Dwt, Transform};
 use crate::window::hot_pixels::HotPixels;
 use crate::window::{Closed, Window, WindowConfig};
+use event_types::Sensor;
 
 /// Size in bytes of the smallest output in which any frame has room for at least one pixel.
 pub const OUTPUT_BYTES_MIN: usize = HEADER_BYTES_MAX + PIXEL_BYTES_MAX + CRC_BYTES + 8;
@@ -53,6 +55,8 @@ struct Task {
     left: u32,
     /// The next pixel was put back, and its times are coded already.
     is_rest: bool,
+    /// The window's events lie in the tree coder's memory, and as many of them are in frames.
+    gathered: Option<u32>,
 }
 
 /// An encoded frame in the output.
@@ -79,6 +83,8 @@ pub struct WindowEncoder<'b> {
     chain: Chain,
     /// The next frame is a key frame, whatever the chain says.
     breaks: bool,
+    /// Coder of the last frame of events that later ones may depend on.
+    chained: Option<Coder>,
     rate: Option<Rate>,
     /// Progress of the order section, in windows that have one.
     order: Option<arrival_order::Progress>,
@@ -98,6 +104,7 @@ impl<'b> WindowEncoder<'b> {
             totals,
             magnitudes,
             dense,
+            tree,
             coefficients,
             hot,
             order,
@@ -109,6 +116,7 @@ impl<'b> WindowEncoder<'b> {
                 totals,
                 magnitudes,
                 dense,
+                tree,
                 coefficients,
                 hot: &mut [],
                 order,
@@ -120,6 +128,7 @@ impl<'b> WindowEncoder<'b> {
             sequence: 0,
             chain: Chain::START,
             breaks: false,
+            chained: None,
             rate: rate(&config),
             order: None,
         })
@@ -145,6 +154,7 @@ impl<'b> WindowEncoder<'b> {
     pub const fn restart(&mut self) {
         self.chain = Chain::START;
         self.breaks = false;
+        self.chained = None;
     }
 
     /// Changes [`Config::bytes_per_second`], from the next window on; `None` for no budget.
@@ -363,7 +373,7 @@ impl<'b> WindowEncoder<'b> {
         if let Mode::Hybrid(hybrid) = &mut header.mode {
             hybrid.coder = Coder::Fast;
         }
-        header.scans = None;
+        (header.scans, header.levels) = (None, None);
         header.is_key = true;
         self.breaks = true;
         0
@@ -423,6 +433,12 @@ impl<'b> WindowEncoder<'b> {
             hybrid.fidelity = plan.fidelity;
             thinned = plan.thinned;
         }
+        if let Mode::Hybrid(hybrid) = &mut mode
+            && let Coder::Tree(effort) = hybrid.coder
+            && !(HAS_TREE && self.config.readout.is_none() && self.has_tree(sensor, effort, window))
+        {
+            hybrid.coder = Coder::Dense;
+        }
         let scans = self
             .config
             .readout
@@ -453,6 +469,7 @@ impl<'b> WindowEncoder<'b> {
                 is_key: !self.config.mode.is_dense()
                     || self.chain.next(window.events(), self.config.key_windows),
                 has_previous: false,
+                levels: None,
                 scans,
                 order: None,
                 sequence: 0,
@@ -476,7 +493,16 @@ impl<'b> WindowEncoder<'b> {
             scale: PhaseScale::new(closed.duration_us),
             left: window.events(),
             is_rest: false,
+            gathered: None,
         }
+    }
+
+    /// Returns whether the tree coder has memory for a window.
+    fn has_tree(&self, sensor: Sensor, effort: Effort, window: &Window<'_>) -> bool {
+        let memory = self.scratch.tree.as_ref().filter(|memory| {
+            window.events() as usize <= memory.events.len() && memory.serves(sensor, effort)
+        });
+        memory.is_some()
     }
 
     /// Codes the window's pixels with plain codes, up to the last or as far as there is room. Returns the payload's
@@ -581,25 +607,42 @@ impl<'b> WindowEncoder<'b> {
         payload: &mut [u8],
         trace: &mut T,
     ) -> usize {
+        if HAS_TREE
+            && let Coder::Tree(effort) = hybrid.coder
+            && let Some(bytes) = self.encode_tree(window, hybrid, effort, task, payload)
+        {
+            return bytes;
+        }
         let header = &mut task.header;
         let times = Times::new(hybrid.fidelity, header.scans, header.duration_us);
-        let mut encoder = EventEncoder::new(&mut self.group, window, times, &mut task.is_rest);
         let memory = self.scratch.dense.as_mut();
-        let is_dense = hybrid.coder == Coder::Dense;
+        let is_dense = hybrid.coder != Coder::Fast;
         let has_previous = memory
             .as_ref()
             .is_some_and(|memory| memory.has_previous(header.sensor));
         let dense = memory
             .filter(|_| is_dense)
             .and_then(|memory| Dense::new(header.sensor, memory));
+        let mut encoder = EventEncoder::new(&mut self.group, window, times, &mut task.is_rest);
         let taken = match dense {
             Some(mut dense) => {
+                let coder = Coder::Dense;
+                header.mode = Mode::Hybrid(Hybrid { coder, ..hybrid });
                 header.is_key |= core::mem::take(&mut self.breaks);
+                header.is_key |= self.chained.replace(coder) != Some(coder);
                 header.has_previous = has_previous;
                 if header.is_key {
                     dense.restart();
                 }
-                encoder.dense(&mut dense, task.left, payload, trace)
+                let memory = self.scratch.tree.as_ref().filter(|_| HAS_TREE);
+                match (memory, task.gathered) {
+                    (Some(memory), Some(done)) => {
+                        let events = memory.events.get(..(done + task.left) as usize);
+                        let rest = events.and_then(|events| events.get(done as usize..));
+                        dense_gathered(&mut dense, rest.unwrap_or_default(), times, payload)
+                    }
+                    _ => encoder.dense(&mut dense, task.left, payload, trace),
+                }
             }
             None => {
                 // Also reached if the memory suffices for the configured sensor but not for this window's.
@@ -612,8 +655,61 @@ impl<'b> WindowEncoder<'b> {
         header.events = taken.events;
         header.last = taken.is_last;
         task.left -= taken.events;
+        if let Some(done) = &mut task.gathered {
+            *done += taken.events;
+        }
         self.breaks = taken.overran;
         taken.payload_bytes
+    }
+
+    /// Codes the whole window with the tree coder. Returns the payload's bytes, or `None` if there is no room; the dense
+    /// coder then codes what was gathered, and its frames say so.
+    #[inline(never)]
+    fn encode_tree(
+        &mut self,
+        window: &mut Window<'_>,
+        hybrid: Hybrid,
+        effort: Effort,
+        task: &mut Task,
+        payload: &mut [u8],
+    ) -> Option<usize> {
+        let header = &mut task.header;
+        let times = Times::new(hybrid.fidelity, None, header.duration_us);
+        let memory = self.scratch.tree.as_mut()?;
+        // No dense frame can code what was gathered if its memory is too small.
+        let dense = self.scratch.dense.as_ref();
+        dense.filter(|memory| memory.serves(header.sensor))?;
+        // Times of too many bits.
+        Shape::of_window(times.count(), effort, 0, 0)?;
+        let mut encoder = EventEncoder::new(&mut self.group, window, times, &mut task.is_rest);
+        let (count, pixels) = encoder.gather(memory.events);
+        task.gathered = Some(0);
+        let shape = Shape::of_window(times.count(), effort, count as u32, pixels)?;
+        let start = header.first_cell(times.count());
+        // The coder takes all memory but that of the events.
+        let events = core::mem::take(&mut memory.events);
+        let coded =
+            Tree::new(header.sensor, effort, events.len(), true, memory).and_then(|mut tree| {
+                let coder = hybrid.coder;
+                header.is_key |= core::mem::take(&mut self.breaks);
+                header.is_key |= self.chained.replace(coder) != Some(coder);
+                if header.is_key {
+                    tree.restart();
+                }
+                tree.encode(shape, start, events.get_mut(..count)?, payload)
+            });
+        memory.events = events;
+        if coded.is_none() {
+            // What it learned is not in any frame.
+            self.chained = None;
+            return None;
+        }
+        header.has_previous = true;
+        header.levels = Some(shape.levels());
+        header.events = task.left;
+        header.last = true;
+        task.left = 0;
+        coded
     }
 
     /// Codes the window's order, or as much of it as there is room for, after a payload of `payload_bytes`. Returns
@@ -702,5 +798,157 @@ impl<'b> WindowEncoder<'b> {
     /// Gives the next frame the number `sequence`, for encoders that take turns at the windows of one stream.
     pub const fn follow(&mut self, sequence: u32) {
         self.sequence = sequence;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::coder::dense;
+    use crate::coder::dense::model::Model;
+    use crate::coder::tree::{Counter, Marks, Nodes, Pixel, Sizes, TreeEvent, TreeMemory};
+    use crate::frame::Frame;
+    use crate::window::{Slot, WindowBuffers, bitmap_words, segments};
+    use event_types::{Event, Polarity};
+    use std::{boxed::Box, vec, vec::Vec};
+
+    const SENSOR: Sensor = Sensor {
+        width: 50,
+        height: 20,
+    };
+
+    /// Lends what a [`TreeMemory`] needs to `with`.
+    fn with_tree<R>(effort: Effort, events: usize, with: impl FnOnce(TreeMemory<'_>) -> R) -> R {
+        let sizes = Sizes::new(SENSOR, effort, usize::MAX, true);
+        with(TreeMemory {
+            counters: &mut vec![Counter::UNSET; sizes.counters],
+            weights: &mut vec![[0; _]; sizes.weights],
+            curves: &mut vec![[0; _]; sizes.curves],
+            bytes: &mut vec![0; sizes.bytes],
+            halves: &mut vec![0; sizes.halves],
+            words: &mut vec![0; sizes.words],
+            pixels: &mut vec![Pixel::NONE; sizes.pixels],
+            seconds: &mut vec![Nodes::default(); sizes.seconds],
+            marks: &mut vec![Marks::default(); sizes.marks],
+            events: &mut vec![TreeEvent::NONE; events],
+        })
+    }
+
+    fn events(window: u64) -> Vec<Event> {
+        let mut random = window.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+        let mut events: Vec<_> = (0..700)
+            .map(|_| {
+                random ^= random << 13;
+                random ^= random >> 7;
+                random ^= random << 17;
+                Event {
+                    t_us: 1000 * window + random % 1000,
+                    x: (random >> 20) as u16 % 9 * 5,
+                    y: (random >> 40) as u16 % 20,
+                    polarity: Polarity::from_bool(random >> 60 & 1 == 1),
+                }
+            })
+            .collect();
+        events.sort_by_key(|event| event.t_us);
+        events
+    }
+
+    /// Whole windows are frames of the tree coder, and come back; others are frames of the dense coder, of which the
+    /// first is a key, as is the next tree.
+    #[test]
+    fn windows_without_room_are_dense_frames_and_the_chain_begins_anew() {
+        let effort = Effort::One;
+        let hybrid = Hybrid {
+            coder: Coder::Tree(effort),
+            fidelity: Fidelity::Lossless,
+        };
+        let thresholds = crate::Thresholds::new(0, 0).unwrap();
+        let config = Config::new(
+            WindowConfig::new(SENSOR, 1000),
+            thresholds,
+            Mode::Hybrid(hybrid),
+        );
+        let count = segments(SENSOR.width, SENSOR.height);
+        let (mut slots, mut heads) = (vec![Slot::EMPTY; 700], vec![0; count]);
+        let mut bitmap = vec![0; bitmap_words(count)];
+        let buffers = WindowBuffers {
+            slots: &mut slots,
+            heads: &mut heads,
+            bitmap: &mut bitmap,
+        };
+        let mut window = Window::new(config.window, buffers).unwrap();
+        let mut model = Box::new(Model::UNSET);
+        let mut words = vec![0; dense::words(SENSOR, true)];
+        let coders = with_tree(effort, 700, |tree| {
+            let scratch = Scratch {
+                sums: &mut [],
+                totals: &mut [],
+                magnitudes: &mut [],
+                dense: Some(DenseMemory {
+                    model: &mut model,
+                    words: &mut words,
+                }),
+                tree: Some(tree),
+                coefficients: None,
+                hot: &mut [],
+                order: &mut [],
+            };
+            let mut encoder = WindowEncoder::new(config, scratch).unwrap();
+            with_tree(effort, 0, |mut memory| {
+                let mut tree = Tree::new(SENSOR, effort, 700, true, &mut memory).unwrap();
+                let mut coders = vec![];
+                for number in 0..5 {
+                    let sent = events(number);
+                    for event in &sent {
+                        window.push(*event);
+                    }
+                    window.flush();
+                    let room = if number == 2 {
+                        OUTPUT_BYTES_MIN
+                    } else {
+                        1 << 16
+                    };
+                    let mut out = vec![0; room];
+                    let mut told = 0;
+                    while let Some(encoded) = encoder.next_frame(&mut window, &mut out).unwrap() {
+                        let frame = Frame::parse(&out[encoded.range]).unwrap();
+                        let header = frame.header;
+                        assert_eq!(header, encoded.header);
+                        let Mode::Hybrid(hybrid) = header.mode else {
+                            panic!("{:?}", header.mode);
+                        };
+                        coders.push((hybrid.coder.name(), header.is_key, header.part));
+                        told += header.events;
+                        let Some(levels) = header.levels else {
+                            continue;
+                        };
+                        let shape = Shape::new(header.duration_us, levels).unwrap();
+                        let mut found = vec![TreeEvent::NONE; header.events as usize];
+                        if header.is_key {
+                            tree.restart();
+                        }
+                        let start = header.first_cell(header.duration_us);
+                        assert!(tree.decode(shape, start, frame.payload, &mut found));
+                        let mut sent = sent.clone();
+                        sent.sort_by_key(|event| (event.y, event.x, event.t_us));
+                        assert_eq!(found.len(), sent.len());
+                        for (found, sent) in found.iter().zip(&sent) {
+                            let t_us = header.t0_us + u64::from(found.cell());
+                            assert_eq!((found.position(), t_us), ((sent.x, sent.y), sent.t_us));
+                        }
+                    }
+                    assert_eq!(told as usize, sent.len());
+                }
+                coders
+            })
+        });
+        let of_tree: Vec<_> = coders.iter().filter(|coder| coder.0 == "tree-1").collect();
+        let of_dense: Vec<_> = coders.iter().filter(|coder| coder.0 == "dense").collect();
+        let keys: Vec<_> = of_tree.iter().map(|coder| coder.1).collect();
+        assert_eq!(keys, [true, false, true, false]);
+        assert!(of_dense.len() > 1);
+        for (part, coder) in (0..).zip(of_dense) {
+            assert_eq!((coder.1, coder.2), (part == 0, part));
+        }
     }
 }

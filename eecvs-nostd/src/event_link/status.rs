@@ -60,6 +60,8 @@ impl From<ConfigError> for Refusal {
             ConfigError::Rate => Self::Rate,
             ConfigError::Order => Self::Order,
             ConfigError::Coefficients => Self::Coefficients,
+            // No image has it.
+            ConfigError::Tree => Self::Mode,
         }
     }
 }

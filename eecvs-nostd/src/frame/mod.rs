@@ -8,7 +8,8 @@ pub mod stream;
 use serde::{Deserialize, Serialize};
 
 use crate::checksum::{CRC_16, crc_32};
-use crate::coder::{Axis, Coder, Fidelity, Hybrid, Readout, Scans};
+use crate::coder::tree::{Levels, Shape};
+use crate::coder::{Axis, Cells, Coder, Effort, Fidelity, Hybrid, Readout, Scans};
 use crate::pack::bits_lsb_first::BitReader;
 use crate::pack::descriptor::Descriptor;
 use crate::pack::unpack::UnpackError;
@@ -23,6 +24,8 @@ use event_types::Sensor;
 pub const SYNC: [u8; 2] = [0xEE, 0xC5];
 /// Version of the wire format whose header ends with a byte of further flags.
 pub const VERSION: u8 = 3;
+/// Version of a frame of the tree coder, whose header has the effort and the levels after the further flags.
+pub const VERSION_TREE: u8 = 4;
 /// Version of a frame without further flags.
 pub const VERSION_PLAIN: u8 = 2;
 /// Size of the largest frame in bytes, from sync to CRC-32.
@@ -75,11 +78,13 @@ pub struct Header {
     pub regime: Regime,
     /// Content of the payload.
     pub mode: Mode,
-    /// The frame decodes without the frames before it. False for most frames of the dense coder, true for all
-    /// others.
+    /// The frame decodes without the frames before it. False for most frames of the dense and the tree coder, true
+    /// for all others.
     pub is_key: bool,
-    /// The dense coder uses the window before as context.
+    /// The dense coder uses the window before as context; the tree coder the last events of each pixel.
     pub has_previous: bool,
+    /// Levels of the trees; in frames of the tree coder alone.
+    pub levels: Option<Levels>,
     /// Scans by which the times are coded; only in lossless frames of the dense coder.
     pub scans: Option<Scans>,
     /// Order section of the payload: in frames of an encoder that keeps arrival order, once every event of the
@@ -182,10 +187,15 @@ const ORDER: u8 = 1 << 7;
 /// Further flags.
 const BEGINS_RUN: u8 = 1;
 
+/// Where the levels of the two trees are, above the effort, in the byte of a frame of the tree coder.
+const LEVELS_FIRST_SHIFT: u32 = 2;
+const LEVELS_SECOND_SHIFT: u32 = 5;
+
 /// Codes of the mode.
 const TRANSFORM: u8 = 0;
 const FAST: u8 = 1;
 const DENSE: u8 = 2;
+const TREE: u8 = 3;
 const CODER: u8 = 3;
 const FIDELITY_SHIFT: u32 = 2;
 /// Coder of coefficients, in the bits that hold the fidelity in hybrid modes.
@@ -237,10 +247,22 @@ impl Mode {
             self,
             Self::Coefficients(Coder::Dense)
                 | Self::Hybrid(Hybrid {
-                    coder: Coder::Dense,
+                    coder: Coder::Dense | Coder::Tree(_),
                     ..
                 })
         )
+    }
+
+    /// Returns the effort of the tree coder, if this is its mode.
+    #[must_use]
+    pub const fn effort(self) -> Option<Effort> {
+        match self {
+            Self::Hybrid(Hybrid {
+                coder: Coder::Tree(effort),
+                ..
+            }) => Some(effort),
+            _ => None,
+        }
     }
 
     /// Returns the mode's code on the wire and, for some fidelities, the value that goes with it.
@@ -248,12 +270,16 @@ impl Mode {
         let Hybrid { coder, fidelity } = match self {
             Self::Transform => return (TRANSFORM, None),
             Self::Coefficients(Coder::Fast) => return (COEFFICIENTS_FAST, None),
-            Self::Coefficients(Coder::Dense) => return (COEFFICIENTS_DENSE, None),
+            // The tree coder has none: `Config::check` refuses it.
+            Self::Coefficients(Coder::Dense | Coder::Tree(_)) => {
+                return (COEFFICIENTS_DENSE, None);
+            }
             Self::Hybrid(hybrid) => hybrid,
         };
         let coder = match coder {
             Coder::Fast => FAST,
             Coder::Dense => DENSE,
+            Coder::Tree(_) => TREE,
         };
         let (fidelity, value) = match fidelity {
             Fidelity::Lossless => (LOSSLESS, None),
@@ -263,7 +289,8 @@ impl Mode {
         (coder | (fidelity << FIDELITY_SHIFT), value)
     }
 
-    /// The inverse of [`Self::code`]; `None` for an unknown code or a value out of range.
+    /// The inverse of [`Self::code`], which does not tell the effort; `None` for an unknown code or a value out of
+    /// range.
     pub(crate) const fn from_code(code: u8, value: u32) -> Option<Self> {
         match code {
             TRANSFORM => return Some(Self::Transform),
@@ -280,6 +307,7 @@ impl Mode {
         let coder = match code & CODER {
             FAST => Coder::Fast,
             DENSE => Coder::Dense,
+            TREE => Coder::Tree(Effort::One),
             _ => return None,
         };
         Some(Self::Hybrid(Hybrid { coder, fidelity }))
@@ -346,6 +374,19 @@ impl Header {
         }
     }
 
+    /// Returns the number of the window's first cell among those of all time, of which a window has `cells`: low bits
+    /// of it, which tell how long a pixel has been silent.
+    #[must_use]
+    pub const fn first_cell(&self, cells: u32) -> u32 {
+        let duration_us = if self.duration_us == 0 {
+            1
+        } else {
+            self.duration_us
+        };
+        let scaled = self.t0_us as u128 * cells as u128 / duration_us as u128;
+        scaled as u32
+    }
+
     /// Returns the shape of a hybrid frame's volume where the header has none.
     const fn default_shape(regime: Regime) -> ShapeWire {
         let transform = regime.transform();
@@ -359,7 +400,9 @@ impl Header {
 
     /// Returns the lowest version that can express the header.
     const fn version(&self) -> u8 {
-        if self.begins_run {
+        if self.mode.effort().is_some() {
+            VERSION_TREE
+        } else if self.begins_run {
             VERSION
         } else {
             VERSION_PLAIN
@@ -451,9 +494,15 @@ impl Header {
                 put(&|out| Ok(postcard::to_slice(&events, out)?.len()))?;
             }
         }
-        if self.version() == VERSION {
+        if self.version() != VERSION_PLAIN {
             let further = u8::from(self.begins_run) * BEGINS_RUN;
             put(&|out| Ok(postcard::to_slice(&further, out)?.len()))?;
+        }
+        if let (Some(effort), Some(levels)) = (self.mode.effort(), self.levels) {
+            let tree = effort as u8
+                | (levels.first << LEVELS_FIRST_SHIFT)
+                | (levels.second << LEVELS_SECOND_SHIFT);
+            put(&|out| Ok(postcard::to_slice(&tree, out)?.len()))?;
         }
         Ok(len)
     }
@@ -509,6 +558,7 @@ impl Header {
         let code = wire.mode ^ chained;
         let allowed = match (coder, code) {
             (DENSE, _) => KEY | PREVIOUS | COLUMNS | ROWS,
+            (TREE, _) => KEY | PREVIOUS,
             (_, COEFFICIENTS_DENSE) => KEY | PREVIOUS,
             _ => 0,
         };
@@ -520,7 +570,7 @@ impl Header {
         } else {
             None
         };
-        let mode = Mode::from_code(code, value.unwrap_or(0))?;
+        let mut mode = Mode::from_code(code, value.unwrap_or(0))?;
         let sensor = Sensor::new(wire.width, wire.height)?;
         let axis = match chained & (COLUMNS | ROWS) {
             0 => None,
@@ -558,9 +608,44 @@ impl Header {
             None
         };
         // Version 3 needs a further flag: without one the frame would have the other version.
-        let further = if version == VERSION { take(rest)? } else { 0 };
-        let is_known = further == if version == VERSION { BEGINS_RUN } else { 0 };
-        if !is_known || !rest.is_empty() {
+        let further = if version == VERSION_PLAIN {
+            0
+        } else {
+            take(rest)?
+        };
+        let is_known = match version {
+            VERSION_PLAIN => true,
+            VERSION => further == BEGINS_RUN,
+            _ => further & !BEGINS_RUN == 0,
+        };
+        let is_tree = version == VERSION_TREE;
+        if !is_known || is_tree != (coder == TREE) {
+            return None;
+        }
+        let mut levels = None;
+        if is_tree {
+            let tree: u8 = take(rest)?;
+            let told = Levels {
+                first: tree >> LEVELS_FIRST_SHIFT & 7,
+                second: tree >> LEVELS_SECOND_SHIFT,
+            };
+            let Mode::Hybrid(hybrid) = &mut mode else {
+                return None;
+            };
+            let effort = Effort::from_number(tree & 3)?;
+            hybrid.coder = Coder::Tree(effort);
+            let cells = Cells::new(hybrid.fidelity, wire.duration_us);
+            Shape::new(cells.count(), told)?;
+            levels = Some(told);
+            // A window is whole, but its order may go on in further frames. Only effort one does without history.
+            let is_whole = part.events == wire.window_events;
+            let is_order = part.events == 0 && part.part > 0;
+            let has_history = chained & PREVIOUS != 0 || effort == Effort::One;
+            if !(is_whole || is_order) || !has_history {
+                return None;
+            }
+        }
+        if !rest.is_empty() {
             return None;
         }
         let transform = Transform::from_code(shape.transform)?;
@@ -572,6 +657,7 @@ impl Header {
             mode,
             is_key: allowed == 0 || chained & KEY != 0,
             has_previous: chained & PREVIOUS != 0,
+            levels,
             scans: scan,
             order,
             sequence: wire.sequence,
@@ -673,7 +759,7 @@ impl<'i> Frame<'i> {
         let [_, _, version, header_bytes, ..] = *bytes else {
             return Err(FrameError::Incomplete);
         };
-        if !matches!(version, VERSION_PLAIN | VERSION) {
+        if !matches!(version, VERSION_PLAIN | VERSION | VERSION_TREE) {
             return Err(FrameError::Version(version));
         }
         let header_bytes = usize::from(header_bytes);
@@ -790,6 +876,7 @@ mod tests {
             }),
             is_key: true,
             has_previous: true,
+            levels: None,
             scans: None,
             order: Some(OrderSection {
                 bytes: u32::MAX,

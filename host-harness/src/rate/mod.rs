@@ -70,16 +70,19 @@ impl Effort {
         // Plain, and with each of the two coders.
         let transform = 3 * Transform::ALL.len() * self.m.len();
         let arrays = Stored::ALL.len() * (1 + self.voxel_bins.len());
-        hybrid + transform + lossless::peers().len() + arrays
+        hybrid + TREE.len() + transform + lossless::peers().len() + arrays
     }
 }
+
+/// Efforts of the tree coder that are measured, lossless alone.
+const TREE: [eecvs_nostd::Effort; 3] = eecvs_nostd::Effort::ALL;
 
 /// One point of a curve; the fields are its JSON keys. `None` if a metric does not apply.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// Name of the recording.
     pub recording: String,
-    /// `hybrid-dense`, `hybrid-fast`, `transform-dct`, `transform-dct-fast`, `transform-dct-dense`, ..., or a
+    /// `hybrid-dense`, `hybrid-fast`, `hybrid-tree-1` to `-3`, `transform-dct`, `transform-dct-fast`, `transform-dct-dense`, ..., or a
     /// peer's name.
     #[serde(deserialize_with = "name")]
     pub codec: Name,
@@ -107,6 +110,9 @@ pub const fn coder_name(coder: Coder) -> &'static str {
     match coder {
         Coder::Dense => "hybrid-dense",
         Coder::Fast => "hybrid-fast",
+        Coder::Tree(eecvs_nostd::Effort::One) => "hybrid-tree-1",
+        Coder::Tree(eecvs_nostd::Effort::Two) => "hybrid-tree-2",
+        Coder::Tree(eecvs_nostd::Effort::Three) => "hybrid-tree-3",
     }
 }
 
@@ -125,11 +131,11 @@ pub const fn transform_name(transform: Transform) -> &'static str {
 pub const fn coded_name(transform: Transform, coder: Coder) -> &'static str {
     match (transform, coder) {
         (Transform::Dct, Coder::Fast) => "transform-dct-fast",
-        (Transform::Dct, Coder::Dense) => "transform-dct-dense",
+        (Transform::Dct, _) => "transform-dct-dense",
         (Transform::Dtft, Coder::Fast) => "transform-dtft-fast",
-        (Transform::Dtft, Coder::Dense) => "transform-dtft-dense",
+        (Transform::Dtft, _) => "transform-dtft-dense",
         (Transform::Dwt, Coder::Fast) => "transform-dwt-fast",
-        (Transform::Dwt, Coder::Dense) => "transform-dwt-dense",
+        (Transform::Dwt, _) => "transform-dwt-dense",
     }
 }
 
@@ -152,6 +158,9 @@ pub fn measure(source: &Source, effort: Effort, progress: &mut dyn FnMut()) -> R
         for bins in effort.bins {
             subject.hybrid(coder, Fidelity::Bins(*bins))?;
         }
+    }
+    for effort in TREE {
+        subject.hybrid(Coder::Tree(effort), Fidelity::Lossless)?;
     }
     for transform in Transform::ALL {
         for m in effort.m {

@@ -70,6 +70,7 @@ impl Method {
             Self::Hybrid { coder, .. } => match coder {
                 Coder::Fast => "hybrid-fast",
                 Coder::Dense => "hybrid-dense",
+                Coder::Tree(_) => "hybrid-tree",
             },
             Self::Baseline { baseline, .. } => baseline.name(),
         }

@@ -34,8 +34,8 @@ const PEAK_MIN: f64 = 0.4;
 /// Examines a recording's first events, if the mode can use a readout, and returns the reader with a configuration
 /// that has the readout found.
 ///
-/// The reader returned delivers the examined events again. Only the lossless and tolerance modes of the dense coder
-/// can use a readout; other configurations are returned unchanged.
+/// The reader returned delivers the examined events again. Only the lossless and tolerance modes of the dense and
+/// the tree coder can use a readout; other configurations are returned unchanged.
 #[must_use]
 pub fn look(reader: Box<dyn EventReader>, config: Config) -> (Box<dyn EventReader>, Config) {
     if !may_scan(config.mode) {
@@ -60,7 +60,7 @@ const fn may_scan(mode: Mode) -> bool {
     matches!(
         mode,
         Mode::Hybrid(Hybrid {
-            coder: Coder::Dense,
+            coder: Coder::Dense | Coder::Tree(_),
             fidelity: Fidelity::Lossless | Fidelity::ToleranceUs(_),
         })
     )

@@ -6,8 +6,9 @@ use eecvs_nostd::coder::dense::model::Model;
 use eecvs_nostd::coder::dense::{Dense, DenseMemory, words};
 use eecvs_nostd::coder::fast::Fast;
 use eecvs_nostd::coder::range::RangeDecoder;
+use eecvs_nostd::coder::tree::{Shape, Tree, TreeEvent};
 use eecvs_nostd::{
-    Coder, Config, Event, Frame, Header, Hybrid, Mode, NextStart, Polarity, Push, Sensor,
+    Coder, Config, Effort, Event, Frame, Header, Hybrid, Mode, NextStart, Polarity, Push, Sensor,
     Thresholds, Times, WindowConfig,
 };
 use event_types::ensure;
@@ -15,6 +16,7 @@ use event_types::stream::{Context, Result};
 
 use super::{DecodedWindow, Pixel, pixels};
 use crate::storage::HostStorage;
+use crate::tree_memory::TreeStorage;
 
 /// Reason why a frame was not decoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,6 +47,8 @@ impl std::error::Error for Refused {}
 #[derive(Debug, Default)]
 pub struct HybridDecoder {
     chain: Option<Chain>,
+    trees: Option<TreeChain>,
+    found: Vec<TreeEvent>,
     nodes: Vec<Node>,
     positions: Vec<(u16, u16)>,
     /// Memory reused for the next frame's events.
@@ -87,6 +91,40 @@ impl Chain {
     }
 }
 
+/// State of the tree coder after a frame.
+#[derive(Debug)]
+struct TreeChain {
+    sensor: Sensor,
+    effort: Effort,
+    has_history: bool,
+    storage: TreeStorage,
+    /// Sequence number of the frame that continues from this state.
+    next: u32,
+}
+
+impl TreeChain {
+    /// As [`Chain::of`].
+    fn of(before: Option<Self>, header: &Header, effort: Effort) -> Result<Self, Refused> {
+        let before = before.filter(|chain| {
+            (chain.sensor, chain.effort, chain.has_history)
+                == (header.sensor, effort, header.has_previous)
+        });
+        if header.is_key {
+            Ok(before.unwrap_or_else(|| Self {
+                sensor: header.sensor,
+                effort,
+                has_history: header.has_previous,
+                storage: TreeStorage::new(header.sensor, effort, 0),
+                next: 0,
+            }))
+        } else {
+            before
+                .filter(|chain| chain.next == header.sequence)
+                .ok_or(Refused::Dependent)
+        }
+    }
+}
+
 impl HybridDecoder {
     /// Takes back the memory of decoded events for reuse.
     pub fn reuse(&mut self, events: Vec<Event>) {
@@ -110,6 +148,7 @@ impl HybridDecoder {
                 self.pass(header, payload)
             }
             Coder::Dense => self.dense(header, payload, times),
+            Coder::Tree(effort) => self.tree(header, effort, payload, times),
         }
     }
 
@@ -165,6 +204,53 @@ impl HybridDecoder {
         let found = self.positions.iter().zip(&self.nodes);
         events.extend(
             found.map(|(position, node)| event(header, times, *position, node.cell, node.on)),
+        );
+        Ok(events)
+    }
+}
+
+impl HybridDecoder {
+    fn tree(
+        &mut self,
+        header: &Header,
+        effort: Effort,
+        payload: &[u8],
+        times: Times,
+    ) -> Result<Vec<Event>, Refused> {
+        let mut chain = TreeChain::of(self.trees.take(), header, effort)?;
+        let shape = header
+            .levels
+            .and_then(|levels| Shape::new(times.count(), levels));
+        let shape = shape.ok_or(Refused::Malformed)?;
+        let count = header.events as usize;
+        self.found.clear();
+        self.found.resize(count, TreeEvent::NONE);
+        let mut memory = chain.storage.lent();
+        let tree = Tree::new(
+            header.sensor,
+            effort,
+            count,
+            header.has_previous,
+            &mut memory,
+        );
+        let mut tree = tree.ok_or(Refused::Malformed)?;
+        if header.is_key {
+            tree.restart();
+        }
+        let start = header.first_cell(times.count());
+        let is_whole = tree.decode(shape, start, payload, &mut self.found);
+        // A window need not have a power of two of cells.
+        let is_inside = |event: &TreeEvent| event.cell() < times.count();
+        if !is_whole || !self.found.iter().all(is_inside) {
+            return Err(Refused::Malformed);
+        }
+        chain.next = header.sequence.wrapping_add(1);
+        self.trees = Some(chain);
+        let mut events = std::mem::take(&mut self.spare);
+        events.clear();
+        let found = self.found.iter();
+        events.extend(
+            found.map(|found| event(header, times, found.position(), found.cell(), found.is_on())),
         );
         Ok(events)
     }

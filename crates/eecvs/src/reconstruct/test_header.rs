@@ -12,6 +12,7 @@ pub fn header(duration_us: u32) -> Header {
         mode: Mode::Transform,
         is_key: true,
         has_previous: false,
+        levels: None,
         scans: None,
         order: None,
         sequence: 0,

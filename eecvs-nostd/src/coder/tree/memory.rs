@@ -29,7 +29,7 @@ pub struct TreeMemory<'b> {
     pub seconds: &'b mut [Nodes],
     /// Polarities and times beside the pixels, then beside the second trees.
     pub marks: &'b mut [Marks],
-    /// Events of a window.
+    /// Events of a window: for the caller, who hands them to the coder.
     pub events: &'b mut [TreeEvent],
 }
 
@@ -120,9 +120,16 @@ impl Sizes {
 }
 
 impl TreeMemory<'_> {
-    /// Returns whether each part is large enough.
+    /// Returns whether it is large enough for a sensor and an effort, with history, and windows of as many events as
+    /// it has room for, at least one.
     #[must_use]
-    pub const fn serves(&self, sizes: &Sizes) -> bool {
+    pub const fn serves(&self, sensor: Sensor, effort: Effort) -> bool {
+        let events = self.events.len();
+        events > 0 && self.has(&Sizes::new(sensor, effort, events, true))
+    }
+
+    /// Returns whether each part is large enough, but for the events, which the caller keeps.
+    pub(super) const fn has(&self, sizes: &Sizes) -> bool {
         self.counters.len() >= sizes.counters
             && self.weights.len() >= sizes.weights
             && self.curves.len() >= sizes.curves
@@ -132,6 +139,5 @@ impl TreeMemory<'_> {
             && self.pixels.len() >= sizes.pixels
             && self.seconds.len() >= sizes.seconds
             && self.marks.len() >= sizes.marks
-            && self.events.len() >= sizes.events
     }
 }

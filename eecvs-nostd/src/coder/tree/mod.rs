@@ -66,6 +66,16 @@ pub const LEVELS_MAX: u32 = 6;
 /// Most bits of a time in a window.
 pub const TIME_BITS_MAX: u32 = 28;
 
+/// Levels of the two trees by which a window's times are divided.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Levels {
+    /// Of the first tree, 1 to 6.
+    pub first: u8,
+    /// Of the second tree, 0 to 6.
+    pub second: u8,
+}
+
 /// How a window's times are divided.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -79,11 +89,12 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// Returns the shape for times below `units`, with trees of `first` (1 to 6) and `second` (0, or up to 6 if the
-    /// first has 6) levels; `None` if these are out of their ranges, or together more than the times have bits, or if
+    /// Returns the shape for times below `units`, with trees of `levels` (the second only if the first has
+    /// all six); `None` if these are out of their ranges, or together more than the times have bits, or if
     /// the times have more than [`TIME_BITS_MAX`]. Times below 1 have one bit.
     #[must_use]
-    pub const fn new(units: u32, first: u32, second: u32) -> Option<Self> {
+    pub const fn new(units: u32, levels: Levels) -> Option<Self> {
+        let (first, second) = (levels.first as u32, levels.second as u32);
         let bits = Self::bits_of(units);
         let is_first = first >= 1 && first <= LEVELS_MAX;
         let is_second = second == 0 || (second <= LEVELS_MAX && first == LEVELS_MAX);
@@ -123,7 +134,14 @@ impl Shape {
         };
         let first = if first < bits { first } else { bits };
         let rest = bits.saturating_sub(first);
-        Self::new(units, first, if second < rest { second } else { rest })
+        let second = if second < rest { second } else { rest };
+        Self::new(
+            units,
+            Levels {
+                first: first as u8,
+                second: second as u8,
+            },
+        )
     }
 
     const fn bits_of(units: u32) -> u32 {
@@ -131,10 +149,13 @@ impl Shape {
         if bits == 0 { 1 } else { bits }
     }
 
-    /// Returns the levels of the first and the second tree.
+    /// Returns the levels of the trees.
     #[must_use]
-    pub const fn levels(self) -> (u32, u32) {
-        (self.first, self.second)
+    pub const fn levels(self) -> Levels {
+        Levels {
+            first: self.first as u8,
+            second: self.second as u8,
+        }
     }
 
     /// Returns the bits of a time in a leaf of the last tree.
@@ -257,7 +278,7 @@ impl<'b> Tree<'b> {
         memory: &'b mut TreeMemory<'_>,
     ) -> Option<Self> {
         let sizes = Sizes::new(sensor, effort, events, has_history);
-        if !memory.serves(&sizes) {
+        if !memory.has(&sizes) {
             return None;
         }
         let pyramid = Pyramid::new(sensor);

@@ -100,13 +100,12 @@ fn cases() -> impl Strategy<Value = Case> {
         1_u32..=1 << 28,
         (0_u32..=28).prop_map(|b| 1 << b)
     ];
-    let shape =
-        (units, 1_u32..=6, 0_u32..=6).prop_filter_map("levels", |(units, first, second)| {
-            let second = if first == 6 { second } else { 0 };
-            let shape = Shape::new(units, first, second);
-            let shape = shape.or_else(|| Shape::new(units, first, 0));
-            Some((units, shape.or_else(|| Shape::new(units, 1, 0))?))
-        });
+    let shape = (units, 1_u8..=6, 0_u8..=6).prop_filter_map("levels", |(units, first, second)| {
+        let second = if first == 6 { second } else { 0 };
+        let shape = |first, second| Shape::new(units, Levels { first, second });
+        let some = shape(first, second).or_else(|| shape(first, 0));
+        Some((units, some.or_else(|| shape(1, 0))?))
+    });
     let effort = prop_oneof![
         6 => Just(Effort::One),
         1 => Just(Effort::Two),
@@ -251,7 +250,10 @@ proptest! {
 
 #[test]
 fn shapes_have_bounds() {
-    let levels = |units, first, second| Shape::new(units, first, second).map(Shape::levels);
+    let levels = |units, first, second| {
+        let shape = Shape::new(units, Levels { first, second });
+        shape.map(|shape| (shape.levels().first, shape.levels().second))
+    };
     assert_eq!(levels(1, 1, 0), Some((1, 0)));
     assert_eq!(levels(1, 2, 0), None);
     assert_eq!(levels(32768, 6, 6), Some((6, 6)));
@@ -283,7 +285,10 @@ fn windows_have_shapes() {
                 assert_eq!(shape.is_some(), bits <= TIME_BITS_MAX, "{bits}");
             }
         }
-        let levels = |events| Shape::of_window(32768, effort, events, 8).map(Shape::levels);
+        let levels = |events| {
+            let shape = Shape::of_window(32768, effort, events, 8);
+            shape.map(|shape| (shape.levels().first, shape.levels().second))
+        };
         assert_eq!(levels(64), Some((6, 6)));
         assert!(levels(8) < levels(20));
     }

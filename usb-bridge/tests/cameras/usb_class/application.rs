@@ -167,6 +167,7 @@ impl Encoder {
             totals: leak(WideSum::ZERO, NUMBERS),
             magnitudes: leak(0, NUMBERS),
             dense,
+            tree: None,
             coefficients: None,
             hot: leak(0, 4),
             order: &mut [],
