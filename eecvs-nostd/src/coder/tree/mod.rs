@@ -39,9 +39,9 @@ use event_types::Sensor;
 pub enum Effort {
     /// Single contexts: as fast as the dense coder, with 200 KB of tables.
     One = 1,
-    /// Three mixed contexts: some four times the time for 1 to 4 % fewer bits, with 4 MB of tables.
+    /// Three mixed contexts: some six times the time for 1 to 5 % fewer bits, with 4 MB of tables.
     Two = 2,
-    /// All contexts, mixed: some nine times the time for another 1 to 3 %, with 10 MB of tables.
+    /// All contexts, mixed: some thirteen times the time for another 1 to 3 %, with 10 MB of tables.
     Three = 3,
 }
 
