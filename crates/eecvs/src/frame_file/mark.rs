@@ -68,8 +68,8 @@ pub struct Totals {
 }
 
 impl Totals {
-    /// Adds a frame; `bytes` are all of its bytes.
-    pub fn add(&mut self, header: &Header, bytes: &[u8]) {
+    /// Adds a frame of which all bytes are `bytes`, and which takes `stored` bytes in the file.
+    fn add(&mut self, header: &Header, bytes: &[u8], stored: u64) {
         let mut hashed = [0; 2 * CRC_BYTES];
         let (before, crc) = hashed.split_at_mut(CRC_BYTES);
         before.copy_from_slice(&self.hash.to_le_bytes());
@@ -78,7 +78,7 @@ impl Totals {
         self.runs += u64::from(begins_run(header) || self.frames == 0);
         self.frames += 1;
         self.events += u64::from(header.events);
-        self.bytes += bytes.len() as u64;
+        self.bytes += stored;
     }
 
     /// Returns whether the frames are the same, as far as their counts and their hash show.
@@ -331,20 +331,33 @@ impl Default for Segment {
 }
 
 impl Segment {
-    /// Adds a frame; `bytes` are all of its bytes.
+    /// Adds a whole frame; `bytes` are all of its bytes.
     pub fn add(&mut self, header: &Header, bytes: &[u8]) {
-        self.end.totals.add(header, bytes);
+        self.add_stored(header, bytes, bytes.len() as u64);
+    }
+
+    /// Returns whether another stretch begins if the next frame, with this header, is added as a whole one.
+    #[must_use]
+    pub fn may_enter(&self, header: &Header) -> bool {
         let is_entry = header.part == 0 && header.is_key;
+        let last = self.end.stretches.last();
+        last.is_none_or(|last| is_entry && last.bytes >= self.stretch_bytes)
+    }
+
+    /// Adds a frame of which all bytes are `bytes`, and which takes `stored` bytes in the file: fewer if it is short.
+    pub fn add_stored(&mut self, header: &Header, bytes: &[u8], stored: u64) {
+        let is_whole = stored == bytes.len() as u64;
+        let enters = is_whole && self.may_enter(header);
+        self.end.totals.add(header, bytes, stored);
         let stretches = &mut self.end.stretches;
-        let is_long = |last: &Stretch| last.bytes >= self.stretch_bytes;
         let is_first = stretches.is_empty();
-        if is_first || is_entry && stretches.last().is_some_and(is_long) {
+        if is_first || enters {
             if stretches.len() == STRETCHES_MAX {
                 *stretches = stretches.chunks(2).filter_map(joined).collect();
                 self.stretch_bytes *= 2;
             }
             stretches.push(Stretch {
-                offset: self.end.totals.bytes - bytes.len() as u64,
+                offset: self.end.totals.bytes - stored,
                 bytes: 0,
                 frames: 0,
                 events: 0,
@@ -354,7 +367,7 @@ impl Segment {
             });
         }
         if let Some(last) = stretches.last_mut() {
-            last.bytes += bytes.len() as u64;
+            last.bytes += stored;
             last.frames += 1;
             last.events += u64::from(header.events);
             last.runs += u64::from(begins_run(header) || is_first);

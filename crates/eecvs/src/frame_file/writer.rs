@@ -4,6 +4,7 @@ use std::io::{Result, Write};
 
 use eecvs_nostd::Header;
 
+use super::lean::Lean;
 use super::mark::{BEGIN, Segment};
 
 /// Takes frames one after the other. Anything that takes bytes takes frames, as a stream without marks.
@@ -28,7 +29,17 @@ pub struct FrameFileWriter<W> {
     out: W,
     /// The frames so far; `None` for a stream.
     segment: Option<Segment>,
+    lean: Lean,
+    /// Bytes of short frames since the last whole one.
+    short_bytes: usize,
 }
+
+/// Bytes of short frames after which a whole one follows. It is what damage of one byte costs: a reader goes on at a
+/// whole frame.
+const SHORT_BYTES_MAX: usize = 1 << 13;
+
+/// Frames of more bytes are written whole: their headers hardly count.
+const LEAN_BYTES_MAX: usize = 1 << 12;
 
 impl<W: Write> FrameFileWriter<W> {
     /// Begins a segment.
@@ -40,12 +51,19 @@ impl<W: Write> FrameFileWriter<W> {
         Ok(Self {
             out,
             segment: Some(Segment::default()),
+            lean: Lean::default(),
+            short_bytes: 0,
         })
     }
 
     /// Begins a stream, which has frames and no marks.
-    pub const fn stream(out: W) -> Self {
-        Self { out, segment: None }
+    pub fn stream(out: W) -> Self {
+        Self {
+            out,
+            segment: None,
+            lean: Lean::default(),
+            short_bytes: 0,
+        }
     }
 
     /// Returns the size of the marks around the frames so far.
@@ -71,10 +89,24 @@ impl<W: Write> FrameFileWriter<W> {
 
 impl<W: Write> FrameSink for FrameFileWriter<W> {
     fn frame(&mut self, header: &Header, bytes: &[u8]) -> Result<()> {
-        self.out.write_all(bytes)?;
-        if let Some(segment) = &mut self.segment {
-            segment.add(header, bytes);
-        }
+        let Some(segment) = &mut self.segment else {
+            return self.out.write_all(bytes);
+        };
+        let is_whole = bytes.len() > LEAN_BYTES_MAX
+            || self.short_bytes > SHORT_BYTES_MAX
+            || segment.may_enter(header);
+        let short = if is_whole {
+            None
+        } else {
+            self.lean.shortened(header, bytes)
+        };
+        self.short_bytes = short
+            .as_ref()
+            .map_or(0, |short| self.short_bytes + short.len());
+        let stored = short.as_deref().unwrap_or(bytes);
+        self.out.write_all(stored)?;
+        segment.add_stored(header, bytes, stored.len() as u64);
+        self.lean.note(header);
         Ok(())
     }
 }
