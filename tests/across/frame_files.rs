@@ -235,6 +235,7 @@ fn files_put_end_to_end_are_read_as_such() {
     let (file, stream) = (file(&events, Coder::Dense), stream(&events, Coder::Dense));
     for (parts, ended, unmarked, cut_short) in [
         (vec![&file[..], &file], 2, false, 0),
+        (vec![&file[..], &file, &file], 3, false, 0),
         (vec![&stream[..], &file], 1, true, 0),
         (vec![&file[..], &stream], 1, true, 0),
         (vec![&file[..], &BEGIN, &file], 2, false, 1),
@@ -247,6 +248,11 @@ fn files_put_end_to_end_are_read_as_such() {
         assert_eq!(report.segments_cut_short, cut_short, "{report:?}");
         assert_eq!(report.segments_different, 0, "{report:?}");
     }
+    // A file that is shorter than what repetitions are looked for in, too.
+    let short = self::file(&events[..100], Coder::Fast);
+    let (frames, report) = read(&[&short[..], &short].concat());
+    assert_eq!(frames, [read(&short).0, read(&short).0].concat());
+    assert_eq!((report.frames_repeated, report.restarts), (0, 1));
 }
 
 /// The mark that a stream or a cut file lacks is the one that a writer would have put there, damage aside.
@@ -406,6 +412,34 @@ fn what_is_before_an_old_file_is_found_by_reading_it() {
         let whole_end = bytes.ends_with(&file[file.len() - 8..]) && bytes.len() + 1 == file.len();
         assert_eq!(index.is_some(), whole_end);
     }
+}
+
+/// An index that lies would let events be missed where it is used.
+#[test]
+fn an_index_of_other_frames_is_noticed() {
+    let file = file(&events(2_000_000), Coder::Fast);
+    let (at, end) = end_mark_of(&file);
+    assert!(end.stretches.len() > 3);
+    let mut lies = vec![end.clone(); 5];
+    lies[0].stretches[1].start_us += 1;
+    lies[1].stretches[1].end_us -= 1;
+    lies[2].stretches[1].bytes += 12;
+    lies[2].stretches[2].bytes -= 12;
+    lies[3].stretches[1].events += 1;
+    lies[3].stretches[2].events -= 1;
+    lies[4].totals.hash ^= 1;
+    for (number, lie) in lies.iter().enumerate() {
+        let lying = [&file[..at], &lie.to_bytes()].concat();
+        let report = read(&lying).1;
+        assert_eq!(report.segments_different, 1, "{number}");
+        assert!(report.has_loss(), "{number}");
+    }
+    assert_eq!(
+        read(&[&file[..at], &end.to_bytes()].concat())
+            .1
+            .segments_ended,
+        1
+    );
 }
 
 /// A header for frames that are never decoded.

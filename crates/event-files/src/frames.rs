@@ -259,8 +259,8 @@ impl Decode for FramesDecoder {
         self.go(t_us..self.times.end)
     }
 
-    fn end_at(&mut self, t_us: u64) -> Result<()> {
-        self.go(self.times.start..t_us).map(drop)
+    fn end_at(&mut self, t_us: u64) -> Result<bool> {
+        self.go(self.times.start..t_us)
     }
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> Result<()> {

@@ -84,7 +84,7 @@ fn table(report: &Report<'_>) -> String {
         ),
         ("  without one", link.segments_cut_short.to_string()),
         (
-            "  with other frames than it counts",
+            "  with one that does not fit",
             link.segments_different.to_string(),
         ),
     ])

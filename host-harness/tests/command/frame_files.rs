@@ -3,6 +3,7 @@
 use eecvs_nostd::Event;
 use serde_json::Value;
 
+use crate::streams::piped;
 use crate::support::{Folder, count};
 
 /// A file with marks, and the same frames without them.
@@ -157,4 +158,33 @@ fn times_are_those_of_the_recording_with_an_index_and_without() {
             .ok();
     }
     assert_eq!(folder.bytes("whole.png"), folder.bytes("stream.png"));
+}
+
+/// A pipe cannot be searched, and a clock that was set back has wanted times after others.
+#[test]
+fn times_are_found_in_pipes_and_behind_a_clock_that_falls_back() {
+    let folder = folder();
+    let whole = folder.bytes("whole.eecvs");
+    let (outcome, part) = piped(&folder, "decode - -o - --format csv --to-us 20000", &whole);
+    assert_eq!(outcome.status, Some(0), "{outcome}");
+    folder
+        .eecvs("decode whole.eecvs -o part.csv --to-us 20000")
+        .ok();
+    assert!(part == folder.bytes("part.csv"));
+    folder.write(
+        "runs.csv",
+        "9000000,1,1,1\n9000001,2,2,0\n100,3,3,1\n200,39,29,1\n",
+    );
+    folder
+        .eecvs("encode runs.csv -o runs.eecvs")
+        .warns(&["2 runs"]);
+    for file in ["runs.csv", "runs.eecvs"] {
+        folder
+            .eecvs(&format!("convert {file} part.raw --to-us 150"))
+            .ok();
+        assert_eq!(folder.events("part.raw").1.len(), 1, "{file}");
+    }
+    for line in ["index -", "index none/"] {
+        assert_eq!(folder.eecvs(line).status, Some(1), "{line}");
+    }
 }

@@ -90,15 +90,17 @@ impl Open {
         self.end = offset + stored;
     }
 
-    /// Counts how the segment ended. Without an end mark, its frames are counted as such, or, if it began with a mark,
-    /// the segment as cut short.
-    const fn count(&mut self, end: Option<&End>, report: &mut LinkReport) {
+    /// Counts how the segment ended, at this offset. Without an end mark, its frames are counted as such, or, if it began
+    /// with a mark, the segment as cut short.
+    fn count(&mut self, end: Option<&End>, offset: u64, report: &mut LinkReport) {
         if self.is_partial || std::mem::replace(&mut self.is_counted, true) {
             return;
         }
+        self.segment.skip(offset.saturating_sub(self.end));
         let totals = self.segment.totals();
         match end {
-            Some(end) if end.totals.has_same_frames(totals) => report.segments_ended += 1,
+            // The index too: every writer makes the same one.
+            Some(end) if end == self.segment.end() => report.segments_ended += 1,
             Some(_) => report.segments_different += 1,
             None if self.has_begin => report.segments_cut_short += 1,
             None => report.frames_unmarked += totals.frames,
@@ -178,8 +180,9 @@ impl<R: Read> FrameReader<R> {
             if rest.starts_with(&mark::SYNC) {
                 match Mark::parse(rest) {
                     Ok((mark, bytes)) => {
+                        let offset = self.buffer.used();
                         self.buffer.take(bytes);
-                        self.mark(&mark);
+                        self.mark(&mark, offset);
                     }
                     Err(MarkError::Incomplete) if !self.ended => self.fill()?,
                     Err(error) => self.skip_mark(error),
@@ -224,7 +227,8 @@ impl<R: Read> FrameReader<R> {
                 Scan::Incomplete if self.ended => {
                     // Where the reader was to stop, more of the segment follows.
                     if self.left != Some(0) {
-                        self.open.count(None, &mut self.report);
+                        let offset = self.open.end;
+                        self.open.count(None, offset, &mut self.report);
                     }
                     return Ok(None);
                 }
@@ -272,25 +276,27 @@ impl<R: Read> FrameReader<R> {
             return None;
         }
         let crc = bytes.last_chunk().copied().unwrap_or_default();
+        let is_first = self.open.has_begin && self.open.segment.totals().frames == 0;
         self.open
             .add(&header, bytes, self.buffer.used(), stored as u64);
         self.lean.note(&header);
         self.buffer.take(stored);
         let order = order_of(&mut self.orders, header.sensor);
         let before = self.report.frames_before;
-        let is_new = order.take(&header, crc, &mut self.report);
+        let is_new = order.follow(&header, crc, is_first, &mut self.report);
         if std::mem::take(&mut self.joins) {
             self.report.frames_before = before;
         }
         is_new.then_some((header, stored))
     }
 
-    fn mark(&mut self, mark: &Mark) {
+    /// Takes note of a mark at this offset.
+    fn mark(&mut self, mark: &Mark, offset: u64) {
         let end = match mark {
             Mark::Begin => None,
             Mark::End(end) => Some(end),
         };
-        self.open.count(end, &mut self.report);
+        self.open.count(end, offset, &mut self.report);
         self.lean.reset();
         self.open = Open {
             has_begin: end.is_none(),
@@ -371,8 +377,10 @@ impl<R: Read + Seek> FrameReader<R> {
     /// # Errors
     /// I/O.
     pub fn seek(&mut self, times: &Times) -> std::io::Result<bool> {
-        let at = self.source.stream_position()?;
         // A pipe may not go back. What cannot be read here is met again when frames are read.
+        let Ok(at) = self.source.stream_position() else {
+            return Ok(false);
+        };
         let Some(index) = Index::read(&mut self.source).ok().flatten() else {
             self.source.seek(SeekFrom::Start(at))?;
             return Ok(false);
@@ -389,7 +397,9 @@ impl<R: Read + Seek> FrameReader<R> {
     /// I/O.
     fn go_to(&mut self, start: u64, end: Option<u64>) -> std::io::Result<()> {
         self.source.seek(SeekFrom::Start(start))?;
-        self.buffer.go_to(start);
+        self.buffer = StreamBuffer::from_byte(FRAME_BYTES_MAX, start);
+        // What was read before may be read again.
+        self.report = LinkReport::default();
         self.ended = false;
         self.left = end.map(|end| end.saturating_sub(start));
         self.orders.clear();

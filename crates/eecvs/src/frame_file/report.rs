@@ -33,9 +33,9 @@ pub struct LinkReport {
     pub frames_dependent: u64,
     /// Undamaged frames of windows with more events than the decoder accepts.
     pub frames_crowded: u64,
-    /// Segments whose frames are those that their end mark counts.
+    /// Segments whose end mark is that of their frames: counts, hash and index.
     pub segments_ended: u64,
-    /// Segments whose frames are not those that their end mark counts.
+    /// Segments whose end mark is another one: frames are missing, or the mark is wrong.
     pub segments_different: u64,
     /// Segments that begin with a mark and have no end mark: their writer was stopped, or their end is missing.
     pub segments_cut_short: u64,
@@ -121,7 +121,7 @@ impl LinkReport {
             ),
             (
                 self.segments_different,
-                "whose end mark counts other frames",
+                "whose end mark does not fit their frames",
             ),
         ] {
             if segments > 0 {

@@ -32,6 +32,8 @@ pub struct FrameFileWriter<W> {
     lean: Lean,
     /// Bytes of short frames since the last whole one.
     short_bytes: usize,
+    /// Bytes of all frames.
+    frame_bytes: u64,
 }
 
 /// Bytes of short frames after which a whole one follows. It is what damage of one byte costs: a reader goes on at a
@@ -53,6 +55,7 @@ impl<W: Write> FrameFileWriter<W> {
             segment: Some(Segment::default()),
             lean: Lean::default(),
             short_bytes: 0,
+            frame_bytes: 0,
         })
     }
 
@@ -63,16 +66,15 @@ impl<W: Write> FrameFileWriter<W> {
             segment: None,
             lean: Lean::default(),
             short_bytes: 0,
+            frame_bytes: 0,
         }
     }
 
-    /// Returns the size of the marks around the frames so far.
+    /// Returns the size of the file if it ends here: frames and marks.
     #[must_use]
-    pub fn mark_bytes(&self) -> u64 {
-        let segment = self.segment.as_ref();
-        segment.map_or(0, |segment| {
-            (BEGIN.len() + segment.end().to_bytes().len()) as u64
-        })
+    pub fn bytes(&self) -> u64 {
+        let marks = |segment: &Segment| (BEGIN.len() + segment.end().to_bytes().len()) as u64;
+        self.frame_bytes + self.segment.as_ref().map_or(0, marks)
     }
 
     /// Ends the segment and returns the output, which is not flushed.
@@ -90,6 +92,7 @@ impl<W: Write> FrameFileWriter<W> {
 impl<W: Write> FrameSink for FrameFileWriter<W> {
     fn frame(&mut self, header: &Header, bytes: &[u8]) -> Result<()> {
         let Some(segment) = &mut self.segment else {
+            self.frame_bytes += bytes.len() as u64;
             return self.out.write_all(bytes);
         };
         let is_whole = bytes.len() > LEAN_BYTES_MAX
@@ -105,6 +108,7 @@ impl<W: Write> FrameSink for FrameFileWriter<W> {
             .map_or(0, |short| self.short_bytes + short.len());
         let stored = short.as_deref().unwrap_or(bytes);
         self.out.write_all(stored)?;
+        self.frame_bytes += stored.len() as u64;
         segment.add_stored(header, bytes, stored.len() as u64);
         self.lean.note(header);
         Ok(())
