@@ -96,6 +96,8 @@ fn it_ends_as_the_program_does() {
     std::fs::write(folder.path().join("scene.csv"), "t,x,y,p\n100,1,2,1\n").unwrap();
     let run = |program: &[&str]| simulate(folder.path(), "dvs128", (128, 128), program);
     assert_eq!(run(&["--run", "sh", "-c", "exit 7"]).status.code(), Some(7));
+    let killed = run(&["--run", "sh", "-c", "kill -9 $$"]);
+    assert_eq!(killed.status.code(), Some(128 + 9));
     let output = run(&["--run", "no-such-program"]);
     let told = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1));

@@ -141,7 +141,7 @@ impl Lean {
             i32::try_from(gap_us).ok()?;
             ((gap_us << 1 ^ gap_us >> 63) as u64) << 1 | 1
         };
-        let phase_q16 = header.scans.map_or(0, |scans| scans.phase_q16());
+        let phase_q16 = header.scans.map_or(0, Scans::phase_q16);
         let has_phase = header.scans != template.scans;
         let flag = |is: bool, flag: u8| if is { flag } else { 0 };
         let fields = Fields {
