@@ -228,8 +228,17 @@ fn files_put_together_decode_whole() {
         expected.sort_unstable();
         assert_eq!(folder.pixels("both.csv"), expected, "{one} {two}");
     }
-    // The same frames once more are no new ones.
+    // A segment of a file may come twice; the same frames once more in a stream are no new ones.
     let a = folder.bytes("one.eecvs");
+    folder.write("copies.eecvs", [a.clone(), a].concat());
+    let summary = folder.eecvs("decode copies.eecvs -o b.csv --json").object();
+    assert_eq!(count(&summary, "restarts"), 1);
+    assert_eq!(count(&summary, "frames_repeated"), 0);
+    assert_eq!(
+        folder.pixels("b.csv").len(),
+        2 * folder.pixels("one.csv").len()
+    );
+    let a = folder.frames("one.eecvs").concat();
     folder.write("twice.eecvs", [a.clone(), a].concat());
     let summary = folder.eecvs("decode twice.eecvs -o b.csv --json").object();
     assert_eq!(count(&summary, "restarts"), 0);
