@@ -8,7 +8,8 @@ use std::ops::Range;
 
 use eecvs_nostd::frame::{CRC_BYTES, HEADER_BYTES_MAX, seal};
 use eecvs_nostd::{FRAME_BYTES_MAX, Frame, Header, Regime, Scans};
-use serde::Deserialize;
+
+use super::wire::{put, take};
 
 /// Bits of the first byte above the regime. Its highest bit is 0, unlike that of sync bytes.
 const KEY: u8 = 1 << 2;
@@ -164,16 +165,16 @@ impl Lean {
         let mut short = Vec::with_capacity(FIELDS_BYTES_MAX + payload.len() + CRC_BYTES);
         short.push(fields.flags);
         if gap != 0 {
-            put(&mut short, &gap)?;
+            put(&mut short, &gap);
         }
         if has_phase {
-            put(&mut short, &phase_q16)?;
+            put(&mut short, &phase_q16);
         }
-        put(&mut short, &fields.events)?;
+        put(&mut short, &fields.events);
         if header.mode.is_transform() {
-            put(&mut short, &fields.pixels)?;
+            put(&mut short, &fields.pixels);
         }
-        put(&mut short, &(payload.len() as u32))?;
+        put(&mut short, &(payload.len() as u32));
         short.extend_from_slice(payload);
         short.extend_from_slice(crc);
         Some(short)
@@ -249,19 +250,4 @@ impl Lean {
         };
         Some((self.header(&fields)?, payload_bytes))
     }
-}
-
-/// Appends a number as the headers of frames have it.
-fn put(out: &mut Vec<u8>, value: &impl serde::Serialize) -> Option<()> {
-    let mut room = [0; 10];
-    let bytes = postcard::to_slice(value, &mut room).ok()?;
-    out.extend_from_slice(bytes);
-    Some(())
-}
-
-/// Takes a number from the front of `rest`.
-fn take<'b, T: Deserialize<'b>>(rest: &mut &'b [u8]) -> Option<T> {
-    let (value, after) = postcard::take_from_bytes(rest).ok()?;
-    *rest = after;
-    Some(value)
 }

@@ -11,6 +11,8 @@ use eecvs_nostd::Header;
 use eecvs_nostd::frame::CRC_BYTES;
 use serde::{Deserialize, Serialize};
 
+use super::wire::{VALUE_BYTES_MAX, put, take};
+
 /// First two bytes of a mark.
 pub const SYNC: [u8; 2] = [0xEE, 0xC8];
 
@@ -27,13 +29,12 @@ const PREFIX_BYTES: usize = 8;
 /// Largest number of stretches in the index of a segment.
 pub const STRETCHES_MAX: usize = 1 << 16;
 
-/// Sizes of the totals and of a stretch at their longest, and of the mark's own size.
+/// Sizes of the totals and their number of stretches at their longest, and of the mark's own size.
 const TOTALS_BYTES_MAX: usize = 48;
-const STRETCH_BYTES_MAX: usize = 60;
 pub(super) const SIZE_BYTES: usize = 4;
 
 /// Size of the largest body.
-const BODY_BYTES_MAX: usize = TOTALS_BYTES_MAX + STRETCHES_MAX * STRETCH_BYTES_MAX + SIZE_BYTES;
+const BODY_BYTES_MAX: usize = TOTALS_BYTES_MAX + STRETCHES_MAX * VALUE_BYTES_MAX + SIZE_BYTES;
 
 /// Size of the largest mark.
 pub const MARK_BYTES_MAX: usize = PREFIX_BYTES + BODY_BYTES_MAX + CRC_BYTES;
@@ -292,22 +293,6 @@ impl End {
         }
         (rest.is_empty() && sums == totals).then_some(Self { totals, stretches })
     }
-}
-
-/// Appends a value as the headers of frames have it: numbers are varints.
-fn put(out: &mut Vec<u8>, value: &impl Serialize) {
-    let mut room = [0; STRETCH_BYTES_MAX];
-    // All values have room.
-    if let Ok(bytes) = postcard::to_slice(value, &mut room) {
-        out.extend_from_slice(bytes);
-    }
-}
-
-/// Takes a value from the front of `rest`.
-fn take<'b, T: Deserialize<'b>>(rest: &mut &'b [u8]) -> Option<T> {
-    let (value, after) = postcard::take_from_bytes(rest).ok()?;
-    *rest = after;
-    Some(value)
 }
 
 /// Follows the frames of a segment, and makes its end mark. Memory is bounded, whatever the number of frames.

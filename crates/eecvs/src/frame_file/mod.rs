@@ -5,6 +5,7 @@ mod lean;
 pub mod mark;
 mod order;
 mod report;
+mod wire;
 mod writer;
 
 use std::io::{Read, Seek, SeekFrom};

@@ -82,10 +82,19 @@ impl<W: Write> FrameFileWriter<W> {
     /// # Errors
     /// The mark cannot be written.
     pub fn finish(mut self) -> Result<W> {
-        if let Some(segment) = self.segment {
-            self.out.write_all(&segment.end().to_bytes())?;
-        }
+        self.end()?;
         Ok(self.out)
+    }
+
+    /// Ends the segment: what follows is a stream.
+    ///
+    /// # Errors
+    /// The mark cannot be written.
+    pub fn end(&mut self) -> Result<()> {
+        match self.segment.take() {
+            Some(segment) => self.out.write_all(&segment.end().to_bytes()),
+            None => Ok(()),
+        }
     }
 }
 

@@ -227,9 +227,7 @@ impl Size {
     #[must_use]
     pub const fn exact(self, search: Search, grid: OnGrid) -> u64 {
         let events = self.events();
-        let is_crowded = events > recover::EVENTS_MAX as u64
-            || 5 * events > recover::EVENTS_FIFTHS as u64 * self.rows;
-        if is_crowded {
+        if recover::is_crowded(events, self.rows) {
             let found = if events > recover::CROWD_EVENTS_MAX as u64 {
                 self.densities()
             } else {
