@@ -94,10 +94,8 @@ impl<R: Read> FrameEvents<R> {
         let events = events.with_work_limit(reading.window_work_max.into());
         let first = windows.next_window().with_context(|| name.to_owned())?;
         let Some(sensor) = windows.sensor() else {
-            bail!(
-                Damaged,
-                "{name}: byte 0: no frame found; is it a file that `eecvs encode` wrote?"
-            );
+            let why = windows.report().why_empty();
+            bail!(Damaged, "{name}: byte 0: {why}");
         };
         Ok(Self {
             name: name.to_owned(),

@@ -156,7 +156,7 @@ impl Decode {
         let over = &mut summary.confidences.pixels_over_work_limit;
         *over = (*over).max(maker.confidences().pixels_over_work_limit);
         if summary.link.frames == 0 {
-            bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
+            bail!("{name}: {}", summary.link.why_empty());
         }
         if let Some(volumes) = volumes {
             ensure!(

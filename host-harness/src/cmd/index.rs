@@ -106,7 +106,7 @@ fn append(path: &Path, bytes: u64, name: &str) -> Result<u64> {
     let at = || name.to_owned();
     let (frames, end_of_frames) = read(path).with_context(at)?;
     if frames.report().frames == 0 {
-        bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
+        bail!("{name}: {}", frames.report().why_empty());
     }
     let out = OpenOptions::new().read(true).append(true).open(path);
     let mut out = out.with_context(at)?;

@@ -53,7 +53,7 @@ impl Verify {
         }
         let link = reader.report();
         if link.frames == 0 {
-            bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
+            bail!("{name}: {}", link.why_empty());
         }
         let report = Report {
             bytes: reader.offset(),

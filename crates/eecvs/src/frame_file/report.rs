@@ -82,6 +82,18 @@ impl LinkReport {
         }
     }
 
+    /// Returns one line that says why there is no frame in what was read.
+    #[must_use]
+    pub const fn why_empty(&self) -> &'static str {
+        if self.damaged_bytes > 0 || self.segments_ended + self.segments_cut_short == 0 {
+            "no frame found; is it a file that `eecvs encode` wrote?"
+        } else if self.segments_cut_short > 0 {
+            "no frame: its writer was stopped before the first one, or all of them are missing"
+        } else {
+            "no frame: what was encoded has no events"
+        }
+    }
+
     /// Returns one line that describes the damage and losses, or `None` for a clean stream.
     #[must_use]
     pub fn warning(&self) -> Option<String> {

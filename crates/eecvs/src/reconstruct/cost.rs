@@ -294,7 +294,7 @@ impl Search {
     /// Returns whether the transform is cheaper than the sums at all points.
     #[must_use]
     pub const fn is_better_guided(self) -> bool {
-        self.of_point() > self.guide()
+        self.per_number() * self.of_point() > self.guide()
     }
 
     /// Work of finding an event if this many points are looked at.
