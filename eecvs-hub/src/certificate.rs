@@ -39,19 +39,22 @@ const CLOCKS: Duration = Duration::from_secs(24 * 3600);
 pub struct Authority {
     folder: PathBuf,
     /// Locked, so that no other process makes keys in the folder meanwhile.
-    _lock: File,
+    _lock: Option<File>,
 }
 
 /// Locks a folder for this process, after any other that makes keys in it; the lock ends when the file is closed.
-fn locked(folder: &Path) -> Result<File> {
+fn locked(folder: &Path) -> Result<Option<File>> {
     let until = Instant::now() + PATIENCE;
-    // The file is the folder itself, which every system can open but Windows.
+    // The file is the folder itself, so that no other file is needed; Windows cannot open it.
+    if cfg!(windows) {
+        return Ok(None);
+    }
     let file = File::open(folder)?;
     loop {
         match file.try_lock() {
-            Ok(()) => return Ok(file),
+            Ok(()) => return Ok(Some(file)),
             Err(TryLockError::Error(error)) if error.kind() == ErrorKind::Unsupported => {
-                return Ok(file);
+                return Ok(Some(file));
             }
             Err(TryLockError::Error(error)) => return Err(error.into()),
             Err(TryLockError::WouldBlock) => ensure!(

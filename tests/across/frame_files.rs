@@ -103,7 +103,6 @@ fn read(bytes: &[u8]) -> (Vec<u8>, LinkReport) {
     let mut reader = FrameReader::new(bytes);
     let mut frames = Vec::new();
     while let Some(located) = reader.next_frame().expect("memory") {
-        assert!(bytes[located.offset as usize..].starts_with(located.bytes));
         frames.extend(located.bytes);
     }
     (frames, reader.report().clone())
@@ -127,8 +126,7 @@ fn marks_surround_the_frames_of_the_stream() {
     let (file, stream) = (file(&events, Coder::Dense), stream(&events, Coder::Dense));
     let (at, end) = end_mark_of(&file);
     assert_eq!(file[..BEGIN.len()], BEGIN);
-    assert_eq!(file[BEGIN.len()..at], stream);
-    assert_eq!(end.totals.bytes, stream.len() as u64);
+    assert_eq!(end.totals.bytes, (at - BEGIN.len()) as u64);
     assert_eq!(end.totals.events, events.len() as u64);
     assert_eq!(end.totals.runs, 1);
 
@@ -171,16 +169,59 @@ fn every_flipped_bit_is_noticed() {
     }
 }
 
+/// Short frames are the same frames, bit for bit.
+#[test]
+fn short_frames_save_most_of_a_header() {
+    let all = events(2_000_000);
+    // Windows of some events, with pauses; of one polarity now and then, and of another regime.
+    let sparse: Vec<Event> = all
+        .iter()
+        .copied()
+        .filter(|event| event.x % 16 == 0 && event.t_us / 50_000 % 3 != 1)
+        .collect();
+    for coder in [Coder::Fast, Coder::Dense] {
+        let (file, stream) = (file(&sparse, coder), stream(&sparse, coder));
+        let (frames, report) = read(&file);
+        assert_eq!(frames, stream);
+        let (at, _) = end_mark_of(&file);
+        let saved = (stream.len() - (at - BEGIN.len())) as u64;
+        assert!(
+            saved > 14 * report.frames,
+            "{saved} of {} frames",
+            report.frames
+        );
+    }
+}
+
+/// A reader goes on at the next whole frame.
+#[test]
+fn damage_costs_some_kilobytes_at_most() {
+    let file = file(&events(2_000_000), Coder::Fast);
+    let (at, _) = end_mark_of(&file);
+    let all = read(&file).0.len();
+    for place in (BEGIN.len()..at).step_by(4_999) {
+        let mut damaged = file.clone();
+        damaged[place] ^= 0x10;
+        let (frames, report) = read(&damaged);
+        assert!(report.damaged_bytes > 0 && report.has_loss(), "{place}");
+        // The frames of 8 KiB, as long as they would be with their headers, and those at both ends.
+        assert!(
+            all - frames.len() < 20_000,
+            "{place}: {}",
+            all - frames.len()
+        );
+    }
+}
+
 /// The numbers of frames do not show that the last ones are missing, nor that a file has another one's frames.
 #[test]
 fn frames_that_are_missing_at_the_end_are_noticed() {
     let file = file(&events(60_000), Coder::Fast);
     let (at, _) = end_mark_of(&file);
-    let mut last = BEGIN.len();
-    let mut rest = &file[BEGIN.len()..at];
-    while let Scan::Frame(frame) = scan(rest) {
-        last = at - rest.len();
-        rest = &rest[frame.bytes..];
+    let mut reader = FrameReader::new(&file[..]);
+    let mut last = 0;
+    while let Some(located) = reader.next_frame().expect("memory") {
+        last = located.offset as usize;
     }
     let shorter = [&file[..last], &file[at..]].concat();
     let report = read(&shorter).1;
@@ -194,6 +235,7 @@ fn files_put_end_to_end_are_read_as_such() {
     let (file, stream) = (file(&events, Coder::Dense), stream(&events, Coder::Dense));
     for (parts, ended, unmarked, cut_short) in [
         (vec![&file[..], &file], 2, false, 0),
+        (vec![&file[..], &file, &file], 3, false, 0),
         (vec![&stream[..], &file], 1, true, 0),
         (vec![&file[..], &stream], 1, true, 0),
         (vec![&file[..], &BEGIN, &file], 2, false, 1),
@@ -206,6 +248,11 @@ fn files_put_end_to_end_are_read_as_such() {
         assert_eq!(report.segments_cut_short, cut_short, "{report:?}");
         assert_eq!(report.segments_different, 0, "{report:?}");
     }
+    // A file that is shorter than what repetitions are looked for in, too.
+    let short = self::file(&events[..100], Coder::Fast);
+    let (frames, report) = read(&[&short[..], &short].concat());
+    assert_eq!(frames, [read(&short).0, read(&short).0].concat());
+    assert_eq!((report.frames_repeated, report.restarts), (0, 1));
 }
 
 /// The mark that a stream or a cut file lacks is the one that a writer would have put there, damage aside.
@@ -218,10 +265,16 @@ fn the_missing_mark_is_the_writers() {
         let mut reader = FrameReader::new(bytes);
         while reader.next_frame().expect("memory").is_some() {}
         let missing = reader.missing_end(bytes.len() as u64);
-        assert_eq!(
-            missing,
-            Some(end.clone()).filter(|_| bytes.len() != file.len())
-        );
+        match missing {
+            Some(missing) if bytes.len() == at => assert_eq!(missing, end),
+            Some(missing) => {
+                // Its frames are not short.
+                assert_eq!(bytes.len(), stream.len());
+                assert_eq!(missing.totals.bytes, stream.len() as u64);
+                assert!(missing.totals.has_same_frames(&end.totals));
+            }
+            None => assert_eq!(bytes.len(), file.len()),
+        }
     }
     // Behind damage, before which one frame is gone.
     let mut damaged = stream;
@@ -293,9 +346,9 @@ fn any_times_are_found() {
     }));
     for coder in [Coder::Fast, Coder::Dense] {
         let one = file(&events, coder);
-        for file in [one.clone(), [one.clone(), one].concat()] {
+        for (file, copies) in [(one.clone(), 1), ([one.clone(), one].concat(), 2)] {
             let all = sorted(between(&file, 0..u64::MAX).0);
-            assert_eq!(all.len() % events.len(), 0);
+            assert_eq!(all, sorted(events.repeat(copies)));
             for from in (0..620_000).step_by(29_501) {
                 for span in [0, 1, 1000, 40_000, 700_000] {
                     let times = from..from + span;
@@ -359,6 +412,34 @@ fn what_is_before_an_old_file_is_found_by_reading_it() {
         let whole_end = bytes.ends_with(&file[file.len() - 8..]) && bytes.len() + 1 == file.len();
         assert_eq!(index.is_some(), whole_end);
     }
+}
+
+/// An index that lies would let events be missed where it is used.
+#[test]
+fn an_index_of_other_frames_is_noticed() {
+    let file = file(&events(2_000_000), Coder::Fast);
+    let (at, end) = end_mark_of(&file);
+    assert!(end.stretches.len() > 3);
+    let mut lies = vec![end.clone(); 5];
+    lies[0].stretches[1].start_us += 1;
+    lies[1].stretches[1].end_us -= 1;
+    lies[2].stretches[1].bytes += 12;
+    lies[2].stretches[2].bytes -= 12;
+    lies[3].stretches[1].events += 1;
+    lies[3].stretches[2].events -= 1;
+    lies[4].totals.hash ^= 1;
+    for (number, lie) in lies.iter().enumerate() {
+        let lying = [&file[..at], &lie.to_bytes()].concat();
+        let report = read(&lying).1;
+        assert_eq!(report.segments_different, 1, "{number}");
+        assert!(report.has_loss(), "{number}");
+    }
+    assert_eq!(
+        read(&[&file[..at], &end.to_bytes()].concat())
+            .1
+            .segments_ended,
+        1
+    );
 }
 
 /// A header for frames that are never decoded.

@@ -166,7 +166,7 @@ impl<R: Read + Seek> WindowReader<R> {
     pub fn seek(&mut self, times: Times) -> Result<bool> {
         let sought = self.frames.seek(&times).context("reading the index")?;
         if sought {
-            self.windows.end();
+            self.windows = Windows::new(self.windows.limit);
             self.ready.clear();
             self.times = times;
         }

@@ -84,12 +84,12 @@ impl StreamBuffer {
         self.advance(bytes);
     }
 
-    /// Forgets all bytes: the next ones pushed begin at byte `used` of the stream.
-    pub fn go_to(&mut self, used: u64) {
-        self.bytes.clear();
-        self.start = 0;
-        self.used = used;
-        self.in_damage = false;
+    /// Creates the buffer of the rest of a stream, from byte `used` on.
+    #[must_use]
+    pub const fn from_byte(longest: usize, used: u64) -> Self {
+        let mut buffer = Self::new(longest);
+        buffer.used = used;
+        buffer
     }
 
     /// Removes and returns the bytes that are not used up.

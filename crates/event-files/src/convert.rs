@@ -118,7 +118,7 @@ impl Filter {
     }
 }
 
-/// Largest step back of a recording's times: reading ends once all events of a batch are this far past the last
+/// Largest step back of the times of a recording with an index: reading ends once all events of a batch are this far past the last
 /// time wanted.
 const STEP_BACK_MAX_US: u64 = 1_000_000;
 
@@ -128,8 +128,9 @@ const STEP_BACK_MAX_US: u64 = 1_000_000;
 /// Events keep their order, unless [`Conversion::sort`] is set. If reading fails, everything before the damage is
 /// in `output` and [`Converted::damage`] describes it; if writing fails, the incomplete output is removed.
 ///
-/// Reading begins at `from_us` if the format has an index, and ends one second after `to_us`: events after a
-/// larger step back in time are missed.
+/// Without an index of times, all of the recording is read. With one, reading begins at `from_us` and ends one second
+/// after `to_us`; where the index assumes that times ascend, events after a larger step back in time are missed. That of
+/// `.eecvs` files does not.
 ///
 /// # Errors
 /// The input cannot be opened; the output format cannot hold an event; the crop lies outside the sensor; `from_us`
@@ -205,13 +206,15 @@ fn copy(
     format: &Format,
 ) -> Result<Converted> {
     let filter = conversion.filter;
-    if let Some(from_us) = filter.from_us {
-        reader.seek(from_us)?;
-    }
-    if let Some(to_us) = filter.to_us {
-        reader.end_at(to_us)?;
-    }
-    let end_us = filter.to_us.map(|to| to.saturating_add(STEP_BACK_MAX_US));
+    let is_part = filter.from_us.is_some() || filter.to_us.is_some();
+    let has_index = is_part && reader.seek(filter.from_us.unwrap_or(0))?;
+    let ends = match filter.to_us {
+        Some(to_us) => reader.end_at(to_us)?,
+        None => false,
+    };
+    // Without an index, events of these times may come at any place: a clock may have been set back.
+    let end_us = filter.to_us.filter(|_| has_index && !ends);
+    let end_us = end_us.map(|to| to.saturating_add(STEP_BACK_MAX_US));
     let mut events = Vec::with_capacity(crate::BATCH_EVENTS);
     let mut kept = Vec::with_capacity(crate::BATCH_EVENTS);
     let mut fit = Fit::new(format.limits);

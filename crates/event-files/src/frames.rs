@@ -61,8 +61,24 @@ pub struct FrameEvents<R> {
     events: EventDecoder,
     confidences: Confidences,
     sensor: Sensor,
-    /// A decoded window that is returned next.
-    ahead: Option<DecodedWindow>,
+    /// The window that is returned next, if it was read ahead.
+    ahead: Option<Ahead>,
+}
+
+/// A window that was read ahead, which may never be wanted.
+struct Ahead {
+    window: DecodedWindow,
+    /// Confidence counts of its times; `None` until they are found.
+    confidences: Option<Confidences>,
+}
+
+impl Ahead {
+    const fn of(window: DecodedWindow) -> Self {
+        Self {
+            window,
+            confidences: None,
+        }
+    }
 }
 
 impl<R: Read> FrameEvents<R> {
@@ -75,25 +91,19 @@ impl<R: Read> FrameEvents<R> {
         let windows = WindowReader::new(FrameReader::new(source));
         let mut windows = windows.with_limit(reading.window_events_max.into());
         let events = EventDecoder::new(Finder::default());
-        let mut events = events.with_work_limit(reading.window_work_max.into());
-        let mut confidences = Confidences::default();
-        let mut first = windows.next_window().with_context(|| name.to_owned())?;
-        if let Some(window) = &mut first {
-            confidences.add(events.fill(window));
-        }
+        let events = events.with_work_limit(reading.window_work_max.into());
+        let first = windows.next_window().with_context(|| name.to_owned())?;
         let Some(sensor) = windows.sensor() else {
-            bail!(
-                Damaged,
-                "{name}: byte 0: no frame found; is it a file that `eecvs encode` wrote?"
-            );
+            let why = windows.report().why_empty();
+            bail!(Damaged, "{name}: byte 0: {why}");
         };
         Ok(Self {
             name: name.to_owned(),
             sensor,
             windows,
             events,
-            confidences,
-            ahead: first,
+            confidences: Confidences::default(),
+            ahead: first.map(Ahead::of),
         })
     }
 
@@ -105,10 +115,14 @@ impl<R: Read> FrameEvents<R> {
 
     /// Returns the events of the window that was decoded ahead; empty if there is none.
     #[must_use]
-    pub fn ahead(&self) -> &[Event] {
-        self.ahead
-            .as_ref()
-            .map_or(&[], |window| window.events.as_slice())
+    pub fn ahead(&mut self) -> &[Event] {
+        let Some(ahead) = &mut self.ahead else {
+            return &[];
+        };
+        if ahead.confidences.is_none() {
+            ahead.confidences = Some(self.events.fill(&mut ahead.window));
+        }
+        &ahead.window.events
     }
 
     /// Continues with the windows between two times; see [`WindowReader::seek`]. Without an index, nothing changes.
@@ -132,19 +146,27 @@ impl<R: Read> FrameEvents<R> {
     /// # Errors
     /// I/O.
     pub fn next_window(&mut self) -> Result<Option<DecodedWindow>> {
-        let name = &self.name;
-        let window = loop {
-            if let Some(window) = self.ahead.take_if(|window| !window.events.is_empty()) {
-                break window;
-            }
-            let next = self.windows.next_window();
-            let Some(mut window) = next.with_context(|| name.clone())? else {
+        loop {
+            let next = match self.ahead.take() {
+                None => {
+                    let next = self.windows.next_window();
+                    next.with_context(|| self.name.clone())?.map(Ahead::of)
+                }
+                ahead => ahead,
+            };
+            let Some(Ahead {
+                mut window,
+                confidences,
+            }) = next
+            else {
                 return Ok(None);
             };
-            self.confidences.add(self.events.fill(&mut window));
-            self.ahead = Some(window);
-        };
-        Ok(Some(window))
+            let found = confidences.unwrap_or_else(|| self.events.fill(&mut window));
+            self.confidences.add(found);
+            if !window.events.is_empty() {
+                return Ok(Some(window));
+            }
+        }
     }
 
     /// Takes back a window's memory, to be used for later windows.
@@ -177,7 +199,6 @@ impl FramesReader {
             frames: FrameEvents::new(source, name, reading)?,
             window: None,
             given: 0,
-            times: 0..u64::MAX,
             skipped: Skipped::default(),
         }))
     }
@@ -190,14 +211,11 @@ pub struct FramesDecoder {
     window: Option<DecodedWindow>,
     /// Number of its events that have been returned.
     given: usize,
-    /// The times that are wanted.
-    times: Range<u64>,
     skipped: Skipped,
 }
 
 impl FramesDecoder {
     fn go(&mut self, times: Range<u64>) -> Result<bool> {
-        self.times = times.clone();
         let sought = self.frames.seek(times)?;
         if sought {
             self.window = None;
@@ -256,11 +274,11 @@ impl Decode for FramesDecoder {
     }
 
     fn seek(&mut self, t_us: u64) -> Result<bool> {
-        self.go(t_us..self.times.end)
+        self.go(t_us..self.frames.windows.times().end)
     }
 
-    fn end_at(&mut self, t_us: u64) -> Result<()> {
-        self.go(self.times.start..t_us).map(drop)
+    fn end_at(&mut self, t_us: u64) -> Result<bool> {
+        self.go(self.frames.windows.times().start..t_us)
     }
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> Result<()> {

@@ -18,7 +18,7 @@ use eecvs_cli::progress::Progress;
 use eecvs_cli::values::finder;
 use eecvs_cli::volume::VolumeOptions;
 use event_files::input::piped::{name_of, open_bytes};
-use event_files::output::{Kind, is_same};
+use event_files::output::{Kind, is_dash, is_same};
 
 use crate::volume_file::{VolumeFile, times_of};
 
@@ -123,7 +123,10 @@ impl Decode {
         let mut windows = windows.with_limit(self.window_limit.limit());
         if let Some(times) = self.times.times() {
             windows = windows.within(times.clone());
-            windows.seek(times)?;
+            // Stdin may be a file that is to be read from its middle on.
+            if !is_dash(&self.input) {
+                windows.seek(times)?;
+            }
         }
         let progress = Progress::new("events");
         let summary = decode(
@@ -153,7 +156,7 @@ impl Decode {
         let over = &mut summary.confidences.pixels_over_work_limit;
         *over = (*over).max(maker.confidences().pixels_over_work_limit);
         if summary.link.frames == 0 {
-            bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
+            bail!("{name}: {}", summary.link.why_empty());
         }
         if let Some(volumes) = volumes {
             ensure!(

@@ -111,7 +111,7 @@ impl Encode {
         if summary.frames == 0 && damage.is_none() {
             encode_nothing(codec, limits, &mut out, &mut summary)?;
         }
-        summary.add_marks(out.mark_bytes());
+        summary.set_bytes_out(out.bytes());
         let out = out.finish()?;
         let output = match damage {
             Some(_) if summary.events_in == 0 => {

@@ -1,6 +1,6 @@
 //! `eecvs index`: adds the end mark that a file of frames lacks.
 
-use std::fs::{File, OpenOptions};
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
@@ -11,12 +11,12 @@ use eecvs::frame_file::index::Index as Stretches;
 use eecvs::frame_file::mark::{MARK_BYTES_MAX, Mark, MarkError, SYNC};
 use eecvs_cli::options::tell_link;
 use eecvs_cli::output::{print, print_json, rows};
-use event_files::output;
+use event_files::output::{self, is_dash};
 use serde::Serialize;
 
 /// Add the index that a file of frames lacks
 ///
-/// Appends an end mark, with counts and an index of times, to a file that ends without one: a stream that was kept, a
+/// Checks a file as `eecvs verify` does, and appends an end mark, with counts and an index of times, to a file that ends without one: a stream that was kept, a
 /// file of an earlier version, or one whose writer was stopped. Nothing else in the file changes, but that a part of such
 /// a mark at its end is replaced. Damage before the mark remains, and is reported.
 #[derive(Debug, Args)]
@@ -50,6 +50,10 @@ impl Index {
     pub fn run(self) -> Result<()> {
         let name = self.file.display().to_string();
         let at = || name.clone();
+        ensure!(
+            !is_dash(&self.file),
+            "{name}: a stream can have no index: save it to a file first"
+        );
         let about = std::fs::metadata(&self.file).with_context(at)?;
         ensure!(
             about.is_file(),
@@ -75,9 +79,6 @@ impl Index {
                 ("  appended", report.bytes_appended.to_string()),
                 ("stretches", report.stretches.to_string()),
             ]))?;
-        }
-        if has_index {
-            return Ok(());
         }
         let (reader, _) = read(&self.file).with_context(at)?;
         tell_link(&name, reader.report())
@@ -105,10 +106,17 @@ fn append(path: &Path, bytes: u64, name: &str) -> Result<u64> {
     let at = || name.to_owned();
     let (frames, end_of_frames) = read(path).with_context(at)?;
     if frames.report().frames == 0 {
-        bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
+        bail!("{name}: {}", frames.report().why_empty());
     }
     let out = OpenOptions::new().read(true).append(true).open(path);
     let mut out = out.with_context(at)?;
+    match out.try_lock() {
+        Err(TryLockError::WouldBlock) => {
+            bail!("{name}: another process writes to it: index it when that has ended");
+        }
+        // Where the file system has no locks, nobody has one.
+        Ok(()) | Err(TryLockError::Error(_)) => {}
+    }
     let kept = without_cut_mark(&mut out, end_of_frames, bytes).with_context(at)?;
     let Some(end) = frames.missing_end(kept) else {
         return Ok(0);

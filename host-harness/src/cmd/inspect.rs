@@ -103,7 +103,7 @@ impl Inspect {
             index += 1;
         }
         if index == 0 {
-            bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
+            bail!("{name}: {}", reader.report().why_empty());
         }
         if self.json {
             writeln!(out, "\n]").context("stdout")?;

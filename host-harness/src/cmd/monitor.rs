@@ -92,10 +92,7 @@ impl Monitor {
                 let mut frames = FrameReader::new(source);
                 of_frames(&mut frames, thresholds, &mut keep).with_context(|| name.clone())?;
                 link = frames.report().clone();
-                ensure!(
-                    link.frames > 0,
-                    "{name}: no frame found; is it a file that `eecvs encode` wrote?"
-                );
+                ensure!(link.frames > 0, "{name}: {}", link.why_empty());
             }
             Content::Recording(recording) => {
                 let mut reader = recording.open(&self.reading.reading())?;

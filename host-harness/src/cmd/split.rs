@@ -60,7 +60,7 @@ impl Split {
         let parts = split(&mut reader, &self.output, self.overwrite.overwrite)
             .with_context(|| name.clone())?;
         if parts.is_empty() {
-            bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
+            bail!("{name}: {}", reader.report().why_empty());
         }
         let link = LinkReport {
             // Separating restarts is the purpose of this command, so they are no fault here.

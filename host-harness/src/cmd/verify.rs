@@ -53,7 +53,7 @@ impl Verify {
         }
         let link = reader.report();
         if link.frames == 0 {
-            bail!("{name}: no frame found; is it a file that `eecvs encode` wrote?");
+            bail!("{name}: {}", link.why_empty());
         }
         let report = Report {
             bytes: reader.offset(),
@@ -84,7 +84,7 @@ fn table(report: &Report<'_>) -> String {
         ),
         ("  without one", link.segments_cut_short.to_string()),
         (
-            "  with other frames than it counts",
+            "  with one that does not fit",
             link.segments_different.to_string(),
         ),
     ])

@@ -154,7 +154,7 @@ impl View {
         };
         let first_us = original
             .first_us()
-            .or_else(|| decoded.as_ref().and_then(Input::first_us));
+            .or_else(|| decoded.as_mut().and_then(Input::first_us));
         let sensor = decoded.as_ref().map_or(original.sensor(), |decoded| {
             larger(original.sensor(), decoded.sensor())
         });

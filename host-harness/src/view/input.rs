@@ -55,7 +55,7 @@ impl Input {
     /// Returns the earliest time in the first batch of events, in us, before any of them is read; `None` if there
     /// are no events.
     #[must_use]
-    pub fn first_us(&self) -> Option<u64> {
+    pub fn first_us(&mut self) -> Option<u64> {
         let events = match self {
             Self::Recording(reader) => reader.events(),
             Self::Frames(frames) => frames.ahead(),

@@ -81,6 +81,8 @@ pub struct Slices {
     /// Largest value of `waiting_bytes`.
     bytes_max: usize,
     newest_us: u64,
+    /// Whether an event lay within the grid.
+    is_begun: bool,
     ended: bool,
     /// Error that ended the stream, until it is returned.
     failure: Option<Error>,
@@ -105,6 +107,7 @@ impl Slices {
             waiting_bytes: 0,
             bytes_max: WAITING_BYTES,
             newest_us: 0,
+            is_begun: false,
             ended: false,
             failure: None,
             events_read: 0,
@@ -199,6 +202,12 @@ impl Slices {
 
     fn take(&mut self, event: &Event) {
         self.events_read += 1;
+        let index = self.grid.index_of(event.t_us);
+        self.is_begun |= index.is_some();
+        if !self.is_begun {
+            // Times past the end may be those of another run, whose clock began anew behind it.
+            return;
+        }
         if event.t_us > self.newest_us {
             self.newest_us = event.t_us;
             let settled_us = event.t_us.saturating_sub(DISORDER_US);
@@ -208,7 +217,7 @@ impl Slices {
                 self.close_below(index);
             }
         }
-        let Some(index) = self.grid.index_of(event.t_us) else {
+        let Some(index) = index else {
             return;
         };
         if !self.sensor.contains(event.x, event.y) {
@@ -347,6 +356,21 @@ mod tests {
         assert_eq!(indices, [0, 10]);
         assert_eq!(slices.outside(), 1);
         assert!(slices.events_read() < 40, "{}", slices.events_read());
+    }
+
+    /// Of two recordings in one file, the second may hold the times that are wanted.
+    #[test]
+    fn times_of_a_later_run_are_found() {
+        let later = (0..100).map(|i| event(1_000_000 + 1_000 * i, 0, 0, true));
+        let wanted = (0..100).map(|i| event(1_000 * i, 0, 0, true));
+        let events: Vec<_> = later.chain(wanted).collect();
+        let grid = Grid {
+            to_us: Some(3_000),
+            ..GRID
+        };
+        let mut slices = slices(&events, 10, grid);
+        let found = all(&mut slices);
+        assert_eq!(found.iter().map(|slice| slice.events).sum::<u64>(), 2);
     }
 
     #[test]

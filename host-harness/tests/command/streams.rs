@@ -13,7 +13,7 @@ use serde_json::Value;
 use crate::support::{Folder, Outcome, count, exists};
 
 /// Runs `eecvs` with `input` on stdin; also its stdout as it is.
-fn piped(folder: &Folder, line: &str, input: &[u8]) -> (Outcome, Vec<u8>) {
+pub fn piped(folder: &Folder, line: &str, input: &[u8]) -> (Outcome, Vec<u8>) {
     let arguments: Vec<&str> = line.split_whitespace().collect();
     let mut command = folder.command(&arguments);
     command

@@ -11,6 +11,8 @@ pub enum Kind {
     Folder(&'static str),
     /// A file that grows at its end: what was there stays, whatever fails; a part of what is appended may follow.
     Appended,
+    /// New files that grow under their own names: a part of one may be left where the command fails.
+    Growing,
     /// Files that appear together, after which the command can be repeated if it failed.
     Together,
 }
@@ -24,6 +26,20 @@ pub struct Case {
     /// Files that are there before, and are replaced.
     pub old: &'static [&'static str],
     pub kind: Kind,
+    /// Programs on the other end, with their arguments, which end with the command.
+    pub beside: &'static [(&'static str, &'static str)],
+    pub cost: Cost,
+}
+
+/// How long a run takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Cost {
+    /// A second at most.
+    Quick,
+    /// Seconds: the usual tests leave it out.
+    Seconds,
+    /// Minutes: the whole campaign takes this many of its places, each with one plan.
+    Minutes(usize),
 }
 
 impl Case {
@@ -34,7 +50,9 @@ impl Case {
 
     /// Whether a source sends what is written, as long as nobody stops it.
     pub fn is_live(&self) -> bool {
-        self.kind == Kind::Live || self.program == "eecvs-ros" || self.line.starts_with("view")
+        matches!(self.kind, Kind::Live | Kind::Growing)
+            || self.program == "eecvs-ros"
+            || self.line.starts_with("view")
     }
 }
 
@@ -44,6 +62,8 @@ const fn files(line: &'static str, old: &'static [&'static str]) -> Case {
         line,
         old,
         kind: Kind::Files,
+        beside: &[],
+        cost: Cost::Quick,
     }
 }
 
@@ -63,7 +83,25 @@ const fn live(line: &'static str, old: &'static [&'static str]) -> Case {
         line,
         old,
         kind: Kind::Live,
+        beside: &[],
+        cost: Cost::Quick,
     }
+}
+
+/// A receiver, with a sender that waits for it.
+macro_rules! received {
+    ($output:literal) => {
+        Case {
+            beside: &[(
+                "eecvs-usb",
+                "forward --device replay:IN/scene.stream --rate max --to unix:IN/link",
+            )],
+            ..live(
+                concat!("receive unix:IN/link -o ", $output, " --once --overwrite"),
+                &[$output],
+            )
+        }
+    };
 }
 
 /// The commands by which the inputs are made.
@@ -171,24 +209,32 @@ pub const CASES: &[Case] = &[
         line: "view IN/scene.raw -o OUT/ --frames 3",
         old: &[],
         kind: Kind::Folder(""),
+        beside: &[],
+        cost: Cost::Quick,
     },
     Case {
         program: "eecvs",
         line: "split IN/two.eecvs -o OUT",
         old: &[],
         kind: Kind::Folder(""),
+        beside: &[],
+        cost: Cost::Quick,
     },
     Case {
         program: "eecvs",
         line: "bench --errors --quick -o OUT",
         old: &[],
         kind: Kind::Folder(""),
+        beside: &[],
+        cost: Cost::Quick,
     },
     Case {
         program: "eecvs",
         line: "index OUT.eecvs",
         old: &["OUT.eecvs"],
         kind: Kind::Appended,
+        beside: &[],
+        cost: Cost::Quick,
     },
     live(
         "capture --device sim:dvs128:IN/scene.raw -o OUT.raw --rate max --overwrite",
@@ -210,23 +256,79 @@ pub const CASES: &[Case] = &[
         "forward --device replay:IN/scene.stream --rate max --to file:OUT.eecvs --overwrite",
         &["OUT.eecvs"],
     ),
+    received!("OUT.eecvs"),
+    received!("OUT.raw"),
+    Case {
+        program: "eecvs-ros",
+        line: "--loopback --domain-id 92 compose emulate encode log --ros-args -p \
+               emulate:recording:=IN/scene.raw -p emulate:wait_s:=20 -p log:features:=OUT.csv -p \
+               log:coefficients:=OUT.mcap -p log:idle_s:=1",
+        old: &[],
+        kind: Kind::Growing,
+        beside: &[],
+        cost: Cost::Seconds,
+    },
+    Case {
+        program: "eecvs-hub",
+        line: "receive --connect tcp/127.0.0.1:PORT --to OUT --from-start --idle-s 1 --seconds 20",
+        old: &[],
+        kind: Kind::Growing,
+        beside: &[
+            ("eecvs-hub", "hub --listen tcp/127.0.0.1:PORT --no-page"),
+            (
+                "eecvs-hub",
+                "sensor door --connect tcp/127.0.0.1:PORT --recording IN/scene.raw --rate max --linger-s 20",
+            ),
+        ],
+        cost: Cost::Seconds,
+    },
+    Case {
+        program: "eecvs",
+        line: "mcu IN/scene.raw -o OUT.eecvs --overwrite",
+        old: &["OUT.eecvs"],
+        kind: Kind::Files,
+        beside: &[],
+        cost: Cost::Seconds,
+    },
+    Case {
+        program: "eecvs",
+        line: "demo -o OUT",
+        old: &[],
+        kind: Kind::Folder("report.html"),
+        beside: &[],
+        cost: Cost::Minutes(20),
+    },
+    Case {
+        program: "eecvs",
+        line: "report --quick -o OUT",
+        old: &["OUT/rows.jsonl"],
+        kind: Kind::Folder("report.html"),
+        beside: &[],
+        cost: Cost::Minutes(40),
+    },
     Case {
         program: "eecvs-ros",
         line: "--loopback --domain-id 92 compose emulate record --ros-args -p \
                emulate:recording:=IN/scene.raw -p emulate:wait_s:=20 -p record:output:=OUT -p record:idle_s:=1",
         old: &[],
         kind: Kind::Folder("metadata.yaml"),
+        beside: &[],
+        cost: Cost::Quick,
     },
     Case {
         program: "eecvs-hub",
         line: "keys new hub yard",
         old: &[],
         kind: Kind::Together,
+        beside: &[],
+        cost: Cost::Quick,
     },
     Case {
         program: "eecvs-hub",
         line: "keys fleet receiver desk --hears door",
         old: &[],
         kind: Kind::Together,
+        beside: &[],
+        cost: Cost::Quick,
     },
 ];

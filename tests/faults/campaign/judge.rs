@@ -98,7 +98,7 @@ impl Reference {
                 let end = match name.rsplit('.').next() {
                     Some("mcap") => &b"\x89MCAP0\r\n"[..],
                     Some("gif") => b";",
-                    Some("yaml") => b"\n",
+                    Some("yaml" | "csv") => b"\n",
                     _ => return bench.events(name).is_some(),
                 };
                 bytes.ends_with(end)
@@ -124,6 +124,7 @@ impl Reference {
                     !is_success && before.get(name).is_some_and(|old| bytes.starts_with(old))
                 }
                 Kind::Live => own.starts_with("incomplete-") && !is_success,
+                Kind::Growing => !is_success,
                 // The messages of half a bag can be indexed again.
                 Kind::Folder(last) => !last.is_empty() && own != last && !is_success,
                 _ => false,

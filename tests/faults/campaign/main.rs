@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};
 
-use case::{CASES, Case, Kind};
+use case::{CASES, Case, Cost, Kind};
 use judge::Reference;
 use run::Bench;
 
@@ -30,6 +30,16 @@ const KILLS: usize = 1000;
 /// Whether all places are wanted.
 fn is_whole() -> bool {
     std::env::var_os("EECVS_FAULTS_ALL").is_some()
+}
+
+/// How many of a command's places are tried, each with one plan unless it is all; `None` if the command is left out.
+fn places_of(case: &Case) -> Option<usize> {
+    match (is_whole(), case.cost) {
+        (true, Cost::Minutes(places)) => Some(places),
+        (true, _) => Some(usize::MAX),
+        (false, Cost::Quick) => Some(PLACES),
+        (false, _) => None,
+    }
 }
 
 /// The error numbers, in turn.
@@ -117,17 +127,17 @@ fn every_output_is_old_or_whole_when_a_call_fails() {
     let (mut counts, mut wrong) = (BTreeMap::new(), Vec::new());
     let (mut places, mut turn) = (0, 0);
     for case in CASES {
+        let Some(most) = places_of(case) else {
+            continue;
+        };
         let reference = Reference::of(&bench, case);
         let all = reference.calls.len();
-        let step = match is_whole() {
-            true => 1,
-            false => all.div_ceil(PLACES),
-        };
+        let step = all.div_ceil(most);
         places += all;
         for at in (0..all).step_by(step) {
             let call = &reference.calls[at];
             let mut plans = plans(at + 1, call);
-            if !is_whole() {
+            if most != usize::MAX {
                 turn += 1;
                 plans = vec![plans.swap_remove(turn % plans.len())];
             }
@@ -154,15 +164,22 @@ fn every_output_is_old_or_whole_when_a_command_is_killed() {
         true => KILLS.div_ceil(CASES.len()),
         false => 1,
     };
+    let kills_of = |case: &Case| match case.cost {
+        Cost::Minutes(_) => each.min(1),
+        _ => each,
+    };
     for case in CASES {
+        if places_of(case).is_none() {
+            continue;
+        }
         let begun = Instant::now();
         let reference = Reference::of(&bench, case);
         let longest_us = begun.elapsed().as_micros() as u64 / 2;
-        for _ in 0..each {
+        for _ in 0..kills_of(case) {
             let before = bench.prepare(case);
             let mut child = bench.start(case, "0-");
             std::thread::sleep(Duration::from_micros(random.next_u64() % longest_us.max(1)));
-            let _ = child.kill();
+            child.kill();
             let outcome = bench.end(child);
             let kind = match outcome.is_killed() {
                 true => "killed at a random moment",

@@ -7,10 +7,13 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::case::{Case, INPUTS, Kind};
+use crate::case::{Case, Cost, INPUTS, Kind};
 
 /// No command takes longer, unless it hangs.
 const LONGEST: Duration = Duration::from_secs(120);
+
+/// Nor one that takes minutes.
+const LONGEST_OF_MINUTES: Duration = Duration::from_secs(1800);
 
 /// Files by their names in a folder.
 pub type Files = BTreeMap<String, Vec<u8>>;
@@ -18,6 +21,30 @@ pub type Files = BTreeMap<String, Vec<u8>>;
 /// A folder with the inputs, one in which commands run, and the list of their calls.
 pub struct Bench {
     root: tempfile::TempDir,
+    /// A port that nobody had.
+    port: u16,
+}
+
+/// A command that runs, and the programs on its other end, which end with it.
+pub struct Run {
+    child: Child,
+    beside: Vec<Child>,
+    longest: Duration,
+}
+
+impl Run {
+    pub fn kill(&mut self) {
+        let _ = self.child.kill();
+    }
+}
+
+impl Drop for Run {
+    fn drop(&mut self) {
+        for child in &mut self.beside {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
 }
 
 /// How a command ended.
@@ -49,7 +76,9 @@ impl Bench {
     /// Makes the inputs.
     pub fn new() -> Self {
         let root = tempfile::tempdir().expect("a folder");
-        let bench = Self { root };
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+        let port = listener.local_addr().expect("an address").port();
+        let bench = Self { root, port };
         for folder in ["in", "run"] {
             std::fs::create_dir(bench.at(folder)).expect("a folder");
         }
@@ -89,45 +118,86 @@ impl Bench {
         for name in case.old {
             std::fs::write(run.join(name), &old).expect("a file");
         }
+        if case.line.starts_with("report") {
+            copy(&self.rows(case), &run.join("OUT"));
+        }
         if case.kind == Kind::Together {
             copy(&self.at("in/fleet"), &run.join("fleet"));
         }
         files(&run)
     }
 
-    /// Starts a case; the folder must have been prepared.
-    pub fn start(&self, case: &Case, plan: &str) -> Child {
-        let log = self.at("calls");
-        let _ = std::fs::remove_file(&log);
+    /// The folder with the rows of a finished report: with them, another one is drawn in seconds.
+    fn rows(&self, case: &Case) -> PathBuf {
+        let rows = self.at("in/rows");
+        if !rows.exists() {
+            let whole = self.at("in/report");
+            let line = case.line.replace("OUT", "IN/report");
+            let mut command = self.command(case.program, &line);
+            command.current_dir(self.at("in"));
+            let output = command.output().expect("a program that starts");
+            assert!(output.status.success(), "{}: {output:?}", case.line);
+            std::fs::create_dir(&rows).expect("a folder");
+            let row_file = "rows.jsonl";
+            std::fs::copy(whole.join(row_file), rows.join(row_file)).expect("rows");
+        }
+        rows
+    }
+
+    /// A program in the folder `run`.
+    fn command(&self, name: &str, line: &str) -> Command {
         let inputs = self.at("in");
         let inputs = inputs.to_str().expect("UTF-8");
-        let line = case
-            .line
-            .split_whitespace()
-            .map(|word| word.replace("IN/", &format!("{inputs}/")));
-        let mut command = Command::new(program(case.program));
+        let line = line.split_whitespace().map(|word| {
+            word.replace("IN/", &format!("{inputs}/"))
+                .replace("PORT", &self.port.to_string())
+        });
+        let mut command = Command::new(program(name));
         command
             .args(line)
             .current_dir(self.at("run"))
+            .stdin(Stdio::null())
+            .stdout(Stdio::null());
+        command
+    }
+
+    /// Starts a case; the folder must have been prepared.
+    pub fn start(&self, case: &Case, plan: &str) -> Run {
+        let log = self.at("calls");
+        let _ = std::fs::remove_file(&log);
+        let mut command = self.command(case.program, case.line);
+        command
             .env("TMPDIR", self.at("run/tmp"))
             .env("LD_PRELOAD", built().join("deps/libfaults.so"))
             .env("EECVS_FAULTS_FOLDER", self.at("run"))
             .env("EECVS_FAULTS_LOG", &log)
             .env("EECVS_FAULTS_PLAN", plan)
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
             .stderr(Stdio::piped());
-        command.spawn().expect("a program that starts")
+        let child = command.spawn().expect("a program that starts");
+        let others = case.beside.iter().map(|(name, line)| {
+            let mut other = self.command(name, line);
+            let other = other.current_dir(self.at("in")).stderr(Stdio::null());
+            other.spawn().expect("a program that starts")
+        });
+        Run {
+            child,
+            beside: others.collect(),
+            longest: match case.cost {
+                Cost::Minutes(_) => LONGEST_OF_MINUTES,
+                _ => LONGEST,
+            },
+        }
     }
 
     /// Waits for the end of a command, and looks at what it left.
-    pub fn end(&self, mut child: Child) -> Outcome {
+    pub fn end(&self, mut run: Run) -> Outcome {
         let begun = Instant::now();
+        let child = &mut run.child;
         let status = loop {
             if let Some(status) = child.try_wait().expect("a child") {
                 break status;
             }
-            if begun.elapsed() > LONGEST {
+            if begun.elapsed() > run.longest {
                 let _ = child.kill();
                 panic!("{:?}: it hangs", child.wait());
             }

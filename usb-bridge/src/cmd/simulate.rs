@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 #[cfg(all(target_os = "linux", target_pointer_width = "64"))]
-use std::time::Instant;
+use std::{os::unix::process::ExitStatusExt, time::Instant};
 
 use anyhow::{Context, Result, bail};
 use clap::Args;
@@ -259,7 +259,11 @@ impl Source<'_> {
         match status.code() {
             Some(0) => Ok(()),
             Some(code) => std::process::exit(code),
-            None => bail!("{name}: {status}"),
+            // As a shell says it.
+            None => match status.signal() {
+                Some(signal) => std::process::exit(128 + signal),
+                None => bail!("{name}: {status}"),
+            },
         }
     }
 

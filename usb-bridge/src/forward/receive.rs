@@ -173,7 +173,7 @@ impl Numbers {
 /// Output for the messages.
 enum Output {
     /// A file of frames, written unchanged.
-    Frames(FrameFile),
+    Frames(Box<FrameFile>),
     /// A recording of one sensor; its writer is created with the first message.
     Events(Option<(Sensor, Box<dyn EventWriter>)>),
 }
@@ -206,7 +206,7 @@ pub fn receive(
     let output = match kind {
         Kind::Events => Output::Events(None),
         Kind::Frames => match record::create_frames(path) {
-            Ok(file) => Output::Frames(file),
+            Ok(file) => Output::Frames(Box::new(file)),
             Err(error) => return (Received::default(), Err(error)),
         },
         Kind::Stream => {
@@ -411,7 +411,7 @@ impl Receiver<'_> {
     fn finish(&mut self) -> Result<()> {
         self.let_go();
         match std::mem::replace(&mut self.output, Output::Events(None)) {
-            Output::Frames(file) => record::finish(file, self.path),
+            Output::Frames(file) => record::finish(*file, self.path),
             Output::Events(Some((_, writer))) => Ok(writer.finish()?),
             Output::Events(None) => Ok(()),
         }

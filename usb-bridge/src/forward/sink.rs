@@ -6,7 +6,7 @@ use std::net::{SocketAddr, TcpStream, UdpSocket};
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use eecvs::frame_file::mark::{BEGIN, Segment};
+use eecvs::frame_file::{FrameFileWriter, FrameSink};
 use eecvs_nostd::Frame;
 use event_files::output::create_bytes;
 
@@ -31,8 +31,10 @@ pub enum Sink {
     Udp(UdpSocket, Cutter, Vec<u8>),
     /// A connected Unix domain socket.
     Unix(UnixStream),
-    /// A file, and the segment of its frames; `None` for a device or a pipe, for packets, and before the first frame.
-    File(File, Option<Segment>),
+    /// A device, a pipe, or a file of packets, or one that has no message yet.
+    File(File),
+    /// A file of frames.
+    Frames(Box<FrameFileWriter<File>>),
     /// Standard output.
     Stdout,
 }
@@ -61,7 +63,7 @@ impl Sink {
                 stream.set_write_timeout(Some(WAIT))?;
                 Self::Unix(stream)
             }
-            Address::File(path) => Self::File(create_bytes(path)?, None),
+            Address::File(path) => Self::File(create_bytes(path)?),
             Address::Stdout => Self::Stdout,
         })
     }
@@ -87,7 +89,7 @@ impl Sink {
                 stream.set_nonblocking(false).ok()?;
                 word
             }
-            Self::Udp(..) | Self::File(..) | Self::Stdout => None,
+            Self::Udp(..) | Self::File(_) | Self::Frames(_) | Self::Stdout => None,
         }
     }
 
@@ -97,10 +99,20 @@ impl Sink {
     /// The consumer is gone; `TimedOut` if the message was given up; `WouldBlock` if the system had no room for a
     /// datagram.
     pub fn send(&mut self, message: &[u8], goes_on: &dyn Fn() -> bool) -> io::Result<()> {
+        if let Self::File(file) = self
+            && Frame::parse(message).is_ok()
+            && file.metadata()?.is_file()
+        {
+            *self = Self::Frames(Box::new(FrameFileWriter::new(file.try_clone()?)?));
+        }
         match self {
             Self::Tcp(stream) => send_all(stream, message, goes_on),
             Self::Unix(stream) => send_all(stream, message, goes_on),
-            Self::File(file, segment) => to_file(file, segment, message),
+            Self::File(file) => file.write_all(message),
+            Self::Frames(file) => {
+                let frame = Frame::parse(message).map_err(io::Error::other)?;
+                file.frame(&frame.header, message)
+            }
             Self::Stdout => {
                 let mut out = io::stdout().lock();
                 out.write_all(message)?;
@@ -138,8 +150,8 @@ impl Sink {
     /// # Errors
     /// The file cannot be written.
     pub fn end(&mut self) -> io::Result<()> {
-        if let Self::File(file, Some(segment)) = self {
-            return file.write_all(&segment.end().to_bytes());
+        if let Self::Frames(file) = self {
+            return file.end();
         }
         if let Self::Udp(socket, cutter, datagram) = self
             && !cutter.is_at_start()
@@ -177,20 +189,6 @@ impl Sink {
 /// Returns whether the system had no room for a datagram.
 fn is_full(error: &io::Error) -> bool {
     matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut)
-}
-
-/// Writes a message; the first frame begins the segment of a regular file.
-fn to_file(file: &mut File, segment: &mut Option<Segment>, message: &[u8]) -> io::Result<()> {
-    let frame = Frame::parse(message).ok();
-    if frame.is_some() && segment.is_none() && file.metadata()?.is_file() {
-        file.write_all(&BEGIN)?;
-        *segment = Some(Segment::default());
-    }
-    file.write_all(message)?;
-    if let (Some(segment), Some(frame)) = (segment, frame) {
-        segment.add(&frame.header, message);
-    }
-    Ok(())
 }
 
 fn send_all(stream: &mut impl Write, message: &[u8], goes_on: &dyn Fn() -> bool) -> io::Result<()> {

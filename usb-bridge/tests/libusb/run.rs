@@ -11,9 +11,10 @@ use crate::umockdev::Mocked;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_eecvs-usb");
 
-fn simulate(folder: &Path, model: &str, size: (u16, u16), rest: &[&str]) -> Output {
+fn command(folder: &Path, model: &str, size: (u16, u16), rest: &[&str]) -> Command {
     let (width, height) = (size.0.to_string(), size.1.to_string());
-    Command::new(PROGRAM)
+    let mut command = Command::new(PROGRAM);
+    command
         .current_dir(folder)
         .args([
             "simulate",
@@ -24,9 +25,12 @@ fn simulate(folder: &Path, model: &str, size: (u16, u16), rest: &[&str]) -> Outp
             "--height",
             &height,
         ])
-        .args(rest)
-        .output()
-        .unwrap()
+        .args(rest);
+    command
+}
+
+fn simulate(folder: &Path, model: &str, size: (u16, u16), rest: &[&str]) -> Output {
+    command(folder, model, size, rest).output().unwrap()
 }
 
 /// Rows of a file of events, sorted: frames have an order of their own.
@@ -96,6 +100,8 @@ fn it_ends_as_the_program_does() {
     std::fs::write(folder.path().join("scene.csv"), "t,x,y,p\n100,1,2,1\n").unwrap();
     let run = |program: &[&str]| simulate(folder.path(), "dvs128", (128, 128), program);
     assert_eq!(run(&["--run", "sh", "-c", "exit 7"]).status.code(), Some(7));
+    let killed = run(&["--run", "sh", "-c", "kill -9 $$"]);
+    assert_eq!(killed.status.code(), Some(128 + 9));
     let output = run(&["--run", "no-such-program"]);
     let told = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(1));
@@ -105,21 +111,15 @@ fn it_ends_as_the_program_does() {
     );
     let left = |name: &std::ffi::OsStr| name.to_string_lossy().starts_with("eecvs-usb.");
     let temporary = tempfile::tempdir().unwrap();
-    let output = Command::new(PROGRAM)
-        .current_dir(folder.path())
-        .env("TMPDIR", temporary.path())
-        .args([
-            "simulate",
-            "dvs128",
-            "scene.csv",
-            "--width",
-            "128",
-            "--height",
-            "128",
-        ])
-        .args(["--run", "sh", "-c", "exit 3"])
-        .output()
-        .unwrap();
+    let output = command(
+        folder.path(),
+        "dvs128",
+        (128, 128),
+        &["--run", "sh", "-c", "exit 3"],
+    )
+    .env("TMPDIR", temporary.path())
+    .output()
+    .unwrap();
     assert_eq!(output.status.code(), Some(3));
     let mut entries = std::fs::read_dir(temporary.path()).unwrap();
     assert!(!entries.any(|entry| left(&entry.unwrap().file_name())));
@@ -135,20 +135,14 @@ fn a_signal_is_passed_on() {
     std::fs::write(folder.path().join("scene.csv"), "t,x,y,p\n100,1,2,1\n").unwrap();
     let script =
         "trap 'echo in order > ended; exit 5' TERM; echo > begun; while :; do sleep 0.05; done";
-    let mut child = Command::new(PROGRAM)
-        .current_dir(folder.path())
-        .args([
-            "simulate",
-            "dvs128",
-            "scene.csv",
-            "--width",
-            "128",
-            "--height",
-            "128",
-        ])
-        .args(["--run", "sh", "-c", script])
-        .spawn()
-        .unwrap();
+    let mut child = command(
+        folder.path(),
+        "dvs128",
+        (128, 128),
+        &["--run", "sh", "-c", script],
+    )
+    .spawn()
+    .unwrap();
     let until = Instant::now() + Duration::from_secs(20);
     while !folder.path().join("begun").exists() {
         assert!(Instant::now() < until);

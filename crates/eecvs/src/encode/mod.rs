@@ -75,7 +75,7 @@ pub struct EncodeSummary {
     pub levels_saturated: u64,
     /// Frames written.
     pub frames: u64,
-    /// Bytes written: those of all frames, and of the marks of a file once they are added.
+    /// Bytes written: those of all frames, or the size of the file once that is set.
     pub bytes_out: u64,
     /// 8 `bytes_out` / `events_in`; 0 without events.
     pub bits_per_event: f64,
@@ -142,9 +142,9 @@ impl EncodeSummary {
         self.events_encoded.saturating_sub(self.events_approximate)
     }
 
-    /// Adds the bytes of a file that are not frames: its marks.
-    pub fn add_marks(&mut self, bytes: u64) {
-        self.bytes_out += bytes;
+    /// Sets the bytes written to those of a file, with its marks and short frames.
+    pub fn set_bytes_out(&mut self, bytes: u64) {
+        self.bytes_out = bytes;
         if self.events_in > 0 {
             self.bits_per_event = self.bytes_out as f64 * 8.0 / self.events_in as f64;
         }
@@ -153,7 +153,7 @@ impl EncodeSummary {
     fn finish(&mut self, encoding: Duration, wall: Duration) {
         self.encode_s = encoding.as_secs_f64() / self.threads.max(1) as f64;
         self.wall_s = wall.as_secs_f64();
-        self.add_marks(0);
+        self.set_bytes_out(self.bytes_out);
         if self.events_in > 0 {
             self.events_per_s = self.events_in as f64 / self.encode_s.max(1e-9);
         }

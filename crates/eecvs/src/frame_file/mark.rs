@@ -11,6 +11,8 @@ use eecvs_nostd::Header;
 use eecvs_nostd::frame::CRC_BYTES;
 use serde::{Deserialize, Serialize};
 
+use super::wire::{VALUE_BYTES_MAX, put, take};
+
 /// First two bytes of a mark.
 pub const SYNC: [u8; 2] = [0xEE, 0xC8];
 
@@ -27,13 +29,12 @@ const PREFIX_BYTES: usize = 8;
 /// Largest number of stretches in the index of a segment.
 pub const STRETCHES_MAX: usize = 1 << 16;
 
-/// Sizes of the totals and of a stretch at their longest, and of the mark's own size.
+/// Sizes of the totals and their number of stretches at their longest, and of the mark's own size.
 const TOTALS_BYTES_MAX: usize = 48;
-const STRETCH_BYTES_MAX: usize = 60;
 pub(super) const SIZE_BYTES: usize = 4;
 
 /// Size of the largest body.
-const BODY_BYTES_MAX: usize = TOTALS_BYTES_MAX + STRETCHES_MAX * STRETCH_BYTES_MAX + SIZE_BYTES;
+const BODY_BYTES_MAX: usize = TOTALS_BYTES_MAX + STRETCHES_MAX * VALUE_BYTES_MAX + SIZE_BYTES;
 
 /// Size of the largest mark.
 pub const MARK_BYTES_MAX: usize = PREFIX_BYTES + BODY_BYTES_MAX + CRC_BYTES;
@@ -68,8 +69,8 @@ pub struct Totals {
 }
 
 impl Totals {
-    /// Adds a frame; `bytes` are all of its bytes.
-    pub fn add(&mut self, header: &Header, bytes: &[u8]) {
+    /// Adds a frame of which all bytes are `bytes`, and which takes `stored` bytes in the file.
+    fn add(&mut self, header: &Header, bytes: &[u8], stored: u64) {
         let mut hashed = [0; 2 * CRC_BYTES];
         let (before, crc) = hashed.split_at_mut(CRC_BYTES);
         before.copy_from_slice(&self.hash.to_le_bytes());
@@ -78,7 +79,7 @@ impl Totals {
         self.runs += u64::from(begins_run(header) || self.frames == 0);
         self.frames += 1;
         self.events += u64::from(header.events);
-        self.bytes += bytes.len() as u64;
+        self.bytes += stored;
     }
 
     /// Returns whether the frames are the same, as far as their counts and their hash show.
@@ -294,22 +295,6 @@ impl End {
     }
 }
 
-/// Appends a value as the headers of frames have it: numbers are varints.
-fn put(out: &mut Vec<u8>, value: &impl Serialize) {
-    let mut room = [0; STRETCH_BYTES_MAX];
-    // All values have room.
-    if let Ok(bytes) = postcard::to_slice(value, &mut room) {
-        out.extend_from_slice(bytes);
-    }
-}
-
-/// Takes a value from the front of `rest`.
-fn take<'b, T: Deserialize<'b>>(rest: &mut &'b [u8]) -> Option<T> {
-    let (value, after) = postcard::take_from_bytes(rest).ok()?;
-    *rest = after;
-    Some(value)
-}
-
 /// Follows the frames of a segment, and makes its end mark. Memory is bounded, whatever the number of frames.
 #[derive(Debug, Clone)]
 pub struct Segment {
@@ -331,20 +316,33 @@ impl Default for Segment {
 }
 
 impl Segment {
-    /// Adds a frame; `bytes` are all of its bytes.
+    /// Adds a whole frame; `bytes` are all of its bytes.
     pub fn add(&mut self, header: &Header, bytes: &[u8]) {
-        self.end.totals.add(header, bytes);
+        self.add_stored(header, bytes, bytes.len() as u64);
+    }
+
+    /// Returns whether another stretch begins if the next frame, with this header, is added as a whole one.
+    #[must_use]
+    pub fn may_enter(&self, header: &Header) -> bool {
         let is_entry = header.part == 0 && header.is_key;
+        let last = self.end.stretches.last();
+        last.is_none_or(|last| is_entry && last.bytes >= self.stretch_bytes)
+    }
+
+    /// Adds a frame of which all bytes are `bytes`, and which takes `stored` bytes in the file: fewer if it is short.
+    pub fn add_stored(&mut self, header: &Header, bytes: &[u8], stored: u64) {
+        let is_whole = stored == bytes.len() as u64;
+        let enters = is_whole && self.may_enter(header);
+        self.end.totals.add(header, bytes, stored);
         let stretches = &mut self.end.stretches;
-        let is_long = |last: &Stretch| last.bytes >= self.stretch_bytes;
         let is_first = stretches.is_empty();
-        if is_first || is_entry && stretches.last().is_some_and(is_long) {
+        if is_first || enters {
             if stretches.len() == STRETCHES_MAX {
                 *stretches = stretches.chunks(2).filter_map(joined).collect();
                 self.stretch_bytes *= 2;
             }
             stretches.push(Stretch {
-                offset: self.end.totals.bytes - bytes.len() as u64,
+                offset: self.end.totals.bytes - stored,
                 bytes: 0,
                 frames: 0,
                 events: 0,
@@ -354,7 +352,7 @@ impl Segment {
             });
         }
         if let Some(last) = stretches.last_mut() {
-            last.bytes += bytes.len() as u64;
+            last.bytes += stored;
             last.frames += 1;
             last.events += u64::from(header.events);
             last.runs += u64::from(begins_run(header) || is_first);

@@ -1,17 +1,21 @@
 //! The frames of an `.eecvs` file or stream: reads them, reports what was damaged or lost, and writes files of them.
 
 pub mod index;
+mod lean;
 pub mod mark;
 mod order;
 mod report;
+mod wire;
 mod writer;
 
 use std::io::{Read, Seek, SeekFrom};
+use std::ops::Range;
 
 use eecvs_nostd::frame::CRC_BYTES;
 use eecvs_nostd::{FRAME_BYTES_MAX, Frame, FrameError, Header, Scan, Sensor, scan};
 
 use self::index::Index;
+use self::lean::{Found, Lean};
 use self::mark::{End, Mark, MarkError, Segment};
 pub use self::order::FrameOrder;
 use self::order::order_of;
@@ -27,7 +31,7 @@ const READ_BYTES: usize = 1 << 16;
 const FRAMELESS_BYTES_MAX: u64 = 64 << 20;
 
 /// Times from the first to before the last, in microseconds.
-pub type Times = std::ops::Range<u64>;
+pub type Times = Range<u64>;
 
 /// A frame with its position in the source.
 #[derive(Debug, Clone, Copy)]
@@ -55,6 +59,9 @@ pub struct FrameReader<R> {
     /// Sequence state for each sensor.
     orders: Vec<(Sensor, FrameOrder)>,
     open: Open,
+    lean: Lean,
+    /// The latest short frame, made whole.
+    whole: Vec<u8>,
     /// The next frame is not the first of its stream, and those before it are not missing.
     joins: bool,
     /// Number of bytes left until the reader stops before the end of the source.
@@ -77,22 +84,24 @@ struct Open {
 }
 
 impl Open {
-    /// Adds the frame that begins at `offset`.
-    fn add(&mut self, header: &Header, bytes: &[u8], offset: u64) {
+    /// Adds the frame that begins at `offset` and takes `stored` bytes.
+    fn add(&mut self, header: &Header, bytes: &[u8], offset: u64, stored: u64) {
         self.segment.skip(offset.saturating_sub(self.end));
-        self.segment.add(header, bytes);
-        self.end = offset + bytes.len() as u64;
+        self.segment.add_stored(header, bytes, stored);
+        self.end = offset + stored;
     }
 
-    /// Counts how the segment ended. Without an end mark, its frames are counted as such, or, if it began with a mark,
-    /// the segment as cut short.
-    const fn count(&mut self, end: Option<&End>, report: &mut LinkReport) {
+    /// Counts how the segment ended, at this offset. Without an end mark, its frames are counted as such, or, if it began
+    /// with a mark, the segment as cut short.
+    fn count(&mut self, end: Option<&End>, offset: u64, report: &mut LinkReport) {
         if self.is_partial || std::mem::replace(&mut self.is_counted, true) {
             return;
         }
+        self.segment.skip(offset.saturating_sub(self.end));
         let totals = self.segment.totals();
         match end {
-            Some(end) if end.totals.has_same_frames(totals) => report.segments_ended += 1,
+            // The index too: every writer makes the same one.
+            Some(end) if end == self.segment.end() => report.segments_ended += 1,
             Some(_) => report.segments_different += 1,
             None if self.has_begin => report.segments_cut_short += 1,
             None => report.frames_unmarked += totals.frames,
@@ -112,6 +121,8 @@ impl<R: Read> FrameReader<R> {
             takes_all_sensors: false,
             orders: Vec::new(),
             open: Open::default(),
+            lean: Lean::default(),
+            whole: Vec::new(),
             joins: false,
             left: None,
             report: LinkReport::default(),
@@ -162,7 +173,7 @@ impl<R: Read> FrameReader<R> {
     /// # Errors
     /// Only I/O errors; damage is reported by [`FrameReader::report`].
     pub fn next_frame(&mut self) -> std::io::Result<Option<Located<'_>>> {
-        let (header, payload, bytes) = loop {
+        let (found, place) = loop {
             if self.report.other_sensor.is_some() {
                 return Ok(None);
             }
@@ -170,36 +181,39 @@ impl<R: Read> FrameReader<R> {
             if rest.starts_with(&mark::SYNC) {
                 match Mark::parse(rest) {
                     Ok((mark, bytes)) => {
+                        let offset = self.buffer.used();
                         self.buffer.take(bytes);
-                        self.mark(&mark);
+                        self.mark(&mark, offset);
                     }
                     Err(MarkError::Incomplete) if !self.ended => self.fill()?,
                     Err(error) => self.skip_mark(error),
                 }
                 continue;
             }
+            if self.lean.may_begin(rest) {
+                match self.lean.find(rest, &mut self.whole) {
+                    Found::Frame {
+                        header,
+                        bytes,
+                        whole,
+                    } => {
+                        if let Some(found) = self.take(header, bytes, Some(whole.clone())) {
+                            break (found, Some(whole));
+                        }
+                    }
+                    Found::Incomplete if !self.ended => self.fill()?,
+                    Found::Incomplete => self.skip(FrameError::Incomplete, 1, 0),
+                    Found::Damaged(checked) => {
+                        self.skip(FrameError::Damaged(checked as u32), 1, checked);
+                    }
+                }
+                continue;
+            }
             match scan(rest) {
                 Scan::Frame(frame) => {
-                    let (header, payload, bytes) = (frame.header, frame.payload.len(), frame.bytes);
-                    let crc = rest[..bytes].last_chunk().copied().unwrap_or_default();
-                    let Sensor { width, height } = header.sensor;
-                    let sensor = *self.sensor.get_or_insert(header.sensor);
-                    if header.sensor != sensor && !self.takes_all_sensors {
-                        let other = (self.buffer.used(), format!("{width}x{height}"));
-                        self.report.other_sensor = Some(other);
-                        continue;
-                    }
-                    let whole = rest.get(..bytes).unwrap_or_default();
-                    self.open.add(&header, whole, self.buffer.used());
-                    self.buffer.take(bytes);
-                    let order = order_of(&mut self.orders, header.sensor);
-                    let before = self.report.frames_before;
-                    let is_new = order.take(&header, crc, &mut self.report);
-                    if std::mem::take(&mut self.joins) {
-                        self.report.frames_before = before;
-                    }
-                    if is_new {
-                        break (header, payload, bytes);
+                    let (header, bytes) = (frame.header, frame.bytes);
+                    if let Some(found) = self.take(header, bytes, None) {
+                        break (found, None);
                     }
                 }
                 Scan::Damage {
@@ -214,34 +228,77 @@ impl<R: Read> FrameReader<R> {
                 Scan::Incomplete if self.ended => {
                     // Where the reader was to stop, more of the segment follows.
                     if self.left != Some(0) {
-                        self.open.count(None, &mut self.report);
+                        let offset = self.open.end;
+                        self.open.count(None, offset, &mut self.report);
                     }
                     return Ok(None);
                 }
                 Scan::Incomplete => self.fill()?,
             }
         };
-        let offset = self.buffer.used() - bytes as u64;
-        let frame_bytes = self.buffer.last(bytes);
-        let payload_end = bytes - CRC_BYTES;
+        let (header, stored) = found;
+        let offset = self.buffer.used() - stored as u64;
+        let bytes = match place {
+            Some(whole) => self.whole.get(whole).unwrap_or_default(),
+            None => self.buffer.last(stored),
+        };
+        let header_bytes = bytes.get(3).copied().map_or(0, usize::from);
         Ok(Some(Located {
             frame: Frame {
                 header,
-                payload: &frame_bytes[payload_end - payload..payload_end],
-                bytes,
+                payload: bytes
+                    .get(header_bytes..bytes.len() - CRC_BYTES)
+                    .unwrap_or_default(),
+                bytes: bytes.len(),
             },
             offset,
-            bytes: frame_bytes,
+            bytes,
             restarts: self.report.restarts,
         }))
     }
 
-    fn mark(&mut self, mark: &Mark) {
+    /// Takes the frame of `stored` bytes at the start of the buffer, whose whole form is in this range of `whole` if it
+    /// is short. Returns its header and `stored` if it is to be delivered.
+    fn take(
+        &mut self,
+        header: Header,
+        stored: usize,
+        whole: Option<Range<usize>>,
+    ) -> Option<(Header, usize)> {
+        let bytes = match whole {
+            Some(whole) => self.whole.get(whole)?,
+            None => self.buffer.rest().get(..stored)?,
+        };
+        let Sensor { width, height } = header.sensor;
+        let sensor = *self.sensor.get_or_insert(header.sensor);
+        if header.sensor != sensor && !self.takes_all_sensors {
+            let other = (self.buffer.used(), format!("{width}x{height}"));
+            self.report.other_sensor = Some(other);
+            return None;
+        }
+        let crc = bytes.last_chunk().copied().unwrap_or_default();
+        let is_first = self.open.has_begin && self.open.segment.totals().frames == 0;
+        self.open
+            .add(&header, bytes, self.buffer.used(), stored as u64);
+        self.lean.note(&header);
+        self.buffer.take(stored);
+        let order = order_of(&mut self.orders, header.sensor);
+        let before = self.report.frames_before;
+        let is_new = order.follow(&header, crc, is_first, &mut self.report);
+        if std::mem::take(&mut self.joins) {
+            self.report.frames_before = before;
+        }
+        is_new.then_some((header, stored))
+    }
+
+    /// Takes note of a mark at this offset.
+    fn mark(&mut self, mark: &Mark, offset: u64) {
         let end = match mark {
             Mark::Begin => None,
             Mark::End(end) => Some(end),
         };
-        self.open.count(end, &mut self.report);
+        self.open.count(end, offset, &mut self.report);
+        self.lean.reset();
         self.open = Open {
             has_begin: end.is_none(),
             ..Open::default()
@@ -280,6 +337,8 @@ impl<R: Read> FrameReader<R> {
     }
 
     fn damage(&mut self, error: &dyn std::fmt::Display, skip: usize, checked: usize) {
+        // A short frame may be missing, and the next one follows from it.
+        self.lean.reset();
         let offset = self.buffer.used();
         let first = &mut self.report.first_damage;
         first.get_or_insert_with(|| (offset, error.to_string()));
@@ -319,8 +378,10 @@ impl<R: Read + Seek> FrameReader<R> {
     /// # Errors
     /// I/O.
     pub fn seek(&mut self, times: &Times) -> std::io::Result<bool> {
-        let at = self.source.stream_position()?;
         // A pipe may not go back. What cannot be read here is met again when frames are read.
+        let Ok(at) = self.source.stream_position() else {
+            return Ok(false);
+        };
         let Some(index) = Index::read(&mut self.source).ok().flatten() else {
             self.source.seek(SeekFrom::Start(at))?;
             return Ok(false);
@@ -337,10 +398,13 @@ impl<R: Read + Seek> FrameReader<R> {
     /// I/O.
     fn go_to(&mut self, start: u64, end: Option<u64>) -> std::io::Result<()> {
         self.source.seek(SeekFrom::Start(start))?;
-        self.buffer.go_to(start);
+        self.buffer = StreamBuffer::from_byte(FRAME_BYTES_MAX, start);
+        // What was read before may be read again.
+        self.report = LinkReport::default();
         self.ended = false;
         self.left = end.map(|end| end.saturating_sub(start));
         self.orders.clear();
+        self.lean.reset();
         self.joins = true;
         self.open = Open {
             is_partial: true,

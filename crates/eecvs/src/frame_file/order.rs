@@ -31,12 +31,24 @@ impl FrameOrder {
     /// Counts a frame's place in the sequence in `report`; returns whether to deliver the frame. `crc` is its last
     /// bytes.
     pub fn take(&mut self, header: &Header, crc: [u8; CRC_BYTES], report: &mut LinkReport) -> bool {
+        self.follow(header, crc, false, report)
+    }
+
+    /// As [`FrameOrder::take`], but the first frame of a segment of a file repeats none: a file may have the same
+    /// segment twice.
+    pub(super) fn follow(
+        &mut self,
+        header: &Header,
+        crc: [u8; CRC_BYTES],
+        is_first: bool,
+        report: &mut LinkReport,
+    ) -> bool {
         let number = header.sequence;
         if self.recent.iter().all(Option::is_none) {
             report.frames_before += u64::from(number);
         }
         let mut order = self.sequence.follow(number);
-        if order == Order::Repeated && self.begins_anew(header, crc) {
+        if order == Order::Repeated && (is_first || self.begins_anew(header, crc)) {
             report.restarts += 1;
             *self = Self::default();
             report.frames_before += u64::from(number);

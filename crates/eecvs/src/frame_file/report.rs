@@ -33,9 +33,9 @@ pub struct LinkReport {
     pub frames_dependent: u64,
     /// Undamaged frames of windows with more events than the decoder accepts.
     pub frames_crowded: u64,
-    /// Segments whose frames are those that their end mark counts.
+    /// Segments whose end mark is that of their frames: counts, hash and index.
     pub segments_ended: u64,
-    /// Segments whose frames are not those that their end mark counts.
+    /// Segments whose end mark is another one: frames are missing, or the mark is wrong.
     pub segments_different: u64,
     /// Segments that begin with a mark and have no end mark: their writer was stopped, or their end is missing.
     pub segments_cut_short: u64,
@@ -82,6 +82,18 @@ impl LinkReport {
         }
     }
 
+    /// Returns one line that says why there is no frame in what was read.
+    #[must_use]
+    pub const fn why_empty(&self) -> &'static str {
+        if self.damaged_bytes > 0 || self.segments_ended + self.segments_cut_short == 0 {
+            "no frame found; is it a file that `eecvs encode` wrote?"
+        } else if self.segments_cut_short > 0 {
+            "no frame: its writer was stopped before the first one, or all of them are missing"
+        } else {
+            "no frame: what was encoded has no events"
+        }
+    }
+
     /// Returns one line that describes the damage and losses, or `None` for a clean stream.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
@@ -121,7 +133,7 @@ impl LinkReport {
             ),
             (
                 self.segments_different,
-                "whose end mark counts other frames",
+                "whose end mark does not fit their frames",
             ),
         ] {
             if segments > 0 {

@@ -4,6 +4,7 @@ use std::io::{Result, Write};
 
 use eecvs_nostd::Header;
 
+use super::lean::Lean;
 use super::mark::{BEGIN, Segment};
 
 /// Takes frames one after the other. Anything that takes bytes takes frames, as a stream without marks.
@@ -28,7 +29,19 @@ pub struct FrameFileWriter<W> {
     out: W,
     /// The frames so far; `None` for a stream.
     segment: Option<Segment>,
+    lean: Lean,
+    /// Bytes of short frames since the last whole one.
+    short_bytes: usize,
+    /// Bytes of all frames.
+    frame_bytes: u64,
 }
+
+/// Bytes of short frames after which a whole one follows. It is what damage of one byte costs: a reader goes on at a
+/// whole frame.
+const SHORT_BYTES_MAX: usize = 1 << 13;
+
+/// Frames of more bytes are written whole: their headers hardly count.
+const LEAN_BYTES_MAX: usize = 1 << 12;
 
 impl<W: Write> FrameFileWriter<W> {
     /// Begins a segment.
@@ -40,21 +53,28 @@ impl<W: Write> FrameFileWriter<W> {
         Ok(Self {
             out,
             segment: Some(Segment::default()),
+            lean: Lean::default(),
+            short_bytes: 0,
+            frame_bytes: 0,
         })
     }
 
     /// Begins a stream, which has frames and no marks.
-    pub const fn stream(out: W) -> Self {
-        Self { out, segment: None }
+    pub fn stream(out: W) -> Self {
+        Self {
+            out,
+            segment: None,
+            lean: Lean::default(),
+            short_bytes: 0,
+            frame_bytes: 0,
+        }
     }
 
-    /// Returns the size of the marks around the frames so far.
+    /// Returns the size of the file if it ends here: frames and marks.
     #[must_use]
-    pub fn mark_bytes(&self) -> u64 {
-        let segment = self.segment.as_ref();
-        segment.map_or(0, |segment| {
-            (BEGIN.len() + segment.end().to_bytes().len()) as u64
-        })
+    pub fn bytes(&self) -> u64 {
+        let marks = |segment: &Segment| (BEGIN.len() + segment.end().to_bytes().len()) as u64;
+        self.frame_bytes + self.segment.as_ref().map_or(0, marks)
     }
 
     /// Ends the segment and returns the output, which is not flushed.
@@ -62,19 +82,44 @@ impl<W: Write> FrameFileWriter<W> {
     /// # Errors
     /// The mark cannot be written.
     pub fn finish(mut self) -> Result<W> {
-        if let Some(segment) = self.segment {
-            self.out.write_all(&segment.end().to_bytes())?;
-        }
+        self.end()?;
         Ok(self.out)
+    }
+
+    /// Ends the segment: what follows is a stream.
+    ///
+    /// # Errors
+    /// The mark cannot be written.
+    pub fn end(&mut self) -> Result<()> {
+        match self.segment.take() {
+            Some(segment) => self.out.write_all(&segment.end().to_bytes()),
+            None => Ok(()),
+        }
     }
 }
 
 impl<W: Write> FrameSink for FrameFileWriter<W> {
     fn frame(&mut self, header: &Header, bytes: &[u8]) -> Result<()> {
-        self.out.write_all(bytes)?;
-        if let Some(segment) = &mut self.segment {
-            segment.add(header, bytes);
-        }
+        let Some(segment) = &mut self.segment else {
+            self.frame_bytes += bytes.len() as u64;
+            return self.out.write_all(bytes);
+        };
+        let is_whole = bytes.len() > LEAN_BYTES_MAX
+            || self.short_bytes > SHORT_BYTES_MAX
+            || segment.may_enter(header);
+        let short = if is_whole {
+            None
+        } else {
+            self.lean.shortened(header, bytes)
+        };
+        self.short_bytes = short
+            .as_ref()
+            .map_or(0, |short| self.short_bytes + short.len());
+        let stored = short.as_deref().unwrap_or(bytes);
+        self.out.write_all(stored)?;
+        self.frame_bytes += stored.len() as u64;
+        segment.add_stored(header, bytes, stored.len() as u64);
+        self.lean.note(header);
         Ok(())
     }
 }

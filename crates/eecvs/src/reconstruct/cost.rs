@@ -24,6 +24,11 @@ const FACTOR: u64 = 1;
 /// Work of an eigenvalue problem of n complex numbers, in units of n^3.
 const EIGEN: u64 = 60;
 
+/// Size of a table that is read from the processor's cache.
+const CACHE_BYTES: u64 = 1 << 20;
+/// Work of a number that comes from memory, where it would be 1 from the cache.
+const UNCACHED: u64 = 8;
+
 /// Sizes of a pixel's equations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Size {
@@ -222,9 +227,7 @@ impl Size {
     #[must_use]
     pub const fn exact(self, search: Search, grid: OnGrid) -> u64 {
         let events = self.events();
-        let is_crowded = events > recover::EVENTS_MAX as u64
-            || 5 * events > recover::EVENTS_FIFTHS as u64 * self.rows;
-        if is_crowded {
+        if recover::is_crowded(events, self.rows) {
             let found = if events > recover::CROWD_EVENTS_MAX as u64 {
                 self.densities()
             } else {
@@ -272,6 +275,17 @@ impl Search {
         }
     }
 
+    /// How much longer the sums of a point take where the table of all points does not fit into the processor's cache,
+    /// and no transform leaves most of them out.
+    const fn per_number(self) -> u64 {
+        let table_bytes = 8 * self.points * self.limit;
+        if self.is_guided || table_bytes <= CACHE_BYTES {
+            1
+        } else {
+            UNCACHED
+        }
+    }
+
     /// Work of the transform, for a point.
     const fn guide(self) -> u64 {
         4 * self.points.ilog2() as u64 + 8
@@ -280,7 +294,7 @@ impl Search {
     /// Returns whether the transform is cheaper than the sums at all points.
     #[must_use]
     pub const fn is_better_guided(self) -> bool {
-        self.of_point() > self.guide()
+        self.per_number() * self.of_point() > self.guide()
     }
 
     /// Work of finding an event if this many points are looked at.
@@ -291,7 +305,7 @@ impl Search {
         } else {
             0
         };
-        guided + points * (self.of_point() + 4) + polished
+        guided + points * (self.per_number() * self.of_point() + 4) + polished
     }
 
     /// The most that finding an event can cost.

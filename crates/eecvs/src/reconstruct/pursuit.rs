@@ -500,9 +500,7 @@ mod tests {
                 let found = guided.pixel(&pixel, &mut work);
                 assert_eq!(found, plain.pixel(&pixel, &mut others));
                 let (units, plainly) = (work.take_units(), others.take_units());
-                // Sums over few k are as cheap as the transform.
-                assert!(units <= plainly);
-                assert!(spread == 1 || 5 * units < 3 * plainly, "{units} {plainly}");
+                assert!(5 * units < plainly, "{units} {plainly}");
             }
         }
     }

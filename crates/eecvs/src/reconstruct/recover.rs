@@ -26,7 +26,7 @@ use super::{cost, ensemble, prony};
 pub const EVENTS_MAX: usize = 40;
 /// Largest ratio, in fifths, of such events to the numbers sent. With more unknowns than equations there are many
 /// solutions, but one from the right starting point is still closer than no solution.
-pub(super) const EVENTS_FIFTHS: usize = 8;
+const EVENTS_FIFTHS: u64 = 8;
 /// Number of events from which the median of many solutions is taken.
 pub(super) const MEDIAN_FROM: usize = 17;
 /// RMS residual, in units of h, below which the residual is taken to be quantisation error. Uniform errors have an
@@ -118,6 +118,11 @@ pub struct Recovered {
     pub residual_steps: Option<f64>,
 }
 
+/// Returns whether a pixel has too many events for its equations: their times are not solved for one by one.
+pub(super) const fn is_crowded(events: u64, rows: u64) -> bool {
+    events > EVENTS_MAX as u64 || 5 * events > EVENTS_FIFTHS * rows
+}
+
 /// Recovers the events of a pixel of the DCT or the DTFT. The work is bounded, whatever the coefficients are.
 #[must_use]
 pub fn pixel(header: &Header, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> Recovered {
@@ -132,7 +137,7 @@ pub fn pixel(header: &Header, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> 
     }
     let equations = Equations::new(header, pixel);
     let events = equations.events();
-    if events > EVENTS_MAX || 5 * events > EVENTS_FIFTHS * equations.rows() {
+    if is_crowded(events as u64, equations.rows() as u64) {
         return crowded(equations, work);
     }
     let equations = equations.with_signs();

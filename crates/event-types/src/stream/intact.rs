@@ -63,7 +63,7 @@ impl EventReader for Intact {
         self.reader.seek(t_us)
     }
 
-    fn end_at(&mut self, t_us: u64) -> Result<()> {
+    fn end_at(&mut self, t_us: u64) -> Result<bool> {
         self.reader.end_at(t_us)
     }
 

@@ -83,14 +83,14 @@ pub trait EventReader: Send {
         Ok(false)
     }
 
-    /// Allows the reader to leave out events at or after `t_us`, if the format can find where they are: after this, and
-    /// in any case, events after `t_us` may still come.
+    /// Lets the reader end where no event before `t_us` follows, if the format can find that place, whatever the order
+    /// of times; a few events after `t_us` may still come. Returns false if nothing was done.
     ///
     /// # Errors
     /// The index is damaged.
-    fn end_at(&mut self, t_us: u64) -> Result<()> {
+    fn end_at(&mut self, t_us: u64) -> Result<bool> {
         let _ = t_us;
-        Ok(())
+        Ok(false)
     }
 
     /// Leaves out and counts invalid events from here on, instead of ending with an error. Returns false if the

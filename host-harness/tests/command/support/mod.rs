@@ -137,14 +137,20 @@ impl Folder {
 
     /// The frames of a file, cut apart by what `inspect` says of their sizes.
     pub fn frames(&self, name: &str) -> Vec<Vec<u8>> {
+        self.places(name).1
+    }
+
+    /// Where the frames of a file begin, and the frames.
+    pub fn places(&self, name: &str) -> (Vec<usize>, Vec<Vec<u8>>) {
         let bytes = self.bytes(name);
         let mut reader = FrameReader::new(&bytes[..]);
-        let mut frames = Vec::new();
+        let (mut places, mut frames) = (Vec::new(), Vec::new());
         while let Some(located) = reader.next_frame().expect("memory") {
+            places.push(located.offset as usize);
             frames.push(located.bytes.to_vec());
         }
         assert!(reader.report().is_clean(), "{:?}", reader.report());
-        frames
+        (places, frames)
     }
 }
 
