@@ -87,7 +87,7 @@ fn encoded(events: Vec<Event>, coder: Coder, key_windows: u16, out: &mut dyn Fra
 }
 
 fn file(events: &[Event], coder: Coder) -> Vec<u8> {
-    let mut out = FrameFileWriter::new(Vec::new()).expect("memory");
+    let mut out = FrameFileWriter::new(Vec::new());
     encoded(events.to_vec(), coder, 8, &mut out);
     out.finish().expect("memory")
 }

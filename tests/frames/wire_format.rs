@@ -53,7 +53,7 @@ fn the_documents_frame_is_true() {
 #[test]
 fn the_documents_file_is_true() {
     let frame = frame();
-    let mut out = FrameFileWriter::new(Vec::new()).expect("memory");
+    let mut out = FrameFileWriter::new(Vec::new());
     let header = Frame::parse(&frame).expect("a frame").header;
     out.frame(&header, &frame).expect("memory");
     let file = out.finish().expect("memory");

@@ -307,14 +307,14 @@ pub type FrameFile = FrameFileWriter<BufWriter<File>>;
 /// Begins a file of frames, with marks; stdout, a device or a pipe takes a stream, without them.
 ///
 /// # Errors
-/// Those of [`create`], or the file cannot be written; the message names it.
+/// Those of [`create`].
 pub fn create_frames(path: &Path) -> Result<FrameFile> {
     let out = create(path)?;
     let is_file = out.get_ref().metadata().is_ok_and(|about| about.is_file());
     if output::is_stdout(path) || !is_file {
         return Ok(FrameFileWriter::stream(out));
     }
-    FrameFileWriter::new(out).with_context(|| format!("{}: cannot be written", path.display()))
+    Ok(FrameFileWriter::new(out))
 }
 
 /// Marks the end of a file of frames, and writes out what is buffered.

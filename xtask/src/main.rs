@@ -101,7 +101,10 @@ enum Task {
     },
     /// Let every call by which a command writes a file fail, one at a time; kill every command at every such call and at
     /// random moments
-    Faults,
+    Faults {
+        /// Only commands whose line has this word
+        word: Option<String>,
+    },
     /// Build the images of a microcontroller: firmware/build.sh
     BuildImage {
         /// Machine, program, `portable`
@@ -160,7 +163,7 @@ fn main() -> Result<ExitCode> {
         Task::Fuzz {
             seconds, targets, ..
         } => fuzz::run(seconds, &targets),
-        Task::Faults => tests::faults(),
+        Task::Faults { word } => tests::faults(word.as_deref()),
         Task::BuildImage { arguments } => tree::script("firmware/build.sh", &arguments),
         Task::HubLoad { arguments } => tree::script("eecvs-hub/load.sh", &arguments),
         Task::HubKills { arguments } => tree::script("eecvs-hub/kills.sh", &arguments),

@@ -24,12 +24,15 @@ pub fn run(filters: &[String]) -> Result<ExitCode> {
     tree::status(test.arg("--").args(filters))
 }
 
-/// The campaign over every place at which an output can fail.
-pub fn faults() -> Result<ExitCode> {
+/// The campaign over every place at which an output can fail, of all commands or of those whose line has this word.
+pub fn faults(word: Option<&str>) -> Result<ExitCode> {
     let mut test = tree::cargo();
     test.args(["test", "--quiet"]).args(ALL);
     let filter = ["--", "every_output_is_old_or_whole", "--nocapture"];
-    tree::status(test.args(filter).env("EECVS_FAULTS_ALL", "1"))
+    tree::status(
+        test.args(filter)
+            .env("EECVS_FAULTS_ALL", word.unwrap_or("1")),
+    )
 }
 
 /// The golden vectors, written again.

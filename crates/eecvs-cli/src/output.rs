@@ -103,7 +103,7 @@ pub fn frame_file(path: &Path) -> Result<FrameFileWriter<OutputFile>> {
     Ok(if out.is_direct() {
         FrameFileWriter::stream(out)
     } else {
-        FrameFileWriter::new(out)?
+        FrameFileWriter::new(out)
     })
 }
 

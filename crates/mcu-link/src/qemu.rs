@@ -22,6 +22,22 @@ const START: Duration = Duration::from_secs(20);
 /// Maximum number of bytes kept of QEMU's own messages.
 const MESSAGE_BYTES: u64 = 1 << 12;
 
+/// Lets the system end a child if this thread ends, so that no emulator runs on for ever after a command that is killed.
+#[cfg(target_os = "linux")]
+#[allow(unsafe_code)]
+fn end_with_this_thread(command: &mut Command) {
+    use std::os::unix::process::CommandExt;
+
+    use rustix::process::{Signal, set_parent_process_death_signal};
+
+    let end = || Ok(set_parent_process_death_signal(Some(Signal::KILL))?);
+    // SAFETY: between fork and exec the closure makes one system call, and neither allocates nor locks.
+    unsafe { command.pre_exec(end) };
+}
+
+#[cfg(not(target_os = "linux"))]
+fn end_with_this_thread(_: &mut Command) {}
+
 /// A machine that QEMU emulates and for which images exist.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Machine {
@@ -170,7 +186,8 @@ pub struct Qemu {
 impl Qemu {
     /// Starts an image. One instruction takes 1 ns of the machine's time.
     ///
-    /// The image's log is printed to stderr: all of it, or warnings and errors only.
+    /// The image's log is printed to stderr: all of it, or warnings and errors only. On Linux the machine ends at the
+    /// latest with the thread that starts it, even if the process is killed.
     ///
     /// # Errors
     /// QEMU is not installed, or the image cannot be read.
@@ -183,7 +200,8 @@ impl Qemu {
         let decoder = LogDecoder::new(&bytes).with_context(|| format!("{name}"))?;
         let folder =
             tempfile::tempdir().context("cannot create a folder for the emulator's socket")?;
-        let started = Command::new(PROGRAM)
+        let mut command = Command::new(PROGRAM);
+        command
             .args(["-M", machine.name()])
             .args(["-display", "none", "-monitor", "none"])
             // A path relative to the current folder is neither too long for a socket nor needs quoting in an
@@ -196,9 +214,9 @@ impl Qemu {
             .current_dir(folder.path())
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn();
-        let mut child = installed(started)?;
+            .stderr(Stdio::piped());
+        end_with_this_thread(&mut command);
+        let mut child = installed(command.spawn())?;
         let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
         let lines = LogLines::default();
         let log = stdout.map(|mut stdout| {

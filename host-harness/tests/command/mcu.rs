@@ -720,3 +720,52 @@ fn every_kernel_is_counted_where_the_emulator_is() {
         }
     }
 }
+
+/// Returns the processes that `id` has begun.
+#[cfg(target_os = "linux")]
+fn children(id: u32) -> Vec<u32> {
+    let tasks = std::fs::read_to_string(format!("/proc/{id}/task/{id}/children"));
+    let tasks = tasks.unwrap_or_default();
+    tasks
+        .split_whitespace()
+        .filter_map(|id| id.parse().ok())
+        .collect()
+}
+
+/// Returns whether a process runs a program of this name.
+#[cfg(target_os = "linux")]
+fn runs(id: u32, name: &str) -> bool {
+    let line = std::fs::read(format!("/proc/{id}/cmdline")).unwrap_or_default();
+    line.starts_with(name.as_bytes())
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn the_emulator_ends_with_a_command_that_is_killed() {
+    const PROGRAM: &str = "qemu-system-arm";
+    let Some(image) = image(Machine::NetduinoPlus2) else {
+        return;
+    };
+    let folder = Folder::new();
+    let mut command = folder
+        .command(&["mcu", "--image", image.to_str().expect("UTF-8")])
+        .stdout(std::process::Stdio::null())
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .expect("a command");
+    let patience = std::time::Instant::now() + Duration::from_secs(60);
+    let emulator = loop {
+        let found = children(command.id()).into_iter();
+        if let Some(id) = found.into_iter().find(|id| runs(*id, PROGRAM)) {
+            break id;
+        }
+        assert!(std::time::Instant::now() < patience, "no emulator");
+        std::thread::sleep(Duration::from_millis(1));
+    };
+    command.kill().expect("a kill");
+    command.wait().expect("an end");
+    while runs(emulator, PROGRAM) {
+        assert!(std::time::Instant::now() < patience, "it runs on");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}

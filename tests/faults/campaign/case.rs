@@ -262,7 +262,7 @@ pub const CASES: &[Case] = &[
         program: "eecvs-ros",
         line: "--loopback --domain-id 92 compose emulate encode log --ros-args -p \
                emulate:recording:=IN/scene.raw -p emulate:wait_s:=20 -p log:features:=OUT.csv -p \
-               log:coefficients:=OUT.mcap -p log:idle_s:=1",
+               log:coefficients:=OUT.mcap -p log:idle_s:=1 -p encode:idle_s:=1",
         old: &[],
         kind: Kind::Growing,
         beside: &[],

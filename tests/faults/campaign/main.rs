@@ -27,13 +27,22 @@ const PLACES: usize = 5;
 /// Kills at random moments in the whole campaign.
 const KILLS: usize = 1000;
 
-/// Whether all places are wanted.
+/// Whether all places are wanted, if only of some commands.
 fn is_whole() -> bool {
     std::env::var_os("EECVS_FAULTS_ALL").is_some()
 }
 
+/// Whether a command is wanted: all are, unless the variable has a word of its line.
+fn is_wanted(case: &Case) -> bool {
+    let word = std::env::var("EECVS_FAULTS_ALL").unwrap_or_default();
+    word == "1" || case.line.contains(&word)
+}
+
 /// How many of a command's places are tried, each with one plan unless it is all; `None` if the command is left out.
 fn places_of(case: &Case) -> Option<usize> {
+    if !is_wanted(case) {
+        return None;
+    }
     match (is_whole(), case.cost) {
         (true, Cost::Minutes(places)) => Some(places),
         (true, _) => Some(usize::MAX),
@@ -90,7 +99,9 @@ fn fault(
     if kind == "short write" && status != Some(0) {
         wrong = wrong.or(Some("a short write is no error".to_owned()));
     }
-    if is_stopped && !matches!(status, Some(0 | 130)) {
+    // What was on its way when the signal came is lost, or nothing had arrived, which is said.
+    let is_loss = case.is_live() && status == Some(1);
+    if is_stopped && !is_loss && !matches!(status, Some(0 | 130)) {
         wrong = wrong.or(Some("a signal ends it with 0 or 130".to_owned()));
     }
     let is_complete = || reference.is_complete(bench, &outcome.files);

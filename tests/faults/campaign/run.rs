@@ -266,7 +266,7 @@ fn files(folder: &Path) -> Files {
             let path = entry.expect("an entry").path();
             if path.is_dir() {
                 walk(root, &path, files);
-            } else {
+            } else if path.is_file() {
                 let name = path.strip_prefix(root).expect("a file of the folder");
                 let bytes = std::fs::read(&path).expect("a file");
                 files.insert(name.to_string_lossy().into_owned(), bytes);

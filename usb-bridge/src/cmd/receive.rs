@@ -13,7 +13,7 @@ use super::warn;
 use crate::forward::address::Address;
 use crate::forward::receive::{self, Received};
 use crate::forward::senders::{Deadlines, Senders};
-use crate::record::{self, Kind};
+use crate::record;
 use crate::stop::Stop;
 
 /// Receive frames or raw packets and write them to a file
@@ -72,13 +72,7 @@ impl Receive {
         let output = Output::begin_live(&self.output, self.overwrite)?;
         let (received, outcome) =
             receive::receive(&mut senders, output.path(), kind, limits, &stop, &mut warn);
-        let outcome = if outcome.is_ok() && kind == Kind::Events && received.events == 0 {
-            // A recording is created with the first event, which determines its sensor.
-            let _ = output.leave();
-            Ok(())
-        } else {
-            keep_or_mark(output, outcome)
-        };
+        let outcome = keep_or_mark(output, outcome);
         let place = Place::beside([self.output.as_path()]);
         place.tell(self.stream.json, &received, || table(&received))?;
         let Some(warning) = received.warning() else {

@@ -103,7 +103,7 @@ impl Sink {
             && Frame::parse(message).is_ok()
             && file.metadata()?.is_file()
         {
-            *self = Self::Frames(Box::new(FrameFileWriter::new(file.try_clone()?)?));
+            *self = Self::Frames(Box::new(FrameFileWriter::new(file.try_clone()?)));
         }
         match self {
             Self::Tcp(stream) => send_all(stream, message, goes_on),

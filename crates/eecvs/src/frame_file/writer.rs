@@ -44,19 +44,12 @@ const SHORT_BYTES_MAX: usize = 1 << 13;
 const LEAN_BYTES_MAX: usize = 1 << 12;
 
 impl<W: Write> FrameFileWriter<W> {
-    /// Begins a segment.
-    ///
-    /// # Errors
-    /// The mark cannot be written.
-    pub fn new(mut out: W) -> Result<Self> {
-        out.write_all(&BEGIN)?;
-        Ok(Self {
-            out,
+    /// Begins a segment. Its marks are written with its first frame: without one, the file stays empty.
+    pub fn new(out: W) -> Self {
+        Self {
             segment: Some(Segment::default()),
-            lean: Lean::default(),
-            short_bytes: 0,
-            frame_bytes: 0,
-        })
+            ..Self::stream(out)
+        }
     }
 
     /// Begins a stream, which has frames and no marks.
@@ -74,7 +67,9 @@ impl<W: Write> FrameFileWriter<W> {
     #[must_use]
     pub fn bytes(&self) -> u64 {
         let marks = |segment: &Segment| (BEGIN.len() + segment.end().to_bytes().len()) as u64;
-        self.frame_bytes + self.segment.as_ref().map_or(0, marks)
+        let segment = self.segment.as_ref();
+        let begun = segment.filter(|segment| segment.totals().frames > 0);
+        self.frame_bytes + begun.map_or(0, marks)
     }
 
     /// Ends the segment and returns the output, which is not flushed.
@@ -92,8 +87,10 @@ impl<W: Write> FrameFileWriter<W> {
     /// The mark cannot be written.
     pub fn end(&mut self) -> Result<()> {
         match self.segment.take() {
-            Some(segment) => self.out.write_all(&segment.end().to_bytes()),
-            None => Ok(()),
+            Some(segment) if segment.totals().frames > 0 => {
+                self.out.write_all(&segment.end().to_bytes())
+            }
+            _ => Ok(()),
         }
     }
 }
@@ -104,6 +101,9 @@ impl<W: Write> FrameSink for FrameFileWriter<W> {
             self.frame_bytes += bytes.len() as u64;
             return self.out.write_all(bytes);
         };
+        if segment.totals().frames == 0 {
+            self.out.write_all(&BEGIN)?;
+        }
         let is_whole = bytes.len() > LEAN_BYTES_MAX
             || self.short_bytes > SHORT_BYTES_MAX
             || segment.may_enter(header);
