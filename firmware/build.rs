@@ -78,6 +78,10 @@ fn golden() -> Result<String, Box<dyn Error>> {
             events,
             frames,
         } = golden;
+        // Images have no tree coder.
+        if mode & 3 == 3 {
+            continue;
+        }
         let frames = frames
             .iter()
             .map(|frame| bytes(frame))

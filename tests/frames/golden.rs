@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use eecvs_nostd::event_link::Setup;
 use eecvs_nostd::{
-    Coded, Coder, Event, Fidelity, Hybrid, Level, Mode, OUTPUT_BYTES_MIN, Polarity, Sensor,
+    Coded, Coder, Effort, Event, Fidelity, Hybrid, Level, Mode, OUTPUT_BYTES_MIN, Polarity, Sensor,
     Transform,
 };
 use serde::{Deserialize, Serialize};
@@ -76,23 +76,48 @@ fn hybrid_frames_are_those_of_the_golden_vectors() {
         width: 40,
         height: 3,
     };
-    // Twice, in a window each: the dense coder's second frame goes on from the first.
+    // Twice, in a window each: the second frames of the dense and the tree coder go on from the first.
     let mut events = events();
     let later = events.clone().into_iter().map(|event| Event {
         t_us: event.t_us + 65_536,
         ..event
     });
     events.extend(later);
-    for (name, coder, fidelity) in [
-        ("fast", Coder::Fast, Fidelity::Lossless),
-        ("dense", Coder::Dense, Fidelity::Lossless),
-        ("fast_tolerance", Coder::Fast, Fidelity::ToleranceUs(20)),
-        ("dense_bins", Coder::Dense, Fidelity::Bins(8)),
+    let lossless = Fidelity::Lossless;
+    // The tree coder's windows are whole, or they are the dense coder's.
+    let whole = 1 << 14;
+    for (name, coder, fidelity, frame_bytes) in [
+        ("v2_hybrid_fast", Coder::Fast, lossless, OUTPUT_BYTES_MIN),
+        ("v2_hybrid_dense", Coder::Dense, lossless, OUTPUT_BYTES_MIN),
+        (
+            "v2_hybrid_fast_tolerance",
+            Coder::Fast,
+            Fidelity::ToleranceUs(20),
+            OUTPUT_BYTES_MIN,
+        ),
+        (
+            "v2_hybrid_dense_bins",
+            Coder::Dense,
+            Fidelity::Bins(8),
+            OUTPUT_BYTES_MIN,
+        ),
+        ("v4_tree_1", Coder::Tree(Effort::One), lossless, whole),
+        ("v4_tree_2", Coder::Tree(Effort::Two), lossless, whole),
+        ("v4_tree_3", Coder::Tree(Effort::Three), lossless, whole),
+        (
+            "v4_tree_1_tolerance",
+            Coder::Tree(Effort::One),
+            Fidelity::ToleranceUs(20),
+            whole,
+        ),
     ] {
         let mut config = plain_config(sensor, Transform::Dct, 16);
         config.mode = Mode::Hybrid(Hybrid { coder, fidelity });
         let setup = Setup::new(&config, 0);
-        let frames = encode(config, &events, 1000, OUTPUT_BYTES_MIN);
+        let frames = encode(config, &events, 1000, frame_bytes);
+        for frame in &frames {
+            assert_eq!(parse(frame).header.mode, config.mode, "{name}");
+        }
         let golden = Golden {
             width: sensor.width,
             height: sensor.height,
@@ -104,7 +129,7 @@ fn hybrid_frames_are_those_of_the_golden_vectors() {
             pixels: vec![],
             frames: frames.iter().map(|bytes| hex(bytes)).collect(),
         };
-        let frozen = frozen(&format!("v2_hybrid_{name}.json"), &golden);
+        let frozen = frozen(&format!("{name}.json"), &golden);
         assert_eq!(golden.events, frozen.events, "{name}: events");
         assert_eq!(golden.frames, frozen.frames, "{name}: bytes");
     }
