@@ -13,6 +13,7 @@ pub mod content;
 pub mod dense;
 pub mod fast;
 pub mod key_frames;
+pub mod quick;
 pub mod range;
 pub mod scan;
 pub mod times;
