@@ -408,6 +408,13 @@ pub const fn place(x: u16, y: u16, polarity: Polarity) -> u32 {
     (y as u32) << 16 | (x as u32) << 1 | polarity as u32
 }
 
+/// Returns column and row of an event's [`place`].
+#[inline]
+#[must_use]
+pub const fn position(place: u32) -> (u16, u16) {
+    ((place >> 1) as u16 & 0x7FFF, (place >> 16) as u16)
+}
+
 /// How to code a block.
 #[derive(Debug, Clone, Copy)]
 pub struct Plan {

@@ -28,6 +28,7 @@ mod tests;
 pub use decoder::{Damaged, Decoder, decode};
 pub use encoder::{Coded, Encoder, Error, Placed, encode, encode_placed};
 pub use format::{BLOCK, BLOCK_BYTES_MAX};
+pub(crate) use format::{place, position};
 
 use crate::coder::quick::format::{Area, Block};
 use crate::coder::quick::portable::Body;

@@ -1,8 +1,8 @@
 //! NEON, as two vectors of four lanes. Every `aarch64` core has it, so that no intrinsic without a pointer is unsafe.
 #![allow(unsafe_code)]
 
-use crate::coder::quick::format::LANES;
 use crate::coder::quick::array::Array;
+use crate::coder::quick::format::LANES;
 use crate::coder::quick::lanes::Lanes;
 use core::arch::aarch64::{
     int16x8_t, uint32x4_t, vaddq_u32, vandq_u32, vcombine_u32, vdupq_n_s32, vdupq_n_u32,
