@@ -35,8 +35,6 @@ use event_types::{Polarity, Sensor};
 pub const BLOCK: usize = 128;
 /// Number of lanes of a block's words.
 pub const LANES: usize = 8;
-/// Number of words of each lane.
-pub const ROWS: usize = BLOCK / LANES;
 /// Largest width of a word.
 pub const WIDTH_MAX: u32 = 31;
 /// Largest width of a time where times step back.

@@ -2,10 +2,9 @@
 
 use crate::coder::quick::Window;
 use crate::coder::quick::format::{
-    Area, BLOCK, BLOCK_BYTES_MAX, Block, Divisor, LANES, Plan, ROWS, Shape, UPPER_BYTES_MAX,
-    last_upper,
+    Area, BLOCK, BLOCK_BYTES_MAX, Block, Divisor, LANES, Plan, Shape, UPPER_BYTES_MAX, last_upper,
 };
-use crate::coder::quick::lanes::Lanes;
+use crate::coder::quick::lanes::{Lanes, ROWS};
 use crate::coder::quick::portable::{self, Body, Times, encode_times_back, pack_in_turn};
 use event_types::Event;
 

@@ -1,7 +1,10 @@
 //! Vectors of eight lanes of 32 bits, as what codes full blocks sees them.
 
-use crate::coder::quick::format::LANES;
+use crate::coder::quick::format::{BLOCK, LANES};
 use event_types::Event;
+
+/// Number of words of each lane.
+pub const ROWS: usize = BLOCK / LANES;
 
 /// Operations on eight unsigned lanes of 32 bits. A value of the type proves that the core has the instructions.
 ///

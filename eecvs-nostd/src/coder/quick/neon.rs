@@ -53,7 +53,7 @@ fn halves(
 
 // SAFETY, of all blocks: `self` proves that the core has NEON; pointers come from references to arrays of as many
 // bytes as are read or written.
-#[allow(unused_unsafe)]
+#[allow(unused_unsafe, clippy::undocumented_unsafe_blocks)]
 impl Lanes for Neon {
     type Vector = Pair;
 
