@@ -376,8 +376,8 @@ impl NextStart {
 ///
 /// With an origin, a window that starts between two boundaries ends at the second one, so T is shorter there.
 ///
-/// The order of events inside a window does not matter, and is kept if [`WindowConfig::keeps_arrival`] says so. An event costs O(1), and no memory is used beyond what
-/// was lent.
+/// The order of events inside a window does not matter, and is kept if [`WindowConfig::keeps_arrival`] says so. An
+/// event costs O(1), and no memory is used beyond what was lent.
 #[derive(Debug)]
 pub struct Window<'b> {
     config: WindowConfig,
@@ -515,13 +515,18 @@ impl<'b> Window<'b> {
         Push::Stored
     }
 
-    #[cfg_attr(target_pointer_width = "64", inline(always))]
-    #[cfg_attr(not(target_pointer_width = "64"), inline)]
+    #[inline(always)]
     fn store(&mut self, event: Event, offset_us: u32) {
         if self.keeps_arrival() {
             self.store_in_order(event, offset_us);
-            return;
+        } else {
+            self.store_by_pixel(event, offset_us);
         }
+    }
+
+    #[cfg_attr(target_pointer_width = "64", inline(always))]
+    #[cfg_attr(not(target_pointer_width = "64"), inline)]
+    fn store_by_pixel(&mut self, event: Event, offset_us: u32) {
         let x = u32::from(event.x);
         let segment = u32::from(event.y) * self.stride.get() + x / u32::from(SEGMENT_PIXELS);
         let (Some(head), Some(slot), Some(bits)) = (
@@ -694,7 +699,7 @@ impl<'b> Window<'b> {
             {
                 break;
             }
-            self.store(*event, offset_us as u32);
+            self.store_by_pixel(*event, offset_us as u32);
             stored += 1;
         }
         stored
