@@ -105,9 +105,17 @@ pub fn hybrid() -> impl Strategy<Value = Hybrid> {
     let coder = prop_oneof![
         Just(Coder::Fast),
         Just(Coder::Dense),
+        Just(Coder::Quick),
         effort.prop_map(Coder::Tree),
     ];
-    (coder, fidelity).prop_map(|(coder, fidelity)| Hybrid { coder, fidelity })
+    (coder, fidelity).prop_map(|(coder, fidelity)| Hybrid {
+        coder,
+        // The quick coder has no other.
+        fidelity: match coder {
+            Coder::Quick => Fidelity::Lossless,
+            _ => fidelity,
+        },
+    })
 }
 
 /// A configuration with its sensor and events.

@@ -16,6 +16,7 @@
 //!
 //! - `coefficients` (default): the encoder can use the adaptive coefficient coders ([`coder::coefficients`]).
 //! - `order` (default): the encoder supports [`Config::keep_order`].
+//! - `quick` (default): the encoder can use the quick coder ([`coder::quick`]).
 //! - `tree` (default): the encoder can use the tree coder ([`coder::tree`]).
 //! - `defmt`: derives `defmt::Format` on the public types.
 //! - `float`: adds two f32 kernels for comparison ([`kernel`]).

@@ -15,6 +15,13 @@ use eecvs_nostd::{
 pub fn to_mode(mode: u8, fidelity: u8) -> Mode {
     let coder = match mode % 5 {
         0 => return Mode::Transform,
+        // It is lossless.
+        1 if mode >> 6 == 3 => {
+            return Mode::Hybrid(Hybrid {
+                coder: Coder::Quick,
+                fidelity: Fidelity::Lossless,
+            });
+        }
         1 => Coder::Fast,
         2 => Effort::from_number(mode >> 6).map_or(Coder::Dense, Coder::Tree),
         3 => return Mode::Coefficients(Coder::Fast),
@@ -72,10 +79,10 @@ pub fn run(data: &[u8]) {
                 width: 50,
                 height: 4,
             }),
-            isolated: *control & 1 == 1,
+            isolated: *control & 1 == 1 && !mode.keeps_arrival(),
         },
         bytes_per_second: NonZeroU32::new(budget)
-            .filter(|_| *control & 2 == 2 && !mode.is_transform()),
+            .filter(|_| *control & 2 == 2 && !mode.is_transform() && !mode.keeps_arrival()),
         keep_order: *key & 2 == 2 && !mode.is_transform(),
     };
     let mut storage = HostStorage::new(sensor, 1 + usize::from(*capacity));

@@ -7,8 +7,8 @@ use eecvs::window_limit::WindowLimit;
 use eecvs_nostd::frame::{HEADER_BYTES_MAX, seal};
 use eecvs_nostd::pack::bits_lsb_first::BitWriter;
 use eecvs_nostd::{
-    Coded, Descriptor, FRAME_BYTES_MAX, Frame, FrameError, Header, Mode, Quantiser, Regime, Sensor,
-    Transform, UnpackError,
+    Coded, Coder, Descriptor, Event, FRAME_BYTES_MAX, Fidelity, Frame, FrameError, Header, Hybrid,
+    Mode, Polarity, Quantiser, Regime, Sensor, Transform, UnpackError,
 };
 
 fn header() -> Header {
@@ -257,6 +257,125 @@ fn windows_that_no_sensor_sends_are_refused_and_counted() {
     let window = windows.next_window().expect("memory").expect("the second");
     assert_eq!(window.header.sequence, 1);
     assert_eq!(windows.report().frames_crowded, 1);
+}
+
+/// The header of a frame of the quick coder.
+fn quick() -> Header {
+    Header {
+        mode: Mode::Hybrid(Hybrid {
+            coder: Coder::Quick,
+            fidelity: Fidelity::Lossless,
+        }),
+        transform: Regime::Sparse.transform(),
+        last: true,
+        window_events: 1,
+        pixels: 0,
+        ..header()
+    }
+}
+
+fn sealed(header: &Header, payload: &[u8]) -> Vec<u8> {
+    let mut out = vec![0; HEADER_BYTES_MAX + payload.len() + 4];
+    out[HEADER_BYTES_MAX..][..payload.len()].copy_from_slice(payload);
+    let range = seal(header, payload.len(), &mut out).expect("room");
+    out[range].to_vec()
+}
+
+/// Bits of the mode and fields that a frame of the quick coder does not have.
+#[test]
+fn headers_of_the_quick_coder_say_nothing_else() {
+    let frame = sealed(&quick(), &[]);
+    assert_eq!(frame[2], 4);
+    let fields = &frame[4..usize::from(frame[3]) - 2];
+    let parse = |fields: &[u8]| Frame::parse(&with_fields(&frame, fields)).map(|_| ());
+    // The checksum is of the other header.
+    let is_read = |read| matches!(read, Ok(()) | Err(FrameError::Damaged(_)));
+    assert!(is_read(parse(fields)));
+    // P and flags take a byte each.
+    assert_eq!(fields[2], 3);
+    for bit in 2..8 {
+        let mut changed = fields.to_vec();
+        changed[2] |= 1 << bit;
+        assert_eq!(parse(&changed), Err(FrameError::HeaderInvalid), "{bit}");
+    }
+    // A tolerance with its value before the further flags, an order, no byte for the tree.
+    let (before, further) = fields.split_at(fields.len() - 2);
+    let mut tolerance = [before, &[9], further].concat();
+    tolerance[2] |= 1 << 2;
+    assert_eq!(parse(&tolerance), Err(FrameError::HeaderInvalid));
+    let mut ordered = [before, &[0], further].concat();
+    ordered[1] |= 1 << 7;
+    assert_eq!(parse(&ordered), Err(FrameError::HeaderInvalid));
+    assert_eq!(
+        parse(&fields[..fields.len() - 1]),
+        Err(FrameError::HeaderInvalid)
+    );
+    // Of another version.
+    for version in [2, 3] {
+        let mut other = frame.clone();
+        other[2] = version;
+        let end = usize::from(other[3]) - 2;
+        let crc = crc16(&other[..end]).to_le_bytes();
+        other[end..end + 2].copy_from_slice(&crc);
+        assert_eq!(Frame::parse(&other), Err(FrameError::HeaderInvalid));
+    }
+}
+
+/// A payload of few bytes is refused before memory is taken for the events that its header states.
+#[test]
+fn payloads_of_the_quick_coder_hold_what_they_state() {
+    let most = Header {
+        window_events: (1 << 24) - 1,
+        events: (1 << 24) - 1,
+        ..quick()
+    };
+    let good = Header {
+        sequence: 1,
+        t0_us: 5000,
+        ..quick()
+    };
+    for payload in [&[][..], &[0; 20], &[0xFF; 300], &payload_of_one()] {
+        let stream = [sealed(&most, payload), sealed(&good, &payload_of_one())].concat();
+        let limit = WindowLimit::Events((1 << 24) - 1);
+        let mut windows = WindowReader::new(FrameReader::new(&stream[..])).with_limit(limit);
+        let window = windows.next_window().expect("memory").expect("the second");
+        assert_eq!(window.header.sequence, 1);
+        assert_eq!(window.events.len(), 1);
+        assert!(windows.next_window().expect("memory").is_none());
+        assert_eq!(windows.report().frames_malformed, 1);
+    }
+}
+
+/// The payload of an OFF event at the first pixel at t0.
+fn payload_of_one() -> [u8; 4] {
+    // Words of 7 bits for the 8 x 8 sensor; one byte of upper parts.
+    [0x87, 0x00, 0x00, 0x01]
+}
+
+/// The events of a pixel need not follow each other.
+#[test]
+fn crowded_pixels_in_order_of_arrival_are_refused() {
+    let sensor = Sensor::new(300, 200).expect("a sensor");
+    let mut config = strategies::plain_config(sensor, Transform::Dct, 8);
+    config.mode = quick().mode;
+    config.window.window_us = 9;
+    let frames = |of_pixel: u32| {
+        let events: Vec<_> = (0..2 * of_pixel - 1)
+            .map(|i| Event {
+                t_us: 5,
+                x: if i % 2 == 0 { 7 } else { (i % 250) as u16 },
+                y: if i % 2 == 0 { 9 } else { (i % 190) as u16 + 10 },
+                polarity: Polarity::On,
+            })
+            .collect();
+        strategies::encode(config, &events, 1 << 18, FRAME_BYTES_MAX).concat()
+    };
+    for (of_pixel, is_read) in [(1 << 16, true), ((1 << 16) + 1, false)] {
+        let stream = frames(of_pixel);
+        let mut windows = WindowReader::new(FrameReader::new(&stream[..]));
+        assert_eq!(windows.next_window().expect("memory").is_some(), is_read);
+        assert_eq!(windows.report().frames_crowded, u64::from(!is_read));
+    }
 }
 
 /// Headers of the windows that frames with these headers, numbered in order, make; and how many

@@ -195,7 +195,7 @@ proptest! {
         let next_key = (lost + 1..frames.len())
             .find(|i| parse(&frames[*i]).header.is_key)
             .unwrap_or(frames.len());
-        if hybrid.coder == Coder::Fast {
+        if !Mode::Hybrid(hybrid).is_dense() {
             prop_assert_eq!(next_key, lost + 1);
         }
         let dependent = next_key - lost - 1;
@@ -242,7 +242,7 @@ proptest! {
             events,
             window_events: events + more,
             last: flags & 1 != 0,
-            is_key: hybrid.coder == Coder::Fast || flags & 2 != 0,
+            is_key: !Mode::Hybrid(hybrid).is_dense() || flags & 2 != 0,
             has_previous,
             levels: effort.map(|_| Levels { first: 1, second: 0 }),
             pixels: 0,
@@ -299,7 +299,7 @@ fn a_crowded_pixel_takes_several_frames() {
     let mut config = strategies::plain_config(sensor, eecvs_nostd::Transform::Dct, 8);
     config.window.window_us = 1 << 15;
     let first = events.iter().map(|event| event.t_us).min().expect("some");
-    for coder in [Coder::Fast, Coder::Dense] {
+    for coder in [Coder::Fast, Coder::Dense, Coder::Quick] {
         let fidelity = Fidelity::Lossless;
         config.mode = Mode::Hybrid(Hybrid { coder, fidelity });
         // The window is aligned to its first event: that has to be the earliest.

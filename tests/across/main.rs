@@ -14,6 +14,7 @@ mod keep_order;
 mod kernels;
 mod link_faults;
 mod memory_budget;
+mod quick;
 mod rate_control;
 mod rates;
 mod recordings;

@@ -1,7 +1,9 @@
 //! The worked example of docs/wire-format.md is what the encoder writes.
 
 use eecvs::frame_file::{FrameFileWriter, FrameSink};
-use eecvs_nostd::{Config, Event, Frame, Polarity, Sensor, Transform};
+use eecvs_nostd::{
+    Coder, Config, Event, Fidelity, Frame, Hybrid, Mode, Polarity, Sensor, Transform,
+};
 use strategies::{encode, plain_config};
 
 const DOCUMENT: &str = include_str!("../../docs/wire-format.md");
@@ -43,6 +45,38 @@ fn frame() -> Vec<u8> {
         polarity: Polarity::On,
     };
     encode(config, &[event], 10, 4096).concat()
+}
+
+#[test]
+fn the_documents_quick_payload_is_true() {
+    let sensor = Sensor {
+        width: 640,
+        height: 480,
+    };
+    let mut config = plain_config(sensor, Transform::Dct, 16);
+    config.window.window_us = 1000;
+    config.window.origin_us = Some(0);
+    config.mode = Mode::Hybrid(Hybrid {
+        coder: Coder::Quick,
+        fidelity: Fidelity::Lossless,
+    });
+    let event = |t_us, x, y, on| Event {
+        t_us,
+        x,
+        y,
+        polarity: Polarity::from_bool(on),
+    };
+    let events = [
+        event(3, 10, 20, true),
+        event(9, 12, 21, false),
+        event(9, 11, 20, true),
+    ];
+    let frame = encode(config, &events, 10, 4096).concat();
+    let frame = Frame::parse(&frame).expect("a frame");
+    assert_eq!(
+        bytes_of("\n#### Worked example of the quick coder"),
+        hex(frame.payload)
+    );
 }
 
 #[test]

@@ -151,6 +151,9 @@ enum CoderName {
     Plain,
     /// For speed; every frame decodes on its own
     Fast,
+    /// hybrid: for the highest speed, at some more bytes; lossless, keeps the order of input by itself, without
+    /// --isolated and --bytes-per-second. Files of frames then need a reader of wire version 4
+    Quick,
     /// For size; a frame depends on those before it, back to the last key frame
     Dense,
 }
@@ -244,6 +247,16 @@ impl CodecOptions {
             ModeName::Hybrid => Mode::Hybrid(Hybrid {
                 coder: match self.coder {
                     None | Some(CoderName::Fast) => Coder::Fast,
+                    Some(CoderName::Quick) => {
+                        ensure!(
+                            fidelity == Fidelity::Lossless
+                                && !self.isolated
+                                && self.bytes_per_second.is_none(),
+                            "--coder quick is lossless: it excludes --time-tolerance-us, --bins, --isolated and \
+                             --bytes-per-second"
+                        );
+                        Coder::Quick
+                    }
                     Some(CoderName::Dense) => {
                         Effort::from_number(self.effort).map_or(Coder::Dense, Coder::Tree)
                     }
@@ -265,6 +278,7 @@ impl CodecOptions {
                 match self.coder {
                     None | Some(CoderName::Plain) => Mode::Transform,
                     Some(CoderName::Fast) => Mode::Coefficients(Coder::Fast),
+                    Some(CoderName::Quick) => bail!("--coder quick is for --mode hybrid"),
                     Some(CoderName::Dense) => Mode::Coefficients(Coder::Dense),
                 }
             }
@@ -329,6 +343,10 @@ impl CodecOptions {
         ensure!(
             self.effort == 0,
             "--effort is for eecvs encode: the image has no memory for it"
+        );
+        ensure!(
+            !config.mode.keeps_arrival(),
+            "--coder quick is for eecvs encode: the image does not have it"
         );
         ensure!(
             !config.keep_order,

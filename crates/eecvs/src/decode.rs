@@ -238,8 +238,12 @@ impl Windows {
         };
         let decoded = decoded.and_then(|(pixels, events)| {
             let limit = self.limit.pixel_events_max(header.duration_us);
-            let is_crowded =
-                u64::from(header.events) > limit && most_of_a_pixel(&pixels, &events) > limit;
+            let is_crowded = u64::from(header.events) > limit
+                && if header.mode.keeps_arrival() {
+                    has_crowded_pixel(header.sensor, &events, limit)
+                } else {
+                    most_of_a_pixel(&pixels, &events) > limit
+                };
             if is_crowded {
                 return Err(Refused::Crowded);
             }
@@ -322,6 +326,27 @@ fn most_of_a_pixel(pixels: &[Pixel], events: &[Event]) -> u64 {
     let runs = events.chunk_by(|a, b| (a.x, a.y) == (b.x, b.y));
     let runs = runs.map(|run| run.len() as u64);
     counts.chain(runs).max().unwrap_or_default()
+}
+
+/// Returns whether a pixel has more than `limit` of a frame's events, which come in any order.
+fn has_crowded_pixel(sensor: Sensor, events: &[Event], limit: u64) -> bool {
+    let limit = u32::try_from(limit).unwrap_or(u32::MAX);
+    // Counters of groups of pixels stay in the first-level cache. Only where a group has as many is each pixel counted.
+    let mut groups = [0_u32; 1 << 12];
+    for event in events {
+        let group = usize::from(event.y).wrapping_mul(67) ^ usize::from(event.x);
+        groups[group & 0xFFF] += 1;
+    }
+    if groups.iter().all(|count| *count <= limit) {
+        return false;
+    }
+    let mut counts = vec![0_u32; sensor.pixels() as usize];
+    for event in events {
+        if let Some(count) = counts.get_mut(sensor.number((event.x, event.y)) as usize) {
+            *count += 1;
+        }
+    }
+    counts.iter().any(|count| *count > limit)
 }
 
 /// Counts and times of a decoding run, as `eecvs decode` reports them; the fields are the JSON keys.

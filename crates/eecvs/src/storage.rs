@@ -180,7 +180,8 @@ impl HostStorage {
         config: Config,
         hot: &[(u16, u16)],
     ) -> Result<(Vec<Window<'s>>, WindowEncoder<'s>)> {
-        if config.keep_order {
+        // The quick coder keeps the order without memory.
+        if config.keep_order && !config.mode.keeps_arrival() {
             let slots = self.windows.first().map_or(0, WindowMemory::slots);
             self.order = vec![0; arrival::words(slots)];
         }
@@ -192,7 +193,7 @@ impl HostStorage {
         let windows: Option<Vec<_>> = self
             .windows
             .iter_mut()
-            .map(|memory| memory.window(config.window))
+            .map(|memory| memory.window(config.windows()))
             .collect();
         let windows = windows.context(
             "the window needs a duration of at least 1 us, room for 1 to 2^24 - 1 events and a \
@@ -247,6 +248,14 @@ fn reason(error: ConfigError, config: &Config) -> String {
             config.budget_min()
         ),
         ConfigError::Order => "the order of events can be kept only in mode hybrid".to_owned(),
+        ConfigError::Quick if config.mode.is_transform() => {
+            "the quick coder codes events, in mode hybrid".to_owned()
+        }
+        ConfigError::Quick => {
+            "the quick coder is lossless: it has no tolerance, bins, filter of isolated events or \
+                               byte budget"
+                .to_owned()
+        }
         ConfigError::Tree if config.mode.is_transform() => {
             "the tree coder codes events, in mode hybrid".to_owned()
         }

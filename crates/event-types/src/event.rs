@@ -36,6 +36,7 @@ impl Polarity {
 /// `0..height`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[repr(C)]
 pub struct Event {
     /// Time in microseconds.
     pub t_us: u64,
@@ -46,6 +47,15 @@ pub struct Event {
     /// Sign of the brightness change.
     pub polarity: Polarity,
 }
+
+// Decoders write several at once.
+const _: () = assert!(
+    core::mem::offset_of!(Event, t_us) == 0
+        && core::mem::offset_of!(Event, x) == 8
+        && core::mem::offset_of!(Event, y) == 10
+        && core::mem::offset_of!(Event, polarity) == 12
+        && size_of::<Event>() == 16
+);
 
 /// The size of a sensor in pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! group -> cells -> fast, dense or tree -> frame
+//! window in order of arrival -> quick -> frame
 //! ```
 
 pub mod arrival_order;
@@ -13,6 +14,7 @@ pub mod content;
 pub mod dense;
 pub mod fast;
 pub mod key_frames;
+pub mod quick;
 pub mod range;
 pub mod scan;
 pub mod times;
@@ -33,6 +35,8 @@ pub enum Coder {
     /// Adaptive Golomb-like codes, the cheaper to compute: [`fast`].
     #[default]
     Fast,
+    /// Blocks of events in order of arrival, by vectors, the cheapest to compute: [`quick`]. Lossless alone.
+    Quick,
     /// A range coder with learned contexts, for fewer bits: [`dense`].
     Dense,
     /// Trees of places and times, the fewest bits, for whole windows of events on a host: [`tree`]. A window that does
@@ -41,11 +45,12 @@ pub enum Coder {
 }
 
 impl Coder {
-    /// Returns the name in lower case: `fast`, `dense`, or `tree-1` to `tree-3` by the effort.
+    /// Returns the name in lower case: `fast`, `quick`, `dense`, or `tree-1` to `tree-3` by the effort.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Fast => "fast",
+            Self::Quick => "quick",
             Self::Dense => "dense",
             Self::Tree(Effort::One) => "tree-1",
             Self::Tree(Effort::Two) => "tree-2",

@@ -13,8 +13,8 @@ use crate::frame::{M_DEFAULT, Mode};
 use crate::quantise::Quantiser;
 use crate::regime::Thresholds;
 use crate::transform::{GRID_MAX, M_MAX, Transform};
-use crate::window::WindowConfig;
 use crate::window::filter::Filter;
+use crate::window::{HAS_QUICK, WindowConfig};
 
 /// Whether windows can keep the order of their events; without the feature none of its code is compiled.
 pub(crate) const HAS_ORDER: bool = cfg!(feature = "order");
@@ -53,7 +53,7 @@ pub struct Config {
     pub bytes_per_second: Option<NonZeroU32>,
     /// Whether events of equal time are decoded in the order in which they arrived, in a hybrid mode. Times are
     /// equal if they are decoded from the same cell. Under a budget the order is kept where there is room for it.
-    /// It needs [`Scratch::order`].
+    /// It needs [`Scratch::order`], but not with the quick coder, which keeps the order in any case.
     pub keep_order: bool,
 }
 
@@ -74,6 +74,10 @@ pub enum ConfigError {
     /// [`Scratch::tree`] or the feature `tree` is missing, or the memory is too small for the sensor and the effort;
     /// or the tree coder was asked for coefficients.
     Tree,
+    /// The quick coder, which is lossless and removes no isolated events, with a fidelity, that filter or a budget;
+    /// or the feature `quick` is missing, or the coder was asked for coefficients. Or the window keeps the order of
+    /// arrival for another coder.
+    Quick,
     /// The volume has no bins.
     Bins,
     /// A budget in mode `transform`, or one of fewer than some 146 bytes per window.
@@ -124,6 +128,33 @@ impl Config {
         }
     }
 
+    /// Returns the configuration of the windows that are encoded: [`Self::window`], and how the coder needs their
+    /// events kept. Every window for this configuration has to be created with it.
+    #[must_use]
+    pub const fn windows(&self) -> WindowConfig {
+        WindowConfig {
+            keeps_arrival: self.mode.keeps_arrival(),
+            ..self.window
+        }
+    }
+
+    /// Returns whether the quick coder can code what was asked for, or is not asked.
+    const fn is_quick_served(&self) -> bool {
+        match self.mode {
+            Mode::Hybrid(Hybrid {
+                coder: Coder::Quick,
+                fidelity,
+            }) => {
+                HAS_QUICK
+                    && matches!(fidelity, Fidelity::Lossless)
+                    && !self.filter.isolated
+                    && self.bytes_per_second.is_none()
+            }
+            Mode::Coefficients(Coder::Quick) => false,
+            _ => !self.window.keeps_arrival,
+        }
+    }
+
     /// Returns the smallest budget in bytes per second: the headers of all windows and a seventh more.
     #[must_use]
     pub const fn budget_min(&self) -> u64 {
@@ -145,13 +176,16 @@ impl Config {
         {
             return Err(ConfigError::Grid);
         }
+        if !self.is_quick_served() {
+            return Err(ConfigError::Quick);
+        }
         if let Some(budget) = self.bytes_per_second
             && (self.mode.is_transform() || (budget.get() as u64) < self.budget_min())
         {
             return Err(ConfigError::Rate);
         }
         let has_order = HAS_ORDER && !self.mode.is_transform() && !scratch.order.is_empty();
-        if self.keep_order && !has_order {
+        if self.keep_order && !has_order && !self.mode.keeps_arrival() {
             return Err(ConfigError::Order);
         }
         match self.mode {

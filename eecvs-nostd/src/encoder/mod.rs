@@ -62,10 +62,11 @@ impl<'b> Encoder<'b> {
         scratch: Scratch<'b>,
     ) -> Result<Self, SetupError> {
         let slots = buffers.slots.len();
-        let Some(window) = Window::new(config.window, buffers) else {
+        let Some(window) = Window::new(config.windows(), buffers) else {
             return Err(SetupError::Window);
         };
-        if config.keep_order && scratch.order.len() < arrival_order::words(slots) {
+        let has_section = config.keep_order && !config.mode.keeps_arrival();
+        if has_section && scratch.order.len() < arrival_order::words(slots) {
             return Err(SetupError::Config(ConfigError::Order));
         }
         match WindowEncoder::new(config, scratch) {

@@ -8,6 +8,7 @@ use crate::coder::arrival_order;
 use crate::coder::coefficients::{dense, pixel::Common};
 use crate::coder::dense::{Dense, DenseMemory, EVENT_BYTES_MAX};
 use crate::coder::key_frames::Chain;
+use crate::coder::quick::{self, Simd};
 use crate::coder::tree::{Shape, Tree};
 #[cfg(feature = "coefficients")]
 use crate::coder::window_coefficients::{CoefficientEncoder, Numbers, TakenCoefficients};
@@ -29,7 +30,7 @@ use crate::transform::phase::PhaseScale;
 use crate::transform::shape::PIXEL_BYTES_MAX;
 use crate::transform::{Basis, Dct, Dtft, Dwt, Transform};
 use crate::window::hot_pixels::HotPixels;
-use crate::window::{Closed, Window, WindowConfig};
+use crate::window::{Closed, HAS_QUICK, Window, WindowConfig};
 use event_types::Sensor;
 
 /// Size in bytes of the smallest output in which any frame has room for at least one pixel.
@@ -57,6 +58,35 @@ struct Task {
     is_rest: bool,
     /// The window's events lie in the tree coder's memory, and as many of them are in frames.
     gathered: Option<u32>,
+}
+
+/// Room that suffices for an event of the quick coder, whatever it is.
+const _: () = assert!(OUTPUT_BYTES_MIN - HEADER_BYTES_MAX - CRC_BYTES >= 21);
+
+/// Codes what is left of a window that keeps the order of arrival, or as much as there is room for. Returns the
+/// payload's bytes.
+#[inline(never)]
+fn encode_quick(window: &Window<'_>, task: &mut Task, payload: &mut [u8]) -> usize {
+    let header = &mut task.header;
+    let done = header.window_events.saturating_sub(task.left);
+    let left = window.in_order().get(done as usize..).unwrap_or_default();
+    let of = quick::Window::new(header.sensor, header.t0_us, header.duration_us);
+    let coded = quick::encode_placed(Simd::detected(), of, left, payload);
+    debug_assert!(coded.is_ok(), "the window checked its events");
+    match coded {
+        Ok(coded) => {
+            header.events = coded.events as u32;
+            task.left = task.left.saturating_sub(header.events);
+            header.last = task.left == 0;
+            coded.bytes
+        }
+        Err(_) => {
+            header.events = 0;
+            header.thinned = header.thinned.saturating_add(task.left);
+            header.last = true;
+            0
+        }
+    }
 }
 
 /// An encoded frame in the output.
@@ -163,14 +193,14 @@ impl<'b> WindowEncoder<'b> {
     /// scene stays, and a second in which the budget changes takes no more than the larger of both budgets.
     ///
     /// # Errors
-    /// [`ConfigError::Rate`] in a mode that has no budget; the one before then stays in force.
+    /// [`ConfigError::Rate`] in a mode or of a coder that has no budget; the one before then stays in force.
     pub fn set_budget(&mut self, budget: Option<NonZeroU32>) -> Result<(), ConfigError> {
         let Some(budget) = budget else {
             self.config.bytes_per_second = None;
             self.rate = None;
             return Ok(());
         };
-        if self.config.mode.is_transform() {
+        if self.config.mode.is_transform() || self.config.mode.keeps_arrival() {
             return Err(ConfigError::Rate);
         }
         let least = self.config.budget_min().min(u64::from(u32::MAX)) as u32;
@@ -349,6 +379,10 @@ impl<'b> WindowEncoder<'b> {
                     None => self.encode_plain::<C, F, T>(window, task, payload, trace),
                 }
             }
+            mode if HAS_QUICK && mode.keeps_arrival() => {
+                trace.enter(Stage::Pack);
+                encode_quick(window, task, payload)
+            }
             // Only the order is left to code.
             Mode::Hybrid(_) if HAS_ORDER && task.left == 0 && header.part > 0 => {
                 header.events = 0;
@@ -439,6 +473,17 @@ impl<'b> WindowEncoder<'b> {
         {
             hybrid.coder = Coder::Dense;
         }
+        if window.keeps_arrival() {
+            mode = Mode::Hybrid(Hybrid {
+                coder: Coder::Quick,
+                fidelity: Fidelity::Lossless,
+            });
+        } else if let Mode::Hybrid(hybrid) = &mut mode
+            && hybrid.coder == Coder::Quick
+        {
+            // A window that was created for another coder.
+            hybrid.coder = Coder::Fast;
+        }
         let scans = self
             .config
             .readout
@@ -452,8 +497,9 @@ impl<'b> WindowEncoder<'b> {
             }),
             (mode, _) => mode,
         };
+        let has_section = self.config.keep_order && !mode.keeps_arrival();
         self.order = match mode {
-            Mode::Hybrid(hybrid) if HAS_ORDER && self.config.keep_order && window.events() > 0 => {
+            Mode::Hybrid(hybrid) if HAS_ORDER && has_section && window.events() > 0 => {
                 let cells = Cells::new(hybrid.fidelity, closed.duration_us);
                 arrival_order::note(self.scratch.order, window, used, cells)
             }
@@ -467,6 +513,7 @@ impl<'b> WindowEncoder<'b> {
                 regime,
                 mode,
                 is_key: !self.config.mode.is_dense()
+                    || mode.keeps_arrival()
                     || self.chain.next(window.events(), self.config.key_windows),
                 has_previous: false,
                 levels: None,

@@ -24,7 +24,8 @@ use event_types::Sensor;
 pub const SYNC: [u8; 2] = [0xEE, 0xC5];
 /// Version of the wire format whose header ends with a byte of further flags.
 pub const VERSION: u8 = 3;
-/// Version of a frame of the tree coder, whose header has the effort and the levels after the further flags.
+/// Version of a frame of the tree coder, whose header has the effort and the levels after the further flags, or of
+/// the quick coder, which has a zero there.
 pub const VERSION_TREE: u8 = 4;
 /// Version of a frame without further flags.
 pub const VERSION_PLAIN: u8 = 2;
@@ -191,6 +192,9 @@ const BEGINS_RUN: u8 = 1;
 const LEVELS_FIRST_SHIFT: u32 = 2;
 const LEVELS_SECOND_SHIFT: u32 = 5;
 
+/// That byte of a frame of the quick coder: no effort and no levels.
+const QUICK: u8 = 0;
+
 /// Codes of the mode.
 const TRANSFORM: u8 = 0;
 const FAST: u8 = 1;
@@ -265,13 +269,25 @@ impl Mode {
         }
     }
 
+    /// Returns whether events are coded in their order of arrival, by the quick coder.
+    #[must_use]
+    pub const fn keeps_arrival(self) -> bool {
+        matches!(
+            self,
+            Self::Hybrid(Hybrid {
+                coder: Coder::Quick,
+                ..
+            })
+        )
+    }
+
     /// Returns the mode's code on the wire and, for some fidelities, the value that goes with it.
     pub(crate) const fn code(self) -> (u8, Option<u32>) {
         let Hybrid { coder, fidelity } = match self {
             Self::Transform => return (TRANSFORM, None),
             Self::Coefficients(Coder::Fast) => return (COEFFICIENTS_FAST, None),
-            // The tree coder has none: `Config::check` refuses it.
-            Self::Coefficients(Coder::Dense | Coder::Tree(_)) => {
+            // The quick and the tree coder have none: `Config::check` refuses them.
+            Self::Coefficients(Coder::Dense | Coder::Quick | Coder::Tree(_)) => {
                 return (COEFFICIENTS_DENSE, None);
             }
             Self::Hybrid(hybrid) => hybrid,
@@ -279,7 +295,7 @@ impl Mode {
         let coder = match coder {
             Coder::Fast => FAST,
             Coder::Dense => DENSE,
-            Coder::Tree(_) => TREE,
+            Coder::Quick | Coder::Tree(_) => TREE,
         };
         let (fidelity, value) = match fidelity {
             Fidelity::Lossless => (LOSSLESS, None),
@@ -289,7 +305,7 @@ impl Mode {
         (coder | (fidelity << FIDELITY_SHIFT), value)
     }
 
-    /// The inverse of [`Self::code`], which does not tell the effort; `None` for an unknown code or a value out of
+    /// The inverse of [`Self::code`], which tells neither the effort nor the quick coder from the tree's; `None` for an unknown code or a value out of
     /// range.
     pub(crate) const fn from_code(code: u8, value: u32) -> Option<Self> {
         match code {
@@ -400,7 +416,7 @@ impl Header {
 
     /// Returns the lowest version that can express the header.
     const fn version(&self) -> u8 {
-        if self.mode.effort().is_some() {
+        if self.mode.effort().is_some() || self.mode.keeps_arrival() {
             VERSION_TREE
         } else if self.begins_run {
             VERSION
@@ -503,6 +519,8 @@ impl Header {
                 | (levels.first << LEVELS_FIRST_SHIFT)
                 | (levels.second << LEVELS_SECOND_SHIFT);
             put(&|out| Ok(postcard::to_slice(&tree, out)?.len()))?;
+        } else if self.mode.keeps_arrival() {
+            put(&|out| Ok(postcard::to_slice(&QUICK, out)?.len()))?;
         }
         Ok(len)
     }
@@ -624,25 +642,33 @@ impl Header {
         }
         let mut levels = None;
         if is_tree {
-            let tree: u8 = take(rest)?;
-            let told = Levels {
-                first: tree >> LEVELS_FIRST_SHIFT & 7,
-                second: tree >> LEVELS_SECOND_SHIFT,
-            };
             let Mode::Hybrid(hybrid) = &mut mode else {
                 return None;
             };
-            let effort = Effort::from_number(tree & 3)?;
-            hybrid.coder = Coder::Tree(effort);
-            let cells = Cells::new(hybrid.fidelity, wire.duration_us);
-            Shape::new(cells.count(), told)?;
-            levels = Some(told);
-            // A window is whole, but its order may go on in further frames. Only effort one does without history.
-            let is_whole = part.events == wire.window_events;
-            let is_order = part.events == 0 && part.part > 0;
-            let has_history = chained & PREVIOUS != 0 || effort == Effort::One;
-            if !(is_whole || is_order) || !has_history {
-                return None;
+            let tree: u8 = take(rest)?;
+            if tree == QUICK {
+                // It has no history, exact times, and no order to tell.
+                if chained != 0 || has_value(code) || order.is_some() {
+                    return None;
+                }
+                hybrid.coder = Coder::Quick;
+            } else {
+                let told = Levels {
+                    first: tree >> LEVELS_FIRST_SHIFT & 7,
+                    second: tree >> LEVELS_SECOND_SHIFT,
+                };
+                let effort = Effort::from_number(tree & 3)?;
+                hybrid.coder = Coder::Tree(effort);
+                let cells = Cells::new(hybrid.fidelity, wire.duration_us);
+                Shape::new(cells.count(), told)?;
+                levels = Some(told);
+                // A window is whole, but its order may go on in further frames. Only effort one does without history.
+                let is_whole = part.events == wire.window_events;
+                let is_order = part.events == 0 && part.part > 0;
+                let has_history = chained & PREVIOUS != 0 || effort == Effort::One;
+                if !(is_whole || is_order) || !has_history {
+                    return None;
+                }
             }
         }
         if !rest.is_empty() {
@@ -655,7 +681,7 @@ impl Header {
             last: has(LAST),
             regime,
             mode,
-            is_key: allowed == 0 || chained & KEY != 0,
+            is_key: allowed == 0 || mode.keeps_arrival() || chained & KEY != 0,
             has_previous: chained & PREVIOUS != 0,
             levels,
             scans: scan,

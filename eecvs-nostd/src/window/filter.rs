@@ -21,6 +21,14 @@ pub struct Region {
 }
 
 impl Region {
+    /// Returns whether a pixel lies in the region.
+    const fn contains(self, x: u16, y: u16) -> bool {
+        x.wrapping_sub(self.x) < self.width
+            && x >= self.x
+            && y.wrapping_sub(self.y) < self.height
+            && y >= self.y
+    }
+
     /// Returns the columns of a segment that lie in the region, bit i for column i. The segment's first pixel is
     /// (x, y).
     const fn columns(self, (x, y): (u16, u16)) -> u32 {
@@ -62,6 +70,9 @@ impl Filter {
 
     /// Removes unwanted events, including those of `hot`, from a closed window; returns how many it removed.
     pub(crate) fn apply(self, hot: &HotPixels<'_>, window: &mut Window<'_>) -> u32 {
+        if window.keeps_arrival() {
+            return self.apply_in_order(hot, window);
+        }
         let mut removed = hot.remove(window);
         if let Some(region) = self.region {
             let mut from = 0;
@@ -75,6 +86,18 @@ impl Filter {
             removed += remove_isolated(window);
         }
         removed
+    }
+
+    /// As [`Self::apply`], for a window in the order of arrival, whose isolated events stay.
+    fn apply_in_order(self, hot: &HotPixels<'_>, window: &mut Window<'_>) -> u32 {
+        let width = window.config().sensor.width;
+        match (self.region, hot.count()) {
+            (None, 0) => 0,
+            (None, _) => window.keep_in_order(|x, y| !hot.contains((x, y), width)),
+            (Some(region), _) => {
+                window.keep_in_order(|x, y| region.contains(x, y) && !hot.contains((x, y), width))
+            }
+        }
     }
 }
 

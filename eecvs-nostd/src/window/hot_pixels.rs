@@ -11,6 +11,12 @@ pub struct NoRoom;
 
 const COLUMNS: u32 = SEGMENT_PIXELS as u32;
 
+/// Returns the position of a pixel of a sensor of `width` columns, as [`HotPixels`] keeps it.
+fn place((x, y): (u16, u16), width: u16) -> u32 {
+    let stride = u32::from(width.div_ceil(SEGMENT_PIXELS));
+    u32::from(y) * stride * COLUMNS + u32::from(x)
+}
+
 /// The hot pixels of one sensor.
 #[derive(Debug)]
 pub struct HotPixels<'b> {
@@ -43,8 +49,7 @@ impl<'b> HotPixels<'b> {
     /// # Errors
     /// [`NoRoom`] if the memory is full.
     pub fn add(&mut self, (x, y): (u16, u16), width: u16) -> Result<(), NoRoom> {
-        let stride = u32::from(width.div_ceil(SEGMENT_PIXELS));
-        let place = u32::from(y) * stride * COLUMNS + u32::from(x);
+        let place = place((x, y), width);
         let at = match self.all().binary_search(&place) {
             Ok(_) => return Ok(()),
             Err(at) => at,
@@ -57,6 +62,11 @@ impl<'b> HotPixels<'b> {
         }
         self.count += 1;
         Ok(())
+    }
+
+    /// Returns whether the list has a pixel of a sensor of `width` columns.
+    pub(crate) fn contains(&self, pixel: (u16, u16), width: u16) -> bool {
+        self.all().binary_search(&place(pixel, width)).is_ok()
     }
 
     fn all(&self) -> &[u32] {

@@ -8,6 +8,7 @@ use core::num::{NonZeroU32, NonZeroU64};
 
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
+use crate::coder::quick;
 use crate::window::take_words::Intake;
 use event_types::evt2::{Evt2Decoder, SPAN_US, Word, X_SHIFT, is_event, low_us};
 use event_types::{Event, Sensor};
@@ -22,7 +23,8 @@ pub struct Slot {
     /// t - t0 in microseconds.
     offset_us: u32,
     /// From the highest bit down: the next slot of the list, x modulo 32 (5 bits) and, in the lowest bit, the
-    /// polarity. [`LINK`] holds the positions.
+    /// polarity. [`LINK`] holds the positions. In a window that keeps the order of arrival, the place as in
+    /// [`quick::Placed`].
     link: u32,
 }
 
@@ -53,6 +55,15 @@ impl Slot {
         Self {
             offset_us,
             link: (next << NEXT_SHIFT) | (column_and_sign & ((1 << NEXT_SHIFT) - 1)),
+        }
+    }
+
+    /// Builds a slot of a window that keeps the order of arrival.
+    #[inline(always)]
+    const fn placed(event: Event, offset_us: u32) -> Self {
+        Self {
+            offset_us,
+            link: quick::place(event.x, event.y, event.polarity),
         }
     }
 
@@ -149,6 +160,9 @@ pub struct WindowConfig {
     /// Whether to close windows without events too, at most [`EMPTY_WINDOWS_MAX`] in a row, so that a receiver
     /// can tell a sensor that sees nothing from one that is gone.
     pub every_window: bool,
+    /// Whether events are kept in their order of arrival, not by their pixels: for [`crate::Coder::Quick`], and set by
+    /// [`crate::Config::windows`]. Frames of such a window are of that coder, whatever the mode; isolated events stay.
+    pub keeps_arrival: bool,
 }
 
 impl WindowConfig {
@@ -161,6 +175,7 @@ impl WindowConfig {
             window_us,
             origin_us: None,
             every_window: false,
+            keeps_arrival: false,
         }
     }
 
@@ -248,6 +263,9 @@ const STRADDLING_WORDS: usize = 64;
 
 /// Largest number of events per segment that [`Window::sample`] passes on.
 const SAMPLES_OF_SEGMENT: u32 = 4;
+
+/// Whether windows can keep the order of arrival; without the feature none of its code is compiled.
+pub(crate) const HAS_QUICK: bool = cfg!(feature = "quick");
 
 const SLOT_WORDS: usize = size_of::<Slot>() / size_of::<u32>();
 
@@ -358,8 +376,8 @@ impl NextStart {
 ///
 /// With an origin, a window that starts between two boundaries ends at the second one, so T is shorter there.
 ///
-/// The order of events inside a window does not matter. An event costs O(1), and no memory is used beyond what
-/// was lent.
+/// The order of events inside a window does not matter, and is kept if [`WindowConfig::keeps_arrival`] says so. An
+/// event costs O(1), and no memory is used beyond what was lent.
 #[derive(Debug)]
 pub struct Window<'b> {
     config: WindowConfig,
@@ -497,9 +515,18 @@ impl<'b> Window<'b> {
         Push::Stored
     }
 
+    #[inline(always)]
+    fn store(&mut self, event: Event, offset_us: u32) {
+        if self.keeps_arrival() {
+            self.store_in_order(event, offset_us);
+        } else {
+            self.store_by_pixel(event, offset_us);
+        }
+    }
+
     #[cfg_attr(target_pointer_width = "64", inline(always))]
     #[cfg_attr(not(target_pointer_width = "64"), inline)]
-    fn store(&mut self, event: Event, offset_us: u32) {
+    fn store_by_pixel(&mut self, event: Event, offset_us: u32) {
         let x = u32::from(event.x);
         let segment = u32::from(event.y) * self.stride.get() + x / u32::from(SEGMENT_PIXELS);
         let (Some(head), Some(slot), Some(bits)) = (
@@ -516,6 +543,23 @@ impl<'b> Window<'b> {
         let column_and_sign = (column << COLUMN_SHIFT) | event.polarity as u32;
         *slot = Slot::new(offset_us, next, column_and_sign);
         *head = self.len as Head;
+        self.len += 1;
+        self.latest.event_us = self.latest.event_us.max(offset_us);
+    }
+
+    /// Returns whether events are kept in their order of arrival.
+    #[inline(always)]
+    pub(crate) const fn keeps_arrival(&self) -> bool {
+        HAS_QUICK && self.config.keeps_arrival
+    }
+
+    #[inline(always)]
+    fn store_in_order(&mut self, event: Event, offset_us: u32) {
+        let Some(slot) = self.slots.get_mut(self.len as usize) else {
+            debug_assert!(false, "the capacity was checked");
+            return;
+        };
+        *slot = Slot::placed(event, offset_us);
         self.len += 1;
         self.latest.event_us = self.latest.event_us.max(offset_us);
     }
@@ -553,6 +597,9 @@ impl<'b> Window<'b> {
     /// Stores events on the sensor while there are free slots, and follows the decoder's time forwards while it
     /// lies in the window. Returns the number of words taken.
     fn store_words(&mut self, decoder: &mut Evt2Decoder, words: &[[u8; 4]]) -> usize {
+        if self.keeps_arrival() {
+            return 0;
+        }
         let (Some(time_us), Some(start_us), None) = (decoder.span_us(), self.start_us, self.closed)
         else {
             return 0;
@@ -638,6 +685,9 @@ impl<'b> Window<'b> {
         let (Some(start_us), None) = (self.start_us, self.closed) else {
             return 0;
         };
+        if self.keeps_arrival() {
+            return self.push_inside_in_order(start_us, events);
+        }
         let window_us = u64::from(self.duration_us);
         let free = self.slots.len().saturating_sub(self.len as usize);
         let mut stored = 0;
@@ -649,9 +699,30 @@ impl<'b> Window<'b> {
             {
                 break;
             }
-            self.store(*event, offset_us as u32);
+            self.store_by_pixel(*event, offset_us as u32);
             stored += 1;
         }
+        stored
+    }
+
+    /// As [`Self::push_inside`], in the order of arrival.
+    fn push_inside_in_order(&mut self, start_us: u64, events: &[Event]) -> usize {
+        let window_us = u64::from(self.duration_us);
+        let sensor = self.config.sensor;
+        let free = self.slots.get_mut(self.len as usize..).unwrap_or_default();
+        let (mut stored, mut latest_us) = (0, self.latest.event_us);
+        for (slot, event) in free.iter_mut().zip(events) {
+            let offset_us = event.t_us.wrapping_sub(start_us);
+            if event.t_us < start_us || offset_us >= window_us || !sensor.contains(event.x, event.y)
+            {
+                break;
+            }
+            *slot = Slot::placed(*event, offset_us as u32);
+            latest_us = latest_us.max(offset_us as u32);
+            stored += 1;
+        }
+        self.len += stored as u32;
+        self.latest.event_us = latest_us;
         stored
     }
 
@@ -891,6 +962,33 @@ impl<'b> Window<'b> {
         let next = first_used(rest)?;
         let word = rest.get(next)?;
         Some((at + 1 + next) as u32 * 32 + word.leading_zeros())
+    }
+
+    /// Returns the events of a window that keeps their order of arrival.
+    pub(crate) fn in_order(&self) -> &[quick::Placed] {
+        let slots = self.slots.get(..self.len as usize).unwrap_or_default();
+        <[quick::Placed]>::ref_from_bytes(slots.as_bytes()).unwrap_or_default()
+    }
+
+    /// Removes from a closed window that keeps the order of arrival all events whose position `is_kept` refuses;
+    /// returns how many.
+    pub(crate) fn keep_in_order(&mut self, is_kept: impl Fn(u16, u16) -> bool) -> u32 {
+        let mut kept = 0;
+        for at in 0..self.len as usize {
+            let Some(slot) = self.slots.get(at).copied() else {
+                break;
+            };
+            let (x, y) = quick::position(slot.link);
+            if is_kept(x, y)
+                && let Some(to) = self.slots.get_mut(kept)
+            {
+                *to = slot;
+                kept += 1;
+            }
+        }
+        let removed = self.len - kept as u32;
+        self.len = kept as u32;
+        removed
     }
 
     /// Returns two bit sets of a segment's columns: those that have events, and those that have several.

@@ -37,7 +37,10 @@ fn parameters_have_types_and_ranges() {
             "-p max_error:=1",
             "{max_error} is of type {double}, setting it to {integer}",
         ),
-        ("-p coder:=huffman", "[possible values: plain, fast, dense]"),
+        (
+            "-p coder:=huffman",
+            "[possible values: plain, fast, quick, dense]",
+        ),
         ("-p keep_order:=1", "{keep_order} is of type {bool}"),
         ("-p depth:=0", "0 is not in 1..=1000000"),
         ("-p window:=5", "no node here has the parameter window"),

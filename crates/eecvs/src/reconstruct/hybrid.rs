@@ -5,8 +5,10 @@ use eecvs_nostd::coder::content::{Content, END, Node};
 use eecvs_nostd::coder::dense::model::Model;
 use eecvs_nostd::coder::dense::{Dense, DenseMemory, words};
 use eecvs_nostd::coder::fast::Fast;
+use eecvs_nostd::coder::quick::{self, Simd};
 use eecvs_nostd::coder::range::RangeDecoder;
 use eecvs_nostd::coder::tree::{Shape, Tree, TreeEvent};
+use eecvs_nostd::ingest::reorder::EMPTY;
 use eecvs_nostd::{
     Coder, Config, Effort, Event, Frame, Header, Hybrid, Mode, NextStart, Polarity, Push, Sensor,
     Thresholds, Times, WindowConfig,
@@ -133,7 +135,7 @@ impl HybridDecoder {
         }
     }
 
-    /// Decodes a frame's events, in raster order.
+    /// Decodes a frame's events, in raster order, or those of the quick coder in their order of arrival.
     ///
     /// # Errors
     /// [`Refused`] if the frame does not decode; none of its events is returned then.
@@ -143,6 +145,7 @@ impl HybridDecoder {
         let times = Times::new(hybrid.fidelity, header.scans, header.duration_us);
         match hybrid.coder {
             Coder::Fast => fast(header, payload, times, std::mem::take(&mut self.spare)),
+            Coder::Quick => quick(header, payload, std::mem::take(&mut self.spare)),
             // A frame that carries only the arrival order has nothing for the dense coder.
             Coder::Dense if header.order.is_some() && header.events == 0 => {
                 self.pass(header, payload)
@@ -263,6 +266,22 @@ fn event(header: &Header, times: Times, (x, y): (u16, u16), told: u32, on: bool)
         x,
         y,
         polarity: Polarity::from_bool(on),
+    }
+}
+
+/// Decodes a payload of the quick coder, into the memory of `events`.
+fn quick(header: &Header, payload: &[u8], mut events: Vec<Event>) -> Result<Vec<Event>, Refused> {
+    let count = header.events as usize;
+    // An event takes at least one bit, which limits the memory reserved before anything is decoded.
+    if count > payload.len().saturating_mul(8) {
+        return Err(Refused::Malformed);
+    }
+    // The content of memory in use before does not matter.
+    events.resize(count, EMPTY);
+    let window = quick::Window::new(header.sensor, header.t0_us, header.duration_us);
+    match quick::decode(Simd::detected(), window, payload, &mut events) {
+        Ok(()) => Ok(events),
+        Err(quick::Damaged) => Err(Refused::Malformed),
     }
 }
 

@@ -1,0 +1,201 @@
+//! The quick coder: events come back exactly, in the order in which they arrived, by files and by frames.
+
+use std::num::NonZeroUsize;
+
+use eecvs::decode::WindowReader;
+use eecvs::encode::{HostStorage, Limits, encode as encode_events};
+use eecvs::frame_file::{FrameFileWriter, FrameReader};
+use eecvs::reconstruct::hybrid::HybridDecoder;
+use eecvs_nostd::{
+    Coder, Config, ConfigError, Encoder, Event, Fidelity, Filter, Frame, Hybrid, Mode,
+    OUTPUT_BYTES_MIN, Polarity, Push, Region, SetupError, Storage, bitmap_words, segments,
+};
+use event_types::stream::MemoryReader;
+use proptest::prelude::*;
+use strategies::{job, plain_config};
+
+const HYBRID: Hybrid = Hybrid {
+    coder: Coder::Quick,
+    fidelity: Fidelity::Lossless,
+};
+
+/// Encodes events with a window of `window_events` and frames of `frame_bytes`, without the pixels `hot`. Returns the
+/// frames, and the events of the windows of which frames have some, as they were pushed.
+fn frames_and_windows(
+    config: Config,
+    hot: &[(u16, u16)],
+    events: &[Event],
+    (window_events, frame_bytes): (usize, usize),
+) -> (Vec<Vec<u8>>, Vec<Vec<Event>>) {
+    let mut storage = HostStorage::new(config.window.sensor, window_events);
+    let mut encoder = storage
+        .encoder_without(config, hot)
+        .expect("a configuration");
+    let mut out = vec![0; frame_bytes];
+    let (mut frames, mut windows, mut open) = (vec![], vec![], vec![]);
+    let mut close = |encoder: &mut Encoder<'_>, open: &mut Vec<Event>| {
+        while let Some(frame) = encoder.next_frame(&mut out).expect("room for a frame") {
+            frames.push(out[frame.range].to_vec());
+        }
+        windows.push(std::mem::take(open));
+    };
+    for event in events {
+        let mut push = encoder.push(*event);
+        while push == Push::Closed {
+            close(&mut encoder, &mut open);
+            push = encoder.push(*event);
+        }
+        if push == Push::Stored {
+            open.push(*event);
+        }
+    }
+    encoder.flush();
+    close(&mut encoder, &mut open);
+    (frames, windows)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+
+    /// Times that step back, windows that are full, windows of many frames, with pixels and regions left out.
+    #[test]
+    fn events_come_back_in_their_order_of_arrival(
+        (config, events) in job(600), window_events in prop_oneof![1..40_usize, Just(1000)],
+        frame_bytes in prop_oneof![Just(OUTPUT_BYTES_MIN), OUTPUT_BYTES_MIN..2000, Just(1 << 16)],
+        region in proptest::option::of((0_u16..10, 0_u16..4, 1_u16..40, 1_u16..20)),
+        hot in any::<bool>(), keep_order: bool,
+    ) {
+        let region = region.map(|(x, y, width, height)| Region { x, y, width, height });
+        let hot = if hot { &[(0, 0)][..] } else { &[] };
+        let config = Config {
+            mode: Mode::Hybrid(HYBRID),
+            filter: Filter { region, isolated: false },
+            keep_order,
+            ..config
+        };
+        let sizes = (window_events, frame_bytes);
+        let (frames, windows) = frames_and_windows(config, hot, &events, sizes);
+        let is_kept = |event: &Event| {
+            let is_inside = region.is_none_or(|r| {
+                (r.x..r.x + r.width).contains(&event.x) && (r.y..r.y + r.height).contains(&event.y)
+            });
+            is_inside && !hot.contains(&(event.x, event.y))
+        };
+        let (mut found, mut filtered) = (vec![], 0);
+        let mut decoder = HybridDecoder::default();
+        for bytes in &frames {
+            prop_assert!(bytes.len() <= frame_bytes);
+            let frame = Frame::parse(bytes).expect("a frame");
+            prop_assert_eq!(frame.header.mode, config.mode);
+            prop_assert!(frame.header.is_key && frame.header.order.is_none());
+            if frame.header.part == 0 {
+                found.push(vec![]);
+            }
+            filtered += frame.header.filtered as usize;
+            let decoded = decoder.frame(&frame, HYBRID).expect("the encoder's own payload");
+            found.last_mut().expect("a window").extend(decoded);
+        }
+        let pushed: usize = windows.iter().map(Vec::len).sum();
+        let expected: Vec<Vec<Event>> = windows
+            .into_iter()
+            .filter(|window| !window.is_empty())
+            .map(|window| window.into_iter().filter(is_kept).collect())
+            .collect();
+        found.retain(|window: &Vec<_>| !window.is_empty());
+        let expected: Vec<_> = expected.into_iter().filter(|window| !window.is_empty()).collect();
+        prop_assert_eq!(filtered, pushed - expected.iter().map(Vec::len).sum::<usize>());
+        prop_assert_eq!(found, expected);
+    }
+}
+
+/// What the quick coder does not do is refused, and so is its window for another coder.
+#[test]
+fn what_it_does_not_code_is_refused() {
+    const SEGMENTS: usize = segments(40, 3);
+    let mut storage: Storage<16, SEGMENTS, { bitmap_words(SEGMENTS) }, 128> = Storage::new();
+    let sensor = eecvs_nostd::Sensor::new(40, 3).expect("a sensor");
+    let plain = plain_config(sensor, eecvs_nostd::Transform::Dct, 8);
+    let mut error = |change: fn(&mut Config)| {
+        let mut config = Config {
+            mode: Mode::Hybrid(HYBRID),
+            ..plain
+        };
+        change(&mut config);
+        storage.encoder(config).err()
+    };
+    let quick = Some(SetupError::Config(ConfigError::Quick));
+    assert_eq!(error(|_| ()), None);
+    assert_eq!(error(|config| config.keep_order = true), None);
+    assert_eq!(error(|config| config.filter.isolated = true), quick);
+    assert_eq!(
+        error(|config| config.bytes_per_second = std::num::NonZeroU32::new(1 << 20)),
+        quick
+    );
+    for fidelity in [Fidelity::ToleranceUs(3), Fidelity::Bins(3)] {
+        let coder = Coder::Quick;
+        let config = Config {
+            mode: Mode::Hybrid(Hybrid { coder, fidelity }),
+            ..plain
+        };
+        let mut storage = HostStorage::new(sensor, 16);
+        assert!(storage.encoder(config).is_err());
+    }
+    assert_eq!(
+        error(|config| config.mode = Mode::Coefficients(Coder::Quick)),
+        quick
+    );
+    assert_eq!(
+        error(|config| {
+            config.mode = Mode::Hybrid(Hybrid::default());
+            config.window.keeps_arrival = true;
+        }),
+        quick
+    );
+}
+
+/// A file of events whose times ascend, and then step back by less than the reordering time, from several threads.
+#[test]
+fn files_come_back_in_order() {
+    let sensor = eecvs_nostd::Sensor::new(320, 240).expect("a sensor");
+    let events: Vec<_> = (0..300_000_u64)
+        .map(|i| {
+            let mixed = i.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+            let back = if i > 200_000 { mixed >> 60 } else { 0 };
+            Event {
+                t_us: 1_000_000 + i / 3 - back,
+                x: (mixed >> 20) as u16 % 320,
+                y: (mixed >> 40) as u16 % 240,
+                polarity: Polarity::from_bool(mixed >> 59 & 1 == 1),
+            }
+        })
+        .collect();
+    let config = Config {
+        mode: Mode::Hybrid(HYBRID),
+        ..plain_config(sensor, eecvs_nostd::Transform::Dct, 8)
+    };
+    for threads in [1, 3] {
+        let mut reader = MemoryReader::new(sensor, events.clone());
+        let mut out = FrameFileWriter::new(Vec::new());
+        let threads = NonZeroUsize::new(threads).expect("not 0");
+        let limits = Limits::default();
+        let summary = encode_events(&mut reader, config, limits, threads, &mut out, &mut |_| ());
+        let summary = summary.expect("memory");
+        assert_eq!(summary.events_encoded, 300_000);
+        assert_eq!(summary.windows_in_order, summary.windows);
+        let file = out.finish().expect("memory");
+        let mut reader = WindowReader::new(FrameReader::new(&file[..]));
+        let mut found = Vec::new();
+        while let Some(window) = reader.next_window().expect("memory") {
+            found.extend_from_slice(&window.events);
+            reader.reuse(window);
+        }
+        assert!(reader.report().is_clean());
+        assert_eq!(reader.counts().windows_in_order, summary.windows);
+        assert_eq!(found[..200_000], events[..200_000]);
+        let sorted = |mut events: Vec<Event>| {
+            events.sort_unstable();
+            events
+        };
+        assert!(sorted(found) == sorted(events.clone()));
+    }
+}
