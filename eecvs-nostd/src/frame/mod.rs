@@ -305,8 +305,8 @@ impl Mode {
         (coder | (fidelity << FIDELITY_SHIFT), value)
     }
 
-    /// The inverse of [`Self::code`], which tells neither the effort nor the quick coder from the tree's; `None` for an unknown code or a value out of
-    /// range.
+    /// The inverse of [`Self::code`], which tells neither the effort nor the quick coder from the tree coder; `None` for
+    /// an unknown code or a value out of range.
     pub(crate) const fn from_code(code: u8, value: u32) -> Option<Self> {
         match code {
             TRANSFORM => return Some(Self::Transform),

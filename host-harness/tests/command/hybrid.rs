@@ -153,6 +153,21 @@ fn what_does_not_go_together_is_refused() {
     folder
         .eecvs("encode scene.raw -o a.eecvs --coder plain")
         .fails(&["--coder plain", "--mode transform"]);
+    for flags in [
+        "--bins 8",
+        "--time-tolerance-us 5",
+        "--isolated",
+        "--bytes-per-second 100000",
+    ] {
+        folder
+            .eecvs(&format!(
+                "encode scene.raw -o a.eecvs --coder quick {flags}"
+            ))
+            .fails(&["--coder quick", "lossless"]);
+    }
+    folder
+        .eecvs("encode scene.raw -o a.eecvs --coder quick --mode transform")
+        .fails(&["--coder quick", "--mode hybrid"]);
     folder
         .eecvs("encode scene.raw -o a.eecvs --mode transform --max-error 1e-5")
         .fails(&["--max-error 0.00001", "2^-16"]);
@@ -225,7 +240,7 @@ fn a_recording_comes_back_in_its_order() {
     let folder = Folder::new();
     folder.scene("scene.raw");
     let (_, events) = folder.events("scene.raw");
-    for coder in ["fast", "dense"] {
+    for coder in ["fast", "dense", "quick"] {
         let encode = format!("encode scene.raw -o a.eecvs --coder {coder} --keep-order --json");
         let summary = folder.eecvs(&encode).ok().object();
         assert_eq!(
@@ -239,6 +254,11 @@ fn a_recording_comes_back_in_its_order() {
         );
         assert_eq!(count(&decoded, "windows_order_lost"), 0);
         assert!(folder.events("b.csv").1 == events, "{coder}");
+        if coder == "quick" {
+            // The order takes no bytes of its own.
+            assert_eq!(count(&summary, "bytes_order"), 0);
+            continue;
+        }
         let rows = folder.eecvs("inspect a.eecvs --json").ok().array();
         let bytes: u64 = rows.iter().map(|row| count(row, "order_bytes")).sum();
         assert_eq!(bytes, count(&summary, "bytes_order"));

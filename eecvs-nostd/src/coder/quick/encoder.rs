@@ -179,9 +179,8 @@ pub fn encode(
     Ok(bytes)
 }
 
-/// Returns a number of events that take no more than this many bytes in a block, whatever they are: 6 bits more than
-/// a place of 22 bits and a polarity, or than a word of 31 bits with its upper part of less than 3 bits, where a time
-/// has 32 bits.
+/// Returns how many events fit into a block of this many bytes, whatever they are: they take at most 55 bits each, a
+/// code of 23 and a time of 32, or else a word of 31 and less than 3 bits of the upper parts.
 const fn fitting(bytes: usize) -> usize {
     // Header, area, least time, and the last byte of each of two packed parts.
     bytes.saturating_sub(14) * 8 / 55

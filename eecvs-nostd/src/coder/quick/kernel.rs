@@ -311,8 +311,8 @@ fn positions(upper: &[u8], count: usize, positions: &mut [u8; BLOCK + 8]) -> Opt
     (found == count).then_some(())
 }
 
-/// Reads the events of a block of `count`, [`BLOCK`] if `FULL`, and anything after them; `last` is the time of the event before and becomes that of the last. `None` if
-/// no encoder writes these bits, or the block is for [`crate::coder::quick::portable::decode_block`].
+/// Reads the events of a block of `count`, [`BLOCK`] if `FULL`, and anything after them; `last` is the time of the
+/// event before and becomes that of the last. `None` if no encoder writes these bits, or the block is for [`crate::coder::quick::portable::decode_block`].
 #[inline(always)]
 pub fn decode_block<L: Lanes, const FULL: bool>(
     l: L,

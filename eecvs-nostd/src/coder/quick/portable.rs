@@ -8,8 +8,8 @@ use crate::coder::quick::format::{
 use crate::coder::quick::halves::{dot, dot_add, widen};
 use event_types::{Event, Polarity};
 
-/// Codes the first `count` events of the block, 1 to [`BLOCK`], and makes its words and positions in their place. Returns the
-/// number of bytes, or `None` if an event is not on the sensor or in the window.
+/// Codes the first `count` events of the block, 1 to [`BLOCK`], and makes its words and positions in their place.
+/// Returns the number of bytes, or `None` if an event is not on the sensor or in the window.
 #[must_use]
 pub fn encode_block(
     block: &mut Block,

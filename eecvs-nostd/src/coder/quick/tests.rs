@@ -389,3 +389,31 @@ fn as_many_are_coded_as_there_is_room_for() {
         }
     }
 }
+
+/// A change of one bit of any payload fails here.
+#[test]
+fn the_bits_are_frozen() {
+    let (mut state, mut all) = (6, vec![]);
+    for (width, height, gap) in [
+        (640, 480, 3),
+        (1280, 720, 200),
+        (128, 128, 0),
+        (2048, 2048, 1 << 20),
+    ] {
+        let mut t = 1000_u64;
+        let events: Vec<_> = (0..1000)
+            .map(|i| {
+                let r = random(&mut state);
+                let back = if i % 400 > 380 { r >> 58 } else { 0 };
+                t += (r >> 30) % (gap + 1);
+                let x = (r as u16 >> (i / 200)) % width;
+                event(t - back, x, (r >> 16) as u16 % height, r >> 63 == 1)
+            })
+            .collect();
+        all.extend(round_trip(window(width, height, u32::MAX), &events));
+    }
+    assert_eq!(
+        (all.len(), crate::checksum::crc_32(&all)),
+        (15_457, 0xA7EC_A0FD)
+    );
+}
