@@ -128,7 +128,7 @@ impl Pixel {
     }
 }
 
-/// What [`mixed`] keeps beside a tree: nodes with ON and with OFF events, and times.
+/// What `mixed` keeps beside a tree: nodes with ON and with OFF events, and times.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Marks {
     on: Nodes,
