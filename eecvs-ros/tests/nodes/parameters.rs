@@ -244,7 +244,7 @@ fn parameters_are_described_and_checked() {
     assert!(
         described[2]
             .additional_constraints
-            .contains("plain, fast, dense")
+            .contains("plain, fast, quick, dense")
     );
 
     let refused = client.set(&[
