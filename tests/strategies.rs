@@ -7,9 +7,10 @@ use std::path::Path;
 use eecvs::encode::HostStorage;
 use eecvs_bench::marks::Marks;
 use eecvs_bench::record_file::{self, RecordFile};
+use eecvs_nostd::frame::{CRC_BYTES, HEADER_BYTES_MAX, seal};
 use eecvs_nostd::{
-    Coder, Config, Effort, Event, Fidelity, Frame, Hybrid, Mode, Polarity, Push, Quantiser, Scan,
-    Sensor, Thresholds, Transform, WindowConfig, scan,
+    Coder, Config, Effort, Encoder, Event, Fidelity, Frame, Header, Hybrid, Mode, Polarity, Push,
+    Quantiser, Scan, Sensor, Thresholds, Transform, WindowConfig, scan,
 };
 use proptest::prelude::*;
 use serde::Serialize;
@@ -146,22 +147,55 @@ pub fn encode(
     window_events: usize,
     frame_bytes: usize,
 ) -> Vec<Vec<u8>> {
+    encode_windows(config, &[], events, (window_events, frame_bytes)).0
+}
+
+/// The events of a window as they were pushed, and the number of those that are in frames.
+pub type PushedWindow = (Vec<Event>, u32);
+
+/// As [`encode`], without the pixels `hot`, and with the windows.
+#[must_use]
+pub fn encode_windows(
+    config: Config,
+    hot: &[(u16, u16)],
+    events: &[Event],
+    (window_events, frame_bytes): (usize, usize),
+) -> (Vec<Vec<u8>>, Vec<PushedWindow>) {
     let mut storage = HostStorage::new(config.window.sensor, window_events);
-    let mut encoder = storage.encoder(config).expect("a valid configuration");
+    let encoder = storage.encoder_without(config, hot);
+    let mut encoder = encoder.expect("a valid configuration");
     let mut out = vec![0; frame_bytes];
-    let mut frames = Vec::new();
+    let (mut frames, mut windows, mut open) = (vec![], vec![], vec![]);
+    let mut close = |encoder: &mut Encoder<'_>, open: &mut Vec<Event>| {
+        let mut sent = 0;
+        while let Some(frame) = encoder.next_frame(&mut out).expect("room for a frame") {
+            sent += frame.header.events;
+            frames.push(out[frame.range].to_vec());
+        }
+        windows.push((std::mem::take(open), sent));
+    };
     for event in events {
-        while encoder.push(*event) == Push::Closed {
-            while let Some(frame) = encoder.next_frame(&mut out).expect("room for a frame") {
-                frames.push(out[frame.range].to_vec());
-            }
+        let mut push = encoder.push(*event);
+        while push == Push::Closed {
+            close(&mut encoder, &mut open);
+            push = encoder.push(*event);
+        }
+        if push == Push::Stored {
+            open.push(*event);
         }
     }
     encoder.flush();
-    while let Some(frame) = encoder.next_frame(&mut out).expect("room for a frame") {
-        frames.push(out[frame.range].to_vec());
-    }
-    frames
+    close(&mut encoder, &mut open);
+    (frames, windows)
+}
+
+/// The frame of a header and a payload.
+#[must_use]
+pub fn sealed(header: &Header, payload: &[u8]) -> Vec<u8> {
+    let mut out = vec![0; HEADER_BYTES_MAX + payload.len() + CRC_BYTES];
+    out[HEADER_BYTES_MAX..][..payload.len()].copy_from_slice(payload);
+    let range = seal(header, payload.len(), &mut out).expect("room");
+    out[range].to_vec()
 }
 
 /// The frame that `bytes` are.

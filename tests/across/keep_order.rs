@@ -8,16 +8,18 @@ use eecvs::encode::{HostStorage, Limits, encode as encode_file, readout};
 use eecvs::frame_file::{FrameReader, LinkReport};
 use eecvs::reconstruct::order::by_time;
 use eecvs_bench::table::keep_order::{self, Row};
-use eecvs_nostd::frame::{HEADER_BYTES_MAX, OrderSection, seal};
+use eecvs_nostd::frame::OrderSection;
 use eecvs_nostd::{
-    Cells, Coder, Config, ConfigError, Encoder, Event, Fidelity, Filter, Frame, FrameError, Header,
-    Hybrid, Mode, OUTPUT_BYTES_MIN, Polarity, Push, Region, Sensor, SetupError, Storage, Transform,
-    bitmap_words, segments,
+    Cells, Coder, Config, ConfigError, Event, Fidelity, Filter, Frame, FrameError, Header, Hybrid,
+    Mode, OUTPUT_BYTES_MIN, Polarity, Region, Sensor, SetupError, Storage, Transform, bitmap_words,
+    segments,
 };
 use event_emulator::{Preset, SceneConfig, emulate};
 use event_files::EventReader;
 use proptest::prelude::*;
-use strategies::{encode, hold_against_record, hybrid, job, parse, plain_config};
+use strategies::{
+    encode, encode_windows, hold_against_record, hybrid, job, parse, plain_config, sealed,
+};
 
 const CODERS: [Coder; 2] = [Coder::Fast, Coder::Dense];
 
@@ -56,32 +58,9 @@ fn frames_and_windows(
     window_events: usize,
     frame_bytes: usize,
 ) -> (Vec<Vec<u8>>, Vec<Vec<Event>>) {
-    let mut storage = HostStorage::new(config.window.sensor, window_events);
-    let mut encoder = storage.encoder(config).expect("a valid configuration");
-    let mut out = vec![0; frame_bytes];
-    let (mut frames, mut windows, mut open) = (vec![], vec![], vec![]);
-    let mut close = |encoder: &mut Encoder<'_>, open: &mut Vec<Event>| {
-        let mut events = 0;
-        while let Some(frame) = encoder.next_frame(&mut out).expect("room for a frame") {
-            events += frame.header.events;
-            frames.push(out[frame.range].to_vec());
-        }
-        let window = std::mem::take(open);
-        windows.extend((events > 0).then_some(window));
-    };
-    for event in events {
-        let mut push = encoder.push(*event);
-        while push == Push::Closed {
-            close(&mut encoder, &mut open);
-            push = encoder.push(*event);
-        }
-        if push == Push::Stored {
-            open.push(*event);
-        }
-    }
-    encoder.flush();
-    close(&mut encoder, &mut open);
-    (frames, windows)
+    let (frames, windows) = encode_windows(config, &[], events, (window_events, frame_bytes));
+    let sent = windows.into_iter().filter(|(_, sent)| *sent > 0);
+    (frames, sent.map(|(window, _)| window).collect())
 }
 
 /// A window's events in the order of what is told of their times, and of their arrival.
@@ -238,13 +217,6 @@ proptest! {
             prop_assert!(found.iter().all(|event| rest.any(|other| other == event)));
         }
     }
-}
-
-fn sealed(header: &Header, payload: &[u8]) -> Vec<u8> {
-    let mut out = vec![0; HEADER_BYTES_MAX + payload.len() + 4];
-    out[HEADER_BYTES_MAX..][..payload.len()].copy_from_slice(payload);
-    let range = seal(header, payload.len(), &mut out).expect("room");
-    out[range].to_vec()
 }
 
 #[test]

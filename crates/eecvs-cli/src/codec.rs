@@ -151,8 +151,8 @@ enum CoderName {
     Plain,
     /// For speed; every frame decodes on its own
     Fast,
-    /// hybrid: for the highest speed, at some more bytes; lossless, keeps the order of input by itself, without
-    /// --isolated and --bytes-per-second. Files of frames then need a reader of wire version 4
+    /// hybrid: for the highest speed, at some more bytes; lossless, keeps the order of events of equal time by itself,
+    /// without --isolated and --bytes-per-second. Files of frames then need a reader of wire version 4
     Quick,
     /// For size; a frame depends on those before it, back to the last key frame
     Dense,

@@ -180,8 +180,7 @@ impl HostStorage {
         config: Config,
         hot: &[(u16, u16)],
     ) -> Result<(Vec<Window<'s>>, WindowEncoder<'s>)> {
-        // The quick coder keeps the order without memory.
-        if config.keep_order && !config.mode.keeps_arrival() {
+        if config.has_order_section() {
             let slots = self.windows.first().map_or(0, WindowMemory::slots);
             self.order = vec![0; arrival::words(slots)];
         }
@@ -251,11 +250,12 @@ fn reason(error: ConfigError, config: &Config) -> String {
         ConfigError::Quick if config.mode.is_transform() => {
             "the quick coder codes events, in mode hybrid".to_owned()
         }
-        ConfigError::Quick => {
-            "the quick coder is lossless: it has no tolerance, bins, filter of isolated events or \
-                               byte budget"
-                .to_owned()
+        ConfigError::Quick if !config.mode.keeps_arrival() => {
+            "windows that keep the order of arrival are for the quick coder".to_owned()
         }
+        ConfigError::Quick => "the quick coder is lossless: it has no tolerance, bins, filter of \
+                               isolated events or byte budget"
+            .to_owned(),
         ConfigError::Tree if config.mode.is_transform() => {
             "the tree coder codes events, in mode hybrid".to_owned()
         }

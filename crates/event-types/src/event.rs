@@ -48,6 +48,16 @@ pub struct Event {
     pub polarity: Polarity,
 }
 
+impl Event {
+    /// An event that stands for none: for memory whose content does not count.
+    pub const UNSET: Self = Self {
+        t_us: 0,
+        x: 0,
+        y: 0,
+        polarity: Polarity::Off,
+    };
+}
+
 // Decoders write several at once.
 const _: () = assert!(
     core::mem::offset_of!(Event, t_us) == 0

@@ -28,10 +28,19 @@ const MESSAGE_BYTES: u64 = 1 << 12;
 fn end_with_this_thread(command: &mut Command) {
     use std::os::unix::process::CommandExt;
 
-    use rustix::process::{Signal, set_parent_process_death_signal};
+    use rustix::process::{Signal, getpid, getppid, set_parent_process_death_signal};
 
-    let end = || Ok(set_parent_process_death_signal(Some(Signal::KILL))?);
-    // SAFETY: between fork and exec the closure makes one system call, and neither allocates nor locks.
+    let own = getpid();
+    let end = move || {
+        set_parent_process_death_signal(Some(Signal::KILL))?;
+        // This process may have ended before.
+        if getppid() == Some(own) {
+            Ok(())
+        } else {
+            Err(ErrorKind::BrokenPipe.into())
+        }
+    };
+    // SAFETY: between fork and exec the closure makes two system calls, and neither allocates nor locks.
     unsafe { command.pre_exec(end) };
 }
 

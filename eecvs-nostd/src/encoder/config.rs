@@ -138,6 +138,12 @@ impl Config {
         }
     }
 
+    /// Returns whether frames have a section that tells the order of events: the quick coder keeps it without one.
+    #[must_use]
+    pub const fn has_order_section(&self) -> bool {
+        self.keep_order && !self.mode.keeps_arrival()
+    }
+
     /// Returns whether the quick coder can code what was asked for, or is not asked.
     const fn is_quick_served(&self) -> bool {
         match self.mode {
@@ -185,7 +191,7 @@ impl Config {
             return Err(ConfigError::Rate);
         }
         let has_order = HAS_ORDER && !self.mode.is_transform() && !scratch.order.is_empty();
-        if self.keep_order && !has_order && !self.mode.keeps_arrival() {
+        if self.has_order_section() && !has_order {
             return Err(ConfigError::Order);
         }
         match self.mode {

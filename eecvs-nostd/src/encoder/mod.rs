@@ -65,8 +65,7 @@ impl<'b> Encoder<'b> {
         let Some(window) = Window::new(config.windows(), buffers) else {
             return Err(SetupError::Window);
         };
-        let has_section = config.keep_order && !config.mode.keeps_arrival();
-        if has_section && scratch.order.len() < arrival_order::words(slots) {
+        if config.has_order_section() && scratch.order.len() < arrival_order::words(slots) {
             return Err(SetupError::Config(ConfigError::Order));
         }
         match WindowEncoder::new(config, scratch) {

@@ -60,8 +60,7 @@ struct Task {
     gathered: Option<u32>,
 }
 
-/// Room that suffices for an event of the quick coder, whatever it is.
-const _: () = assert!(OUTPUT_BYTES_MIN - HEADER_BYTES_MAX - CRC_BYTES >= 21);
+const _: () = assert!(OUTPUT_BYTES_MIN - HEADER_BYTES_MAX - CRC_BYTES >= quick::EVENT_BYTES_MAX);
 
 /// Codes what is left of a window that keeps the order of arrival, or as much as there is room for. Returns the
 /// payload's bytes.
@@ -71,7 +70,7 @@ fn encode_quick(window: &Window<'_>, task: &mut Task, payload: &mut [u8]) -> usi
     let done = header.window_events.saturating_sub(task.left);
     let left = window.in_order().get(done as usize..).unwrap_or_default();
     let of = quick::Window::new(header.sensor, header.t0_us, header.duration_us);
-    let coded = quick::encode_placed(Simd::detected(), of, left, payload);
+    let coded = quick::encode(Simd::detected(), of, left, payload);
     debug_assert!(coded.is_ok(), "the window checked its events");
     match coded {
         Ok(coded) => {
@@ -80,9 +79,9 @@ fn encode_quick(window: &Window<'_>, task: &mut Task, payload: &mut [u8]) -> usi
             header.last = task.left == 0;
             coded.bytes
         }
-        Err(_) => {
+        Err(quick::Outside) => {
             header.events = 0;
-            header.thinned = header.thinned.saturating_add(task.left);
+            header.dropped = header.dropped.saturating_add(task.left);
             header.last = true;
             0
         }
@@ -497,9 +496,9 @@ impl<'b> WindowEncoder<'b> {
             }),
             (mode, _) => mode,
         };
-        let has_section = self.config.keep_order && !mode.keeps_arrival();
+        let keeps_order = HAS_ORDER && self.config.keep_order && window.events() > 0;
         self.order = match mode {
-            Mode::Hybrid(hybrid) if HAS_ORDER && has_section && window.events() > 0 => {
+            Mode::Hybrid(hybrid) if keeps_order && !mode.keeps_arrival() => {
                 let cells = Cells::new(hybrid.fidelity, closed.duration_us);
                 arrival_order::note(self.scratch.order, window, used, cells)
             }
@@ -512,8 +511,7 @@ impl<'b> WindowEncoder<'b> {
                 last: false,
                 regime,
                 mode,
-                is_key: !self.config.mode.is_dense()
-                    || mode.keeps_arrival()
+                is_key: !mode.is_dense()
                     || self.chain.next(window.events(), self.config.key_windows),
                 has_previous: false,
                 levels: None,

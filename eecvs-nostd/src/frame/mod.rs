@@ -390,6 +390,12 @@ impl Header {
         }
     }
 
+    /// Returns whether the frame ends a window whose events are coded in their order of arrival.
+    #[must_use]
+    pub const fn ends_arrival(&self) -> bool {
+        self.mode.keeps_arrival() && self.last && self.window_events > 0
+    }
+
     /// Returns the number of the window's first cell among those of all time, of which a window has `cells`: low bits
     /// of it, which tell how long a pixel has been silent.
     #[must_use]
@@ -681,7 +687,7 @@ impl Header {
             last: has(LAST),
             regime,
             mode,
-            is_key: allowed == 0 || mode.keeps_arrival() || chained & KEY != 0,
+            is_key: !mode.is_dense() || chained & KEY != 0,
             has_previous: chained & PREVIOUS != 0,
             levels,
             scans: scan,

@@ -13,15 +13,7 @@
 //! The result depends only on the events, N and the length of the memory, not on how many events arrive at a time.
 
 use crate::window::{Push, Window};
-use event_types::{Event, Polarity};
-
-/// An unused place in the memory.
-pub const EMPTY: Event = Event {
-    t_us: 0,
-    x: 0,
-    y: 0,
-    polarity: Polarity::Off,
-};
+use event_types::Event;
 
 /// What the held events wait for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -91,13 +91,12 @@ impl Filter {
     /// As [`Self::apply`], for a window in the order of arrival, whose isolated events stay.
     fn apply_in_order(self, hot: &HotPixels<'_>, window: &mut Window<'_>) -> u32 {
         let width = window.config().sensor.width;
-        match (self.region, hot.count()) {
-            (None, 0) => 0,
-            (None, _) => window.keep_in_order(|x, y| !hot.contains((x, y), width)),
-            (Some(region), _) => {
-                window.keep_in_order(|x, y| region.contains(x, y) && !hot.contains((x, y), width))
-            }
+        if self.region.is_none() && hot.count() == 0 {
+            return 0;
         }
+        window.keep_in_order(|x, y| {
+            self.region.is_none_or(|region| region.contains(x, y)) && !hot.contains((x, y), width)
+        })
     }
 }
 

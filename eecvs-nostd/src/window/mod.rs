@@ -705,7 +705,8 @@ impl<'b> Window<'b> {
         stored
     }
 
-    /// As [`Self::push_inside`], in the order of arrival.
+    /// As [`Self::push_inside`], in the order of arrival: a loop of its own, so that nothing but the slots is written in
+    /// it.
     fn push_inside_in_order(&mut self, start_us: u64, events: &[Event]) -> usize {
         let window_us = u64::from(self.duration_us);
         let sensor = self.config.sensor;

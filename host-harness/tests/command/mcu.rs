@@ -755,8 +755,8 @@ fn the_emulator_ends_with_a_command_that_is_killed() {
         .expect("a command");
     let patience = std::time::Instant::now() + Duration::from_secs(60);
     let emulator = loop {
-        let found = children(command.id()).into_iter();
-        if let Some(id) = found.into_iter().find(|id| runs(*id, PROGRAM)) {
+        let mut found = children(command.id()).into_iter();
+        if let Some(id) = found.find(|id| runs(*id, PROGRAM)) {
             break id;
         }
         assert!(std::time::Instant::now() < patience, "no emulator");

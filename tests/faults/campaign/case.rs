@@ -205,36 +205,20 @@ pub const CASES: &[Case] = &[
         &["OUT.npy", "OUT.times.npy"],
     ),
     Case {
-        program: "eecvs",
-        line: "view IN/scene.raw -o OUT/ --frames 3",
-        old: &[],
         kind: Kind::Folder(""),
-        beside: &[],
-        cost: Cost::Quick,
+        ..files("view IN/scene.raw -o OUT/ --frames 3", &[])
     },
     Case {
-        program: "eecvs",
-        line: "split IN/two.eecvs -o OUT",
-        old: &[],
         kind: Kind::Folder(""),
-        beside: &[],
-        cost: Cost::Quick,
+        ..files("split IN/two.eecvs -o OUT", &[])
     },
     Case {
-        program: "eecvs",
-        line: "bench --errors --quick -o OUT",
-        old: &[],
         kind: Kind::Folder(""),
-        beside: &[],
-        cost: Cost::Quick,
+        ..files("bench --errors --quick -o OUT", &[])
     },
     Case {
-        program: "eecvs",
-        line: "index OUT.eecvs",
-        old: &["OUT.eecvs"],
         kind: Kind::Appended,
-        beside: &[],
-        cost: Cost::Quick,
+        ..files("index OUT.eecvs", &["OUT.eecvs"])
     },
     live(
         "capture --device sim:dvs128:IN/scene.raw -o OUT.raw --rate max --overwrite",
@@ -283,28 +267,19 @@ pub const CASES: &[Case] = &[
         cost: Cost::Seconds,
     },
     Case {
-        program: "eecvs",
-        line: "mcu IN/scene.raw -o OUT.eecvs --overwrite",
-        old: &["OUT.eecvs"],
         kind: Kind::Files,
-        beside: &[],
         cost: Cost::Seconds,
+        ..files("mcu IN/scene.raw -o OUT.eecvs --overwrite", &["OUT.eecvs"])
     },
     Case {
-        program: "eecvs",
-        line: "demo -o OUT",
-        old: &[],
         kind: Kind::Folder("report.html"),
-        beside: &[],
         cost: Cost::Minutes(20),
+        ..files("demo -o OUT", &[])
     },
     Case {
-        program: "eecvs",
-        line: "report --quick -o OUT",
-        old: &["OUT/rows.jsonl"],
         kind: Kind::Folder("report.html"),
-        beside: &[],
         cost: Cost::Minutes(40),
+        ..files("report --quick -o OUT", &["OUT/rows.jsonl"])
     },
     Case {
         program: "eecvs-ros",

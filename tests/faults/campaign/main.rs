@@ -35,7 +35,7 @@ fn is_whole() -> bool {
 /// Whether a command is wanted: all are, unless the variable has a word of its line.
 fn is_wanted(case: &Case) -> bool {
     let word = std::env::var("EECVS_FAULTS_ALL").unwrap_or_default();
-    word == "1" || case.line.contains(&word)
+    word == "1" || format!("{} {}", case.program, case.line).contains(&word)
 }
 
 /// How many of a command's places are tried, each with one plan unless it is all; `None` if the command is left out.
@@ -121,6 +121,7 @@ fn fault(
 
 /// Prints what was counted, and fails if anything is wrong.
 fn tell(counts: &BTreeMap<&str, usize>, wrong: &[String]) {
+    assert!(!counts.is_empty(), "no command is tried");
     for (kind, count) in counts {
         println!("{count:>6}  {kind}");
     }

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use eecvs_nostd::ingest::reorder::{EMPTY, Reorder};
+use eecvs_nostd::ingest::reorder::Reorder;
 use eecvs_nostd::{Event, NextStart, Window};
 use event_types::stream::{EventReader, Pause, Result};
 
@@ -63,7 +63,7 @@ impl<B: Batches> Cutter<B> {
             used: 0,
             events_in: 0,
             start: NextStart::ANY,
-            reorder: Reorder::new(vec![EMPTY; held], reorder_us),
+            reorder: Reorder::new(vec![Event::UNSET; held], reorder_us),
             ended: false,
             failed: false,
         }

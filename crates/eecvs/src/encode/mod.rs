@@ -104,9 +104,7 @@ impl EncodeSummary {
             self.events_approximate += u64::from(header.events);
         }
         self.levels_saturated += u64::from(header.saturated);
-        if header.mode.keeps_arrival() && header.last && header.window_events > 0 {
-            self.windows_in_order += 1;
-        }
+        self.windows_in_order += u64::from(header.ends_arrival());
         if let Some(order) = header.order {
             self.windows_in_order += u64::from(header.last);
             self.bytes_order += u64::from(order.bytes);

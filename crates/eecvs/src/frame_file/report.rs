@@ -85,12 +85,10 @@ impl LinkReport {
     /// Returns one line that says why there is no frame in what was read.
     #[must_use]
     pub const fn why_empty(&self) -> &'static str {
-        if self.damaged_bytes > 0 || self.segments_ended + self.segments_cut_short == 0 {
-            "no frame found; is it a file that `eecvs encode` wrote?"
-        } else if self.segments_cut_short > 0 {
+        if self.damaged_bytes == 0 && self.segments_cut_short > 0 {
             "no frame: its writer was stopped before the first one, or all of them are missing"
         } else {
-            "no frame: what was encoded has no events"
+            "no frame found; is it a file that `eecvs encode` wrote?"
         }
     }
 

@@ -36,8 +36,8 @@ pub struct FrameFileWriter<W> {
     frame_bytes: u64,
 }
 
-/// Bytes of short frames after which a whole one follows. It is what damage of one byte costs: a reader goes on at a
-/// whole frame.
+/// Bytes of short frames after which a whole one follows. With a short frame more it is what damage of one byte costs: a
+/// reader goes on at a whole frame.
 const SHORT_BYTES_MAX: usize = 1 << 13;
 
 /// Frames of more bytes are written whole: their headers hardly count.

@@ -68,9 +68,7 @@ impl Arrivals {
         let is_next = self.next_part == Some(header.part);
         self.next_part = is_next.then(|| header.part.saturating_add(1));
         let Some(told) = header.order else {
-            // The quick coder's events come in order.
-            let is_whole = header.last && is_next && header.window_events > 0;
-            self.counts.kept += u64::from(header.mode.keeps_arrival() && is_whole);
+            self.counts.kept += u64::from(header.ends_arrival() && is_next);
             return Ok(());
         };
         let open = self.open.take().filter(|_| is_next);

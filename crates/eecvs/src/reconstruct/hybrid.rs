@@ -8,7 +8,6 @@ use eecvs_nostd::coder::fast::Fast;
 use eecvs_nostd::coder::quick::{self, Simd};
 use eecvs_nostd::coder::range::RangeDecoder;
 use eecvs_nostd::coder::tree::{Shape, Tree, TreeEvent};
-use eecvs_nostd::ingest::reorder::EMPTY;
 use eecvs_nostd::{
     Coder, Config, Effort, Event, Frame, Header, Hybrid, Mode, NextStart, Polarity, Push, Sensor,
     Thresholds, Times, WindowConfig,
@@ -277,7 +276,7 @@ fn quick(header: &Header, payload: &[u8], mut events: Vec<Event>) -> Result<Vec<
         return Err(Refused::Malformed);
     }
     // The content of memory in use before does not matter.
-    events.resize(count, EMPTY);
+    events.resize(count, Event::UNSET);
     let window = quick::Window::new(header.sensor, header.t0_us, header.duration_us);
     match quick::decode(Simd::detected(), window, payload, &mut events) {
         Ok(()) => Ok(events),

@@ -15,7 +15,7 @@ use core::arch::x86_64::{
 };
 
 use crate::coder::quick::Window;
-use crate::coder::quick::format::{Area, BLOCK, BLOCK_BYTES_MAX, Block, LANES};
+use crate::coder::quick::format::{Area, BLOCK, Block, LANES, Output, Placed};
 use crate::coder::quick::kernel;
 use crate::coder::quick::lanes::Lanes;
 use crate::coder::quick::portable::Body;
@@ -34,90 +34,54 @@ impl Avx2 {
         detected::get().then_some(Self(()))
     }
 
-    /// As [`kernel::encode_placed`].
+    /// As [`kernel::encode`].
     #[inline]
-    pub fn encode_placed(
+    pub fn encode(
         self,
-        events: &[[u32; 2]; BLOCK],
+        events: &[Placed],
         block: &mut Block,
-        before: &mut Area,
+        area: &mut Area,
         window: &Window,
-        out: &mut [u8; BLOCK_BYTES_MAX],
+        out: &mut Output,
     ) -> Option<usize> {
         #[target_feature(enable = "avx2,bmi1,bmi2,popcnt")]
         fn inner(
             l: Avx2,
-            events: &[[u32; 2]; BLOCK],
+            events: &[Placed],
             block: &mut Block,
-            before: &mut Area,
+            area: &mut Area,
             window: &Window,
-            out: &mut [u8; BLOCK_BYTES_MAX],
+            out: &mut Output,
         ) -> Option<usize> {
-            kernel::encode_placed(l, events, block, before, window, out)
+            kernel::encode(l, events, block, area, window, out)
         }
         // SAFETY: `self` proves that the core has these features.
-        unsafe { inner(self, events, block, before, window, out) }
+        unsafe { inner(self, events, block, area, window, out) }
     }
 
-    /// As [`kernel::encode_block`], after [`kernel::bounds`].
+    /// As [`kernel::decode`].
     #[inline]
-    pub fn encode_block(
-        self,
-        block: &mut Block,
-        count: usize,
-        before: &mut Area,
-        window: &Window,
-        out: &mut [u8; BLOCK_BYTES_MAX],
-    ) -> Option<usize> {
-        #[target_feature(enable = "avx2,bmi1,bmi2,popcnt")]
-        fn inner<const FULL: bool>(
-            l: Avx2,
-            block: &mut Block,
-            count: usize,
-            before: &mut Area,
-            window: &Window,
-            out: &mut [u8; BLOCK_BYTES_MAX],
-        ) -> Option<usize> {
-            let bounds = kernel::bounds(l, block, count);
-            kernel::encode_block::<_, FULL>(l, block, count, bounds, before, window, out)
-        }
-        let inner = if count == BLOCK {
-            inner::<true>
-        } else {
-            inner::<false>
-        };
-        // SAFETY: `self` proves that the core has these features.
-        unsafe { inner(self, block, count, before, window, out) }
-    }
-
-    /// As [`kernel::decode_block`].
-    #[inline]
-    pub fn decode_block(
+    pub fn decode(
         self,
         body: &Body<'_>,
         window: &Window,
-        last: &mut u32,
+        first: u32,
         count: usize,
         events: &mut [Event; BLOCK],
     ) -> Option<()> {
         #[target_feature(enable = "avx2,bmi1,bmi2,popcnt")]
-        fn inner<const FULL: bool>(
+        fn inner(
             l: Avx2,
             body: &Body<'_>,
             window: &Window,
-            last: &mut u32,
+            first: u32,
             count: usize,
             events: &mut [Event; BLOCK],
         ) -> Option<()> {
-            kernel::decode_block::<_, FULL>(l, body, window, last, count, events)
+            kernel::decode(l, body, window, first, count, events)
         }
-        let inner = if count == BLOCK {
-            inner::<true>
-        } else {
-            inner::<false>
-        };
         // SAFETY: `self` proves that the core has these features.
-        unsafe { inner(self, body, window, last, count, events) }
+        unsafe { inner(self, body, window, first, count, events) }
     }
 }
 
@@ -199,11 +163,34 @@ fn fold(v: __m256i, f: impl Fn(__m128i, __m128i) -> __m128i) -> u32 {
     _mm_cvtsi128_si32(v) as u32
 }
 
+/// Operations on two vectors, each by a function of its own.
+macro_rules! each {
+    ($($name:ident: $function:ident,)*) => {$(
+        #[inline(always)]
+        fn $name(self, a: __m256i, b: __m256i) -> __m256i {
+            unsafe { $function(a, b) }
+        }
+    )*};
+}
+
 // SAFETY, of all blocks without their own: `self` proves that the core has AVX2; pointers come from references to
 // arrays of as many bytes as are read or written.
 #[allow(clippy::undocumented_unsafe_blocks)]
 impl Lanes for Avx2 {
     type Vector = __m256i;
+
+    each! {
+        add: _mm256_add_epi32,
+        sub: _mm256_sub_epi32,
+        mul: _mm256_mullo_epi32,
+        mul_high: mul_high,
+        dot: _mm256_madd_epi16,
+        and: _mm256_and_si256,
+        or: _mm256_or_si256,
+        max: _mm256_max_epu32,
+        min_halves: _mm256_min_epu16,
+        max_halves: _mm256_max_epu16,
+    }
 
     #[inline(always)]
     fn splat(self, value: u32) -> __m256i {
@@ -241,52 +228,12 @@ impl Lanes for Avx2 {
         }
     }
     #[inline(always)]
-    fn add(self, a: __m256i, b: __m256i) -> __m256i {
-        unsafe { _mm256_add_epi32(a, b) }
-    }
-    #[inline(always)]
-    fn sub(self, a: __m256i, b: __m256i) -> __m256i {
-        unsafe { _mm256_sub_epi32(a, b) }
-    }
-    #[inline(always)]
-    fn mul(self, a: __m256i, b: __m256i) -> __m256i {
-        unsafe { _mm256_mullo_epi32(a, b) }
-    }
-    #[inline(always)]
-    fn mul_high(self, a: __m256i, b: __m256i) -> __m256i {
-        unsafe { mul_high(a, b) }
-    }
-    #[inline(always)]
-    fn dot(self, a: __m256i, b: __m256i) -> __m256i {
-        unsafe { _mm256_madd_epi16(a, b) }
-    }
-    #[inline(always)]
-    fn and(self, a: __m256i, b: __m256i) -> __m256i {
-        unsafe { _mm256_and_si256(a, b) }
-    }
-    #[inline(always)]
-    fn or(self, a: __m256i, b: __m256i) -> __m256i {
-        unsafe { _mm256_or_si256(a, b) }
-    }
-    #[inline(always)]
     fn shl(self, a: __m256i, count: u32) -> __m256i {
         unsafe { _mm256_sll_epi32(a, _mm_cvtsi32_si128(count as i32)) }
     }
     #[inline(always)]
     fn shr(self, a: __m256i, count: u32) -> __m256i {
         unsafe { _mm256_srl_epi32(a, _mm_cvtsi32_si128(count as i32)) }
-    }
-    #[inline(always)]
-    fn max(self, a: __m256i, b: __m256i) -> __m256i {
-        unsafe { _mm256_max_epu32(a, b) }
-    }
-    #[inline(always)]
-    fn min_halves(self, a: __m256i, b: __m256i) -> __m256i {
-        unsafe { _mm256_min_epu16(a, b) }
-    }
-    #[inline(always)]
-    fn max_halves(self, a: __m256i, b: __m256i) -> __m256i {
-        unsafe { _mm256_max_epu16(a, b) }
     }
     #[inline(always)]
     fn high_bits(self, bytes: &[u8; 4 * LANES]) -> u32 {

@@ -351,6 +351,12 @@ impl Shape {
     }
 }
 
+/// An event as a window's slots hold it: its time since the window's start in microseconds, then its [`place`].
+pub type Placed = [u32; 2];
+
+/// A block's coded bytes.
+pub type Output = [u8; BLOCK_BYTES_MAX];
+
 /// The events of a block as an encoder holds them.
 #[derive(Debug, Clone)]
 pub struct Block {
@@ -376,7 +382,7 @@ impl Block {
 
     /// Takes events in, at most [`BLOCK`]: times since the window's start, and places.
     #[inline]
-    pub fn fill(&mut self, events: &[[u32; 2]]) {
+    pub fn fill(&mut self, events: &[Placed]) {
         let Self {
             first,
             times: [_, times @ ..],
@@ -465,7 +471,7 @@ impl Plan {
 
     /// Writes the header for `length` and the area; returns the number of bytes.
     #[inline]
-    pub fn write_head(&self, width: u32, length: u32, out: &mut [u8; BLOCK_BYTES_MAX]) -> usize {
+    pub fn write_head(&self, width: u32, length: u32, out: &mut Output) -> usize {
         let header = Header {
             width,
             has_area: self.has_area,

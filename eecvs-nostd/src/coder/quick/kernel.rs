@@ -1,8 +1,8 @@
-//! Codes full blocks in vectors: one algorithm over [`Lanes`].
+//! Codes blocks in vectors: one algorithm over [`Lanes`].
 
 use crate::coder::quick::Window;
 use crate::coder::quick::format::{
-    Area, BLOCK, BLOCK_BYTES_MAX, Block, Divisor, LANES, Plan, Shape, UPPER_BYTES_MAX, last_upper,
+    Area, BLOCK, Block, Divisor, LANES, Output, Placed, Plan, Shape, UPPER_BYTES_MAX, last_upper,
 };
 use crate::coder::quick::lanes::{Lanes, ROWS};
 use crate::coder::quick::portable::{self, Body, Times, encode_times_back, pack_in_turn};
@@ -32,16 +32,29 @@ fn row_mut<T>(of: &mut [T; BLOCK], row: usize) -> &mut [T; LANES] {
     &mut of.as_chunks_mut().0[row]
 }
 
-/// Takes a full block's events in, times since the window's start and places, and codes them; as [`encode_block`].
+/// Takes a block's events in, 1 to [`BLOCK`], and codes them; as [`portable::encode_block`].
 #[inline(always)]
-pub fn encode_placed<L: Lanes>(
+pub fn encode<L: Lanes>(
     l: L,
-    events: &[[u32; 2]; BLOCK],
+    events: &[Placed],
     block: &mut Block,
-    before: &mut Area,
+    area: &mut Area,
     window: &Window,
-    out: &mut [u8; BLOCK_BYTES_MAX],
+    out: &mut Output,
 ) -> Option<usize> {
+    if let Ok(full) = events.try_into() {
+        let bounds = fill(l, full, block);
+        encode_block::<_, true>(l, block, BLOCK, bounds, area, window, out)
+    } else {
+        block.fill(events);
+        let bounds = bounds(l, block, events.len());
+        encode_block::<_, false>(l, block, events.len(), bounds, area, window, out)
+    }
+}
+
+/// Takes a full block's events in, as [`Block::fill`]. Returns the bounds of both halves of their places.
+#[inline(always)]
+fn fill<L: Lanes>(l: L, events: &[Placed; BLOCK], block: &mut Block) -> (u32, u32) {
     let first = l.splat(block.first);
     let [_, times @ ..] = &mut block.times;
     let (mut least, mut most) = (l.splat(u32::MAX), l.splat(0));
@@ -52,32 +65,12 @@ pub fn encode_placed<L: Lanes>(
         l.store(row_mut(times, r), l.sub(offsets_us, first));
         l.store(row_mut(&mut block.places, r), places);
     }
-    let bounds = (l.least_halves(least), l.most_halves(most));
-    encode_block::<_, true>(l, block, BLOCK, bounds, before, window, out)
-}
-
-/// Codes a block of `count` events with instructions that need no function of their own; as [`encode_block`].
-#[allow(dead_code, reason = "cores with AVX2 ask under test alone")]
-#[inline]
-pub fn encode_any<L: Lanes>(
-    l: L,
-    block: &mut Block,
-    count: usize,
-    area: &mut Area,
-    window: &Window,
-    out: &mut [u8; BLOCK_BYTES_MAX],
-) -> Option<usize> {
-    let bounds = bounds(l, block, count);
-    if count == BLOCK {
-        encode_block::<_, true>(l, block, count, bounds, area, window, out)
-    } else {
-        encode_block::<_, false>(l, block, count, bounds, area, window, out)
-    }
+    (l.least_halves(least), l.most_halves(most))
 }
 
 /// Returns the bounds of both halves of a block's places, and fills its last row up.
 #[inline(always)]
-pub fn bounds<L: Lanes>(l: L, block: &mut Block, count: usize) -> (u32, u32) {
+fn bounds<L: Lanes>(l: L, block: &mut Block, count: usize) -> (u32, u32) {
     let count = count.clamp(1, BLOCK);
     let (t, place) = (block.times[count], block.places[count - 1]);
     for i in count..count.next_multiple_of(LANES).min(BLOCK) {
@@ -96,14 +89,14 @@ pub fn bounds<L: Lanes>(l: L, block: &mut Block, count: usize) -> (u32, u32) {
 /// Codes a block of `count` events, [`BLOCK`] if `FULL`, of which the last row is filled up, and makes its words in
 /// its place. Returns the number of bytes, or `None` if an event is not on the sensor or in the window.
 #[inline(always)]
-pub fn encode_block<L: Lanes, const FULL: bool>(
+fn encode_block<L: Lanes, const FULL: bool>(
     l: L,
     block: &mut Block,
     count: usize,
     bounds: (u32, u32),
-    before: &mut Area,
+    area: &mut Area,
     window: &Window,
-    out: &mut [u8; BLOCK_BYTES_MAX],
+    out: &mut Output,
 ) -> Option<usize> {
     let count = if FULL { BLOCK } else { count.clamp(1, BLOCK) };
     let rows = count.div_ceil(LANES);
@@ -116,8 +109,8 @@ pub fn encode_block<L: Lanes, const FULL: bool>(
         signs = l.or(signs, l.or(t, l.sub(t, l.load(row(times_before, r)))));
     }
     let span = block.span(count, !l.is_zero(l.shr(signs, 31)));
-    let plan = Plan::new(bounds, count, span, *before, window.sensor)?;
-    *before = plan.area;
+    let plan = Plan::new(bounds, count, span, *area, window.sensor)?;
+    *area = plan.area;
     let Some(Shape { width, quantum }) = plan.shape else {
         return encode_times_back(block, count, plan, window, out);
     };
@@ -311,14 +304,31 @@ fn positions(upper: &[u8], count: usize, positions: &mut [u8; BLOCK + 8]) -> Opt
     (found == count).then_some(())
 }
 
-/// Reads the events of a block of `count`, [`BLOCK`] if `FULL`, and anything after them; `last` is the time of the
-/// event before and becomes that of the last. `None` if no encoder writes these bits, or the block is for [`crate::coder::quick::portable::decode_block`].
+/// Reads the events of a block of `count`, 1 to [`BLOCK`], and anything after them; as [`portable::decode_block`], for
+/// times that ascend.
 #[inline(always)]
-pub fn decode_block<L: Lanes, const FULL: bool>(
+pub fn decode<L: Lanes>(
     l: L,
     body: &Body<'_>,
     window: &Window,
-    last: &mut u32,
+    first: u32,
+    count: usize,
+    events: &mut [Event; BLOCK],
+) -> Option<()> {
+    let decode = if count == BLOCK {
+        decode_block::<L, true>
+    } else {
+        decode_block::<L, false>
+    };
+    decode(l, body, window, first, count, events)
+}
+
+#[inline(always)]
+fn decode_block<L: Lanes, const FULL: bool>(
+    l: L,
+    body: &Body<'_>,
+    window: &Window,
+    first: u32,
     count: usize,
     events: &mut [Event; BLOCK],
 ) -> Option<()> {
@@ -355,7 +365,7 @@ pub fn decode_block<L: Lanes, const FULL: bool>(
     let (q, m) = (l.splat(quantum.value), l.splat(quantum.multiplier));
     let columns = Divisor::new(2 * body.area.columns);
     let (row_q, row_m) = (l.splat(columns.value), l.splat(columns.multiplier));
-    let (one, byte, first) = (l.splat(1), l.splat(255), l.splat(*last));
+    let (one, byte, start) = (l.splat(1), l.splat(255), l.splat(first));
     let base = l.splat(body.area.y << 16 | body.area.x);
     let (mut most_y, mut most_d) = (l.splat(0), l.splat(0));
     for r in 0..rows {
@@ -374,31 +384,11 @@ pub fn decode_block<L: Lanes, const FULL: bool>(
         l.store_events(
             row_mut(events, r),
             start_us,
-            l.add(d, first),
+            l.add(d, start),
             place,
             l.and(rest, one),
         );
     }
-    let is_inside = u64::from(*last) + u64::from(l.most(most_d)) < u64::from(duration_us);
-    *last = events[count - 1].t_us.wrapping_sub(start_us) as u32;
+    let is_inside = u64::from(first) + u64::from(l.most(most_d)) < u64::from(duration_us);
     (is_inside && l.most(most_y) < body.area.rows).then_some(())
-}
-
-/// Reads a block of `count` events with instructions that need no function of their own; as [`decode_block`].
-#[allow(dead_code, reason = "cores with AVX2 ask under test alone")]
-#[inline]
-pub fn decode_any<L: Lanes>(
-    l: L,
-    body: &Body<'_>,
-    window: &Window,
-    last: &mut u32,
-    count: usize,
-    events: &mut [Event; BLOCK],
-) -> Option<()> {
-    let decode = if count == BLOCK {
-        decode_block::<L, true>
-    } else {
-        decode_block::<L, false>
-    };
-    decode(l, body, window, last, count, events)
 }

@@ -1,4 +1,4 @@
-//! Vectors of eight lanes of 32 bits, as what codes full blocks sees them.
+//! Vectors of eight lanes of 32 bits, as what codes blocks sees them.
 
 use crate::coder::quick::format::{BLOCK, LANES};
 use event_types::Event;

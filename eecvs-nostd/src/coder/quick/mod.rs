@@ -5,7 +5,7 @@
 //! ```
 //!
 //! `format` describes the bits. `portable` codes them on any core; `kernel` codes them in vectors of eight lanes
-//! (`lanes`): AVX2, NEON, and plain arrays as their safe twin under test. All give the same bytes.
+//! (`lanes`): AVX2, NEON, and plain arrays, which are their safe twin under test. All give the same bytes.
 
 #[cfg(any(test, target_arch = "aarch64"))]
 mod array;
@@ -14,7 +14,6 @@ mod avx2;
 mod decoder;
 mod encoder;
 mod format;
-mod halves;
 #[cfg(any(test, target_arch = "x86_64", target_arch = "aarch64"))]
 mod kernel;
 #[cfg(any(test, target_arch = "x86_64", target_arch = "aarch64"))]
@@ -25,13 +24,13 @@ mod portable;
 #[cfg(test)]
 mod tests;
 
-pub use decoder::{Damaged, Decoder, decode};
-pub use encoder::{Coded, Encoder, Error, Placed, encode, encode_placed};
-pub use format::{BLOCK, BLOCK_BYTES_MAX};
+pub use decoder::{Damaged, decode};
+pub use encoder::{Coded, EVENT_BYTES_MAX, Outside, encode};
+pub use format::Placed;
 pub(crate) use format::{place, position};
 
-use crate::coder::quick::format::{Area, Block};
-use crate::coder::quick::portable::Body;
+use crate::coder::quick::format::{Area, BLOCK, Block, Output};
+use crate::coder::quick::portable::{Body, Times};
 use event_types::{Event, Sensor};
 
 /// Where and when a frame's events can be: the sensor, and the window `start_us..start_us + duration_us`.
@@ -82,9 +81,6 @@ enum Kind {
     Neon(neon::Neon),
 }
 
-/// A block's coded bytes.
-type Output = [u8; BLOCK_BYTES_MAX];
-
 impl Simd {
     /// No vectors: one event at a time.
     pub const NONE: Self = Self(Kind::None);
@@ -103,39 +99,12 @@ impl Simd {
         Self::NONE
     }
 
-    /// Returns whether there are none.
+    /// Takes a block's events in, 1 to [`BLOCK`], and codes them. Returns the number of bytes, or `None` if an event is
+    /// not on the sensor or not in the window.
     #[inline]
-    fn is_none(self) -> bool {
-        self == Self::NONE
-    }
-
-    /// Codes the first `count` events of the block. Returns the number of bytes, or `None` if an event is not on the
-    /// sensor or not in the window.
-    #[inline]
-    fn encode_block(
+    fn encode(
         self,
-        block: &mut Block,
-        count: usize,
-        area: &mut Area,
-        window: &Window,
-        out: &mut Output,
-    ) -> Option<usize> {
-        match self.0 {
-            Kind::None => portable::encode_block(block, count, area, window, out),
-            #[cfg(test)]
-            Kind::Array => kernel::encode_any(array::Array, block, count, area, window, out),
-            #[cfg(target_arch = "x86_64")]
-            Kind::Avx2(l) => l.encode_block(block, count, area, window, out),
-            #[cfg(target_arch = "aarch64")]
-            Kind::Neon(l) => kernel::encode_any(l, block, count, area, window, out),
-        }
-    }
-
-    /// Takes a full block's events and codes them, as [`Self::encode_block`].
-    #[inline]
-    fn encode_placed(
-        self,
-        events: &[Placed; BLOCK],
+        events: &[Placed],
         block: &mut Block,
         area: &mut Area,
         window: &Window,
@@ -144,36 +113,61 @@ impl Simd {
         match self.0 {
             Kind::None => {
                 block.fill(events);
-                portable::encode_block(block, BLOCK, area, window, out)
+                portable::encode_block(block, events.len(), area, window, out)
             }
             #[cfg(test)]
-            Kind::Array => kernel::encode_placed(array::Array, events, block, area, window, out),
+            Kind::Array => kernel::encode(array::Array, events, block, area, window, out),
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx2(l) => l.encode_placed(events, block, area, window, out),
+            Kind::Avx2(l) => l.encode(events, block, area, window, out),
             #[cfg(target_arch = "aarch64")]
-            Kind::Neon(l) => kernel::encode_placed(l, events, block, area, window, out),
+            Kind::Neon(l) => kernel::encode(l, events, block, area, window, out),
         }
     }
 
-    /// Reads a block of `count` events whose times ascend into the front of `events`; what follows there means
-    /// nothing. `last` is the offset of the event before and becomes that of the last.
+    /// Reads a block of 1 to [`BLOCK`] events, which begins after an event at `first`. `None` as of
+    /// [`portable::decode_block`].
     #[inline]
-    fn decode_block(
+    fn decode(
         self,
         body: &Body<'_>,
         window: &Window,
-        last: &mut u32,
+        first: u32,
+        events: &mut [Event],
+    ) -> Option<()> {
+        // Vectors are for times that ascend, and take longer for few events.
+        if events.len() < VECTORS_FROM || matches!(body.times, Times::Back { .. }) {
+            return portable::decode_block(body, window, first, events);
+        }
+        if let Ok(full) = events.as_mut().try_into() {
+            return self.decode_into(body, window, first, BLOCK, full);
+        }
+        let mut block = [Event::UNSET; BLOCK];
+        self.decode_into(body, window, first, events.len(), &mut block)?;
+        events.copy_from_slice(block.get(..events.len())?);
+        Some(())
+    }
+
+    /// Reads `count` events into the front of `events`; what follows there means nothing.
+    #[inline]
+    fn decode_into(
+        self,
+        body: &Body<'_>,
+        window: &Window,
+        first: u32,
         count: usize,
         events: &mut [Event; BLOCK],
     ) -> Option<()> {
         match self.0 {
-            Kind::None => portable::decode_block(body, window, last, events.get_mut(..count)?),
+            Kind::None => portable::decode_block(body, window, first, events.get_mut(..count)?),
             #[cfg(test)]
-            Kind::Array => kernel::decode_any(array::Array, body, window, last, count, events),
+            Kind::Array => kernel::decode(array::Array, body, window, first, count, events),
             #[cfg(target_arch = "x86_64")]
-            Kind::Avx2(l) => l.decode_block(body, window, last, count, events),
+            Kind::Avx2(l) => l.decode(body, window, first, count, events),
             #[cfg(target_arch = "aarch64")]
-            Kind::Neon(l) => kernel::decode_any(l, body, window, last, count, events),
+            Kind::Neon(l) => kernel::decode(l, body, window, first, count, events),
         }
     }
 }
+
+/// Fewest events of a block that is read by vectors.
+const VECTORS_FROM: usize = 24;

@@ -32,10 +32,12 @@ pub struct Pair(uint32x4_t, uint32x4_t);
 
 /// Applies an operation to both vectors.
 macro_rules! each {
-    ($f:expr, $a:expr, $b:expr) => {
-        // SAFETY: `Neon` proves that the core has NEON.
-        unsafe { Pair($f($a.0, $b.0), $f($a.1, $b.1)) }
-    };
+    ($($name:ident: $f:expr,)*) => {$(
+        #[inline(always)]
+        fn $name(self, a: Pair, b: Pair) -> Pair {
+            unsafe { Pair($f(a.0, b.0), $f(a.1, b.1)) }
+        }
+    )*};
 }
 
 #[inline(always)]
@@ -56,6 +58,17 @@ fn halves(
 #[allow(unused_unsafe, clippy::undocumented_unsafe_blocks)]
 impl Lanes for Neon {
     type Vector = Pair;
+
+    each! {
+        add: vaddq_u32,
+        sub: vsubq_u32,
+        mul: vmulq_u32,
+        and: vandq_u32,
+        or: vorrq_u32,
+        max: vmaxq_u32,
+        min_halves: |a, b| halves(a, b, |a, b| vminq_u16(a, b)),
+        max_halves: |a, b| halves(a, b, |a, b| vmaxq_u16(a, b)),
+    }
 
     #[inline(always)]
     fn splat(self, value: u32) -> Pair {
@@ -122,18 +135,6 @@ impl Lanes for Neon {
         }
     }
     #[inline(always)]
-    fn add(self, a: Pair, b: Pair) -> Pair {
-        each!(vaddq_u32, a, b)
-    }
-    #[inline(always)]
-    fn sub(self, a: Pair, b: Pair) -> Pair {
-        each!(vsubq_u32, a, b)
-    }
-    #[inline(always)]
-    fn mul(self, a: Pair, b: Pair) -> Pair {
-        each!(vmulq_u32, a, b)
-    }
-    #[inline(always)]
     fn mul_high(self, a: Pair, b: Pair) -> Pair {
         let high = |a, b| unsafe {
             let low = vshrn_n_u64::<32>(vmull_u32(vget_low_u32(a), vget_low_u32(b)));
@@ -152,14 +153,6 @@ impl Lanes for Neon {
         Pair(dot(a.0, b.0), dot(a.1, b.1))
     }
     #[inline(always)]
-    fn and(self, a: Pair, b: Pair) -> Pair {
-        each!(vandq_u32, a, b)
-    }
-    #[inline(always)]
-    fn or(self, a: Pair, b: Pair) -> Pair {
-        each!(vorrq_u32, a, b)
-    }
-    #[inline(always)]
     fn shl(self, a: Pair, count: u32) -> Pair {
         unsafe {
             let count = vdupq_n_s32(count as i32);
@@ -172,18 +165,6 @@ impl Lanes for Neon {
             let count = vdupq_n_s32(-(count as i32));
             Pair(vshlq_u32(a.0, count), vshlq_u32(a.1, count))
         }
-    }
-    #[inline(always)]
-    fn max(self, a: Pair, b: Pair) -> Pair {
-        each!(vmaxq_u32, a, b)
-    }
-    #[inline(always)]
-    fn min_halves(self, a: Pair, b: Pair) -> Pair {
-        each!(|a, b| halves(a, b, |a, b| vminq_u16(a, b)), a, b)
-    }
-    #[inline(always)]
-    fn max_halves(self, a: Pair, b: Pair) -> Pair {
-        each!(|a, b| halves(a, b, |a, b| vmaxq_u16(a, b)), a, b)
     }
     #[inline(always)]
     fn high_bits(self, bytes: &[u8; 4 * LANES]) -> u32 {

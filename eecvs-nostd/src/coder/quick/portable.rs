@@ -1,12 +1,27 @@
-//! Codes blocks one event at a time, on any core; also those blocks that are not full.
+//! Codes blocks one event at a time, on any core.
 
 use crate::coder::quick::Window;
 use crate::coder::quick::format::{
-    Area, BLOCK, BLOCK_BYTES_MAX, Block, Divisor, LANES, Plan, Shape, bit_length, last_upper,
-    packed_bytes,
+    Area, BLOCK, Block, Divisor, LANES, Output, Plan, Shape, bit_length, last_upper, packed_bytes,
 };
-use crate::coder::quick::halves::{dot, dot_add, widen};
+use crate::fixed_point::dot_add;
 use event_types::{Event, Polarity};
+
+/// Widens the bounds of both halves, least and most, by those of `word`.
+#[inline(always)]
+fn widen((least, most): (u32, u32), word: u32) -> (u32, u32) {
+    let (low, high) = (word & 0xFFFF, word >> 16);
+    (
+        (least >> 16).min(high) << 16 | (least & 0xFFFF).min(low),
+        (most >> 16).max(high) << 16 | (most & 0xFFFF).max(low),
+    )
+}
+
+/// Returns the sum of the products of both halves, all below 2^15.
+#[inline(always)]
+fn dot(a: u32, b: u32) -> u32 {
+    dot_add(0, a, b) as u32
+}
 
 /// Codes the first `count` events of the block, 1 to [`BLOCK`], and makes its words and positions in their place.
 /// Returns the number of bytes, or `None` if an event is not on the sensor or in the window.
@@ -14,15 +29,15 @@ use event_types::{Event, Polarity};
 pub fn encode_block(
     block: &mut Block,
     count: usize,
-    before: &mut Area,
+    area: &mut Area,
     window: &Window,
-    out: &mut [u8; BLOCK_BYTES_MAX],
+    out: &mut Output,
 ) -> Option<usize> {
     let count = count.min(BLOCK);
     let (bounds, steps_back) = scan(block, count);
     let span = block.span(count, steps_back);
-    let plan = Plan::new(bounds, count, span, *before, window.sensor)?;
-    *before = plan.area;
+    let plan = Plan::new(bounds, count, span, *area, window.sensor)?;
+    *area = plan.area;
     match plan.shape {
         Some(_) if block.first.checked_add(span?)? >= window.duration_us => None,
         Some(shape) => Some(encode_times_up(block, count, plan, shape, out)),
@@ -56,7 +71,7 @@ fn encode_times_up(
     count: usize,
     plan: Plan,
     Shape { width, quantum }: Shape,
-    out: &mut [u8; BLOCK_BYTES_MAX],
+    out: &mut Output,
 ) -> usize {
     let [_, times @ ..] = &mut block.times;
     let (Some(times), Some(places)) = (times.get_mut(..count), block.places.get_mut(..count))
@@ -64,17 +79,18 @@ fn encode_times_up(
         return 0;
     };
     let weights = (2 * plan.area.columns) << 16 | 1;
-    let base = dot(plan.base(), weights).wrapping_neg();
+    let base = dot(plan.base(), weights) as i32;
     // Loops of their own, so that each one's numbers fit into a small core's registers.
     let mut i = 0;
     #[allow(
         clippy::explicit_counter_loop,
-        reason = "on a Cortex-M4 a third iterator takes 20 instructions an event"
+        reason = "a third iterator takes more registers than a small core has"
     )]
     for (d, place) in times.iter_mut().zip(places) {
         let high = quantum.quotient(*d);
         // code q + (d - high q)
-        *place = (dot_add(*place, weights, base).wrapping_sub(high))
+        let code = dot_add(base.wrapping_neg(), *place, weights) as u32;
+        *place = (code.wrapping_sub(high))
             .wrapping_mul(quantum.value)
             .wrapping_add(*d);
         *d = high.wrapping_add(i);
@@ -115,7 +131,7 @@ pub fn encode_times_back(
     count: usize,
     plan: Plan,
     window: &Window,
-    out: &mut [u8; BLOCK_BYTES_MAX],
+    out: &mut Output,
 ) -> Option<usize> {
     let (base, row) = (plan.base(), 2 * plan.area.columns);
     let Block {
@@ -340,8 +356,8 @@ pub enum Times<'p> {
     },
 }
 
-/// Reads the events of a block into `events`, at most [`BLOCK`]; `last` is the time of the event before and becomes
-/// that of the last. `None` if no encoder writes these bits.
+/// Reads the events of a block into `events`, at most [`BLOCK`]; `first` is the time of the event before. `None` if
+/// the bits are not those of as many events in the area and the window.
 #[must_use]
 pub fn decode_block(
     body: &Body<'_>,
@@ -350,7 +366,7 @@ pub fn decode_block(
         duration_us,
         ..
     }: &Window,
-    last: &mut u32,
+    first: u32,
     events: &mut [Event],
 ) -> Option<()> {
     let count = events.len().min(BLOCK);
@@ -363,7 +379,6 @@ pub fn decode_block(
             }
             let mut highs = [0; BLOCK];
             uppers(upper, highs.get_mut(..count)?)?;
-            let first = *last;
             let end = u64::from(duration_us);
             // What was found ascends: all times but those of the last upper part are below this one.
             let least = u64::from(first) + latest;
@@ -386,7 +401,6 @@ pub fn decode_block(
                 let t = first.wrapping_add(d);
                 pixels.place(code, start_us.wrapping_add(t.into()), event);
             }
-            *last = (events.last()?.t_us).wrapping_sub(start_us) as u32;
             (!is_outside && pixels.are_inside()).then_some(())
         }
         Times::Back {
@@ -407,7 +421,6 @@ pub fn decode_block(
                     event.t_us = start_us.wrapping_add(least.wrapping_add(t).into());
                 }
             });
-            *last = (events.last()?.t_us).wrapping_sub(start_us) as u32;
             let is_outside = u64::from(least) + u64::from(most) >= u64::from(duration_us);
             (!is_outside && pixels.are_inside()).then_some(())
         }

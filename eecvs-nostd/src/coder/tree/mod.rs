@@ -1,4 +1,4 @@
-//! The tree coder: the fewest bits of the three coders of events, for whole windows.
+//! The tree coder: the fewest bits of the coders of events, for whole windows.
 //!
 //! A window is coded in two passes with a range coder (`range`):
 //!
