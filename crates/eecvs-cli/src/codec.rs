@@ -37,7 +37,7 @@ pub struct CodecOptions {
     coder: Option<CoderName>,
 
     /// hybrid, dense: compute more for fewer bits, from 1 to 3; files of frames then need a reader of wire version 4.
-    /// 1 takes up to twice as long as 0, less in longer windows; 2 some six times and 3 some thirteen times as long as 1
+    /// 1 takes 1.1 to 2.5 times as long as 0; 2 some six times and 3 some thirteen times as long as 1
     #[arg(long, value_name = "E", default_value = "0", value_parser = clap::value_parser!(u8).range(0..=3))]
     effort: u8,
 

@@ -37,7 +37,7 @@ use event_types::Sensor;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Effort {
-    /// Single contexts: up to 1.8 times the dense coder's time in windows of 33 ms, with 200 KB of tables.
+    /// Single contexts: 1.1 to 2.5 times the dense coder's time in windows of 33 ms, with 200 KB of tables.
     One = 1,
     /// Three mixed contexts: some six times the time for 1 to 5 % fewer bits, with 4 MB of tables.
     Two = 2,
