@@ -351,7 +351,7 @@ impl Shape {
     }
 }
 
-/// An event as a window's slots hold it: its time since the window's start in microseconds, then its [`place`].
+/// An event as a window's slots hold it: its time since the window's start in microseconds, then its place.
 pub type Placed = [u32; 2];
 
 /// A block's coded bytes.
