@@ -386,26 +386,33 @@ fn times_on_a_grid_are_told_by_scans() {
         .collect();
     scanned(readout, &mut events);
     events.sort_by_key(|event| event.t_us);
-    let bytes = |fidelity, readout| {
+    let bytes = |coder, fidelity, readout| {
         let mut config = strategies::plain_config(sensor, eecvs_nostd::Transform::Dct, 8);
         config.readout = readout;
-        config.mode = Mode::Hybrid(Hybrid {
-            coder: Coder::Dense,
-            fidelity,
-        });
+        config.mode = Mode::Hybrid(Hybrid { coder, fidelity });
         let frames = encode(config, &events, 1 << 14, 1 << 20);
         let header = parse(&frames[0]).header;
+        assert!(matches!(header.mode, Mode::Hybrid(hybrid) if hybrid.coder == coder));
         (frames.concat().len(), header.scans.is_some(), header.mode)
     };
-    let (without, is_told, _) = bytes(Fidelity::Lossless, None);
-    assert!(!is_told);
-    let (with, is_told, mode) = bytes(Fidelity::Lossless, Some(readout));
-    assert!(is_told && with * 5 < without * 4, "{with} {without}");
-    // A tolerance that is finer than the scans costs more than exact times; a coarser one does not.
-    assert_eq!(
-        bytes(Fidelity::ToleranceUs(20), Some(readout)),
-        (with, true, mode)
-    );
-    assert!(!bytes(Fidelity::ToleranceUs(200), Some(readout)).1);
-    assert!(!bytes(Fidelity::Bins(8), Some(readout)).1);
+    for coder in [Coder::Dense]
+        .into_iter()
+        .chain(Effort::ALL.map(Coder::Tree))
+    {
+        let bytes = |fidelity, readout| bytes(coder, fidelity, readout);
+        let (without, is_told, _) = bytes(Fidelity::Lossless, None);
+        assert!(!is_told);
+        let (with, is_told, mode) = bytes(Fidelity::Lossless, Some(readout));
+        assert!(
+            is_told && with * 5 < without * 4,
+            "{coder:?}: {with} {without}"
+        );
+        // A tolerance that is finer than the scans costs more than exact times; a coarser one does not.
+        assert_eq!(
+            bytes(Fidelity::ToleranceUs(20), Some(readout)),
+            (with, true, mode)
+        );
+        assert!(!bytes(Fidelity::ToleranceUs(200), Some(readout)).1);
+        assert!(!bytes(Fidelity::Bins(8), Some(readout)).1);
+    }
 }

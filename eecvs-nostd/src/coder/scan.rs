@@ -87,7 +87,7 @@ impl Readout {
     }
 
     /// Returns the period as a divisor.
-    fn period(self) -> NonZeroU64 {
+    pub(crate) fn period(self) -> NonZeroU64 {
         self.period_q16.into()
     }
 
@@ -97,11 +97,11 @@ impl Readout {
         self.slope_q16
     }
 
-    /// Returns whether a mode may code times by scans: that of the dense coder, if it is lossless or its tolerance
-    /// is finer than half a period.
+    /// Returns whether a mode may code times by scans: that of the dense or the tree coder, if it is lossless or its
+    /// tolerance is finer than half a period.
     pub(crate) const fn serves(self, mode: Mode) -> bool {
         let Mode::Hybrid(Hybrid {
-            coder: Coder::Dense,
+            coder: Coder::Dense | Coder::Tree(_),
             fidelity,
         }) = mode
         else {
@@ -143,7 +143,7 @@ impl Readout {
 }
 
 /// The scans of one window: times at which the sensor reads its lines.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Scans {
     readout: Readout,
@@ -260,6 +260,20 @@ impl Scans {
     const fn time_us(self, at: (u16, u16), scan: u32) -> i64 {
         let time_q16 = self.start_q16(at) + scan as i64 * self.readout.period_q16() as i64;
         (time_q16 + (1 << 15)) >> 16
+    }
+
+    /// Returns about when a scan reads line 0, in microseconds from the window's start, modulo 2^32.
+    #[inline]
+    pub(crate) const fn line0_us(self, scan: u32) -> u32 {
+        let period_q16 = self.readout.period_q16() as i64;
+        ((self.phase_q16 as i64 + scan as i64 * period_q16) >> 16) as u32
+    }
+
+    /// Returns which 32nd of a microsecond a scan of a pixel begins in, counted from where its time is rounded.
+    #[inline]
+    pub(crate) const fn fraction(self, at: (u16, u16), scan: u32) -> u32 {
+        let time_q16 = self.start_q16(at) + scan as i64 * self.readout.period_q16() as i64;
+        ((time_q16 + (1 << 15)) as u64 >> 11) as u32 % 32
     }
 
     /// Codes a time below the window's duration: the scan in the upper bits, [`FINE_BITS`] of distance below. The

@@ -304,7 +304,7 @@ impl Content for Gathered<'_> {
 
     fn peek(&self) -> (u32, bool) {
         self.next()
-            .map_or((0, false), |event| (event.cell(), event.is_on()))
+            .map_or((0, false), |event| (event.coded_time(), event.is_on()))
     }
 
     fn take(&mut self, _cell: u32, _on: bool) {
@@ -320,7 +320,7 @@ impl Content for Gathered<'_> {
         let next = self.events.get(list as usize + 1);
         let is_same = next.is_some_and(|next| next.position() == event.position());
         Some(Node {
-            cell: event.cell(),
+            cell: event.coded_time(),
             on: event.is_on(),
             next: if is_same { list + 1 } else { END },
         })

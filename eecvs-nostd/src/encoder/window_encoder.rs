@@ -468,7 +468,7 @@ impl<'b> WindowEncoder<'b> {
         }
         if let Mode::Hybrid(hybrid) = &mut mode
             && let Coder::Tree(effort) = hybrid.coder
-            && !(HAS_TREE && self.config.readout.is_none() && self.has_tree(sensor, effort, window))
+            && !(HAS_TREE && self.has_tree(sensor, effort, window))
         {
             hybrid.coder = Coder::Dense;
         }
@@ -719,18 +719,18 @@ impl<'b> WindowEncoder<'b> {
         payload: &mut [u8],
     ) -> Option<usize> {
         let header = &mut task.header;
-        let times = Times::new(hybrid.fidelity, None, header.duration_us);
+        let times = Times::new(hybrid.fidelity, header.scans, header.duration_us);
         let memory = self.scratch.tree.as_mut()?;
         // No dense frame can code what was gathered if its memory is too small.
         let dense = self.scratch.dense.as_ref();
         dense.filter(|memory| memory.serves(header.sensor))?;
         // Times of too many bits.
-        Shape::of_window(times.count(), effort, 0, 0)?;
+        Shape::of_window(times, effort, 0, 0)?;
         let mut encoder = EventEncoder::new(&mut self.group, window, times, &mut task.is_rest);
         let (count, pixels) = encoder.gather(memory.events);
         task.gathered = Some(0);
-        let shape = Shape::of_window(times.count(), effort, count as u32, pixels)?;
-        let start = header.first_cell(times.count());
+        let shape = Shape::of_window(times, effort, count as u32, pixels)?;
+        let start = header.clock(times);
         // The coder takes all memory but that of the events.
         let events = core::mem::take(&mut memory.events);
         let coded =
@@ -967,18 +967,19 @@ mod tests {
                         let Some(levels) = header.levels else {
                             continue;
                         };
-                        let shape = Shape::new(header.duration_us, levels).unwrap();
+                        let times = Times::new(Fidelity::Lossless, None, header.duration_us);
+                        let shape = Shape::new(times, levels).unwrap();
                         let mut found = vec![TreeEvent::NONE; header.events as usize];
                         if header.is_key {
                             tree.restart();
                         }
-                        let start = header.first_cell(header.duration_us);
+                        let start = header.clock(times);
                         assert!(tree.decode(shape, start, frame.payload, &mut found));
                         let mut sent = sent.clone();
                         sent.sort_by_key(|event| (event.y, event.x, event.t_us));
                         assert_eq!(found.len(), sent.len());
                         for (found, sent) in found.iter().zip(&sent) {
-                            let t_us = header.t0_us + u64::from(found.cell());
+                            let t_us = header.t0_us + u64::from(found.coded_time());
                             assert_eq!((found.position(), t_us), ((sent.x, sent.y), sent.t_us));
                         }
                     }

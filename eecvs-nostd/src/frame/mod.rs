@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::checksum::{CRC_16, crc_32};
 use crate::coder::tree::{Levels, Shape};
-use crate::coder::{Axis, Cells, Coder, Effort, Fidelity, Hybrid, Readout, Scans};
+use crate::coder::{Axis, Coder, Effort, Fidelity, Hybrid, Readout, Scans, Times};
 use crate::pack::bits_lsb_first::BitReader;
 use crate::pack::descriptor::Descriptor;
 use crate::pack::unpack::UnpackError;
@@ -86,7 +86,7 @@ pub struct Header {
     pub has_previous: bool,
     /// Levels of the trees; in frames of the tree coder alone.
     pub levels: Option<Levels>,
-    /// Scans by which the times are coded; only in lossless frames of the dense coder.
+    /// Scans by which the times are coded; only in lossless frames of the dense and the tree coder.
     pub scans: Option<Scans>,
     /// Order section of the payload: in frames of an encoder that keeps arrival order, once every event of the
     /// window is in this frame or an earlier one.
@@ -396,10 +396,14 @@ impl Header {
         self.mode.keeps_arrival() && self.last && self.window_events > 0
     }
 
-    /// Returns the number of the window's first cell among those of all time, of which a window has `cells`: low bits
-    /// of it, which tell how long a pixel has been silent.
+    /// Returns low bits of the window's start on a clock that goes on from window to window and shows how long a pixel
+    /// has been silent: the number of the first cell among those of all time, or microseconds where times are scans.
     #[must_use]
-    pub const fn first_cell(&self, cells: u32) -> u32 {
+    pub const fn clock(&self, times: Times) -> u32 {
+        let cells = match times {
+            Times::Cells(cells) => cells.count(),
+            Times::Scans(_) => return self.t0_us as u32,
+        };
         let duration_us = if self.duration_us == 0 {
             1
         } else {
@@ -582,7 +586,7 @@ impl Header {
         let code = wire.mode ^ chained;
         let allowed = match (coder, code) {
             (DENSE, _) => KEY | PREVIOUS | COLUMNS | ROWS,
-            (TREE, _) => KEY | PREVIOUS,
+            (TREE, _) => KEY | PREVIOUS | COLUMNS | ROWS,
             (_, COEFFICIENTS_DENSE) => KEY | PREVIOUS,
             _ => 0,
         };
@@ -665,8 +669,8 @@ impl Header {
                 };
                 let effort = Effort::from_number(tree & 3)?;
                 hybrid.coder = Coder::Tree(effort);
-                let cells = Cells::new(hybrid.fidelity, wire.duration_us);
-                Shape::new(cells.count(), told)?;
+                let times = Times::new(hybrid.fidelity, scan, wire.duration_us);
+                Shape::new(times, told)?;
                 levels = Some(told);
                 // A window is whole, but its order may go on in further frames. Only effort one does without history.
                 let is_whole = part.events == wire.window_events;

@@ -220,9 +220,7 @@ impl HybridDecoder {
         times: Times,
     ) -> Result<Vec<Event>, Refused> {
         let mut chain = TreeChain::of(self.trees.take(), header, effort)?;
-        let shape = header
-            .levels
-            .and_then(|levels| Shape::new(times.count(), levels));
+        let shape = header.levels.and_then(|levels| Shape::new(times, levels));
         let shape = shape.ok_or(Refused::Malformed)?;
         let count = header.events as usize;
         self.found.clear();
@@ -239,10 +237,10 @@ impl HybridDecoder {
         if header.is_key {
             tree.restart();
         }
-        let start = header.first_cell(times.count());
+        let start = header.clock(times);
         let is_whole = tree.decode(shape, start, payload, &mut self.found);
-        // A window need not have a power of two of cells.
-        let is_inside = |event: &TreeEvent| event.cell() < times.count();
+        // A window need not have a power of two of cells or scans.
+        let is_inside = |event: &TreeEvent| event.coded_time() >> times.fine_bits() < times.count();
         if !is_whole || !self.found.iter().all(is_inside) {
             return Err(Refused::Malformed);
         }
@@ -251,9 +249,15 @@ impl HybridDecoder {
         let mut events = std::mem::take(&mut self.spare);
         events.clear();
         let found = self.found.iter();
-        events.extend(
-            found.map(|found| event(header, times, found.position(), found.cell(), found.is_on())),
-        );
+        events.extend(found.map(|found| {
+            event(
+                header,
+                times,
+                found.position(),
+                found.coded_time(),
+                found.is_on(),
+            )
+        }));
         Ok(events)
     }
 }

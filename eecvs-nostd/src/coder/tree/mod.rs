@@ -31,6 +31,7 @@ use crate::coder::tree::mix::{Mixer, MixerMemory};
 use crate::coder::tree::pyramid::Pyramid;
 use crate::coder::tree::range::{BitCoder, Decoder, Encoder};
 use crate::coder::tree::times::{Clock, mixed, single};
+use crate::coder::{Scans, Times};
 use event_types::Sensor;
 
 /// How much the coder computes for fewer bits.
@@ -86,37 +87,45 @@ pub struct Shape {
     first: u32,
     /// Levels of the second tree.
     second: u32,
+    /// Scans of which the upper bits of a time are the number.
+    scans: Option<Scans>,
 }
 
 impl Shape {
-    /// Returns the shape for times below `units`, with trees of `levels` (the second only if the first has
-    /// all six); `None` if these are out of their ranges, or together more than the times have bits, or if
-    /// the times have more than [`TIME_BITS_MAX`]. Times below 1 have one bit.
+    /// Returns the shape for times that are coded so, with trees of `levels` (the second only if the first has all
+    /// six); `None` if these are out of their ranges, or together more than the numbers of cells or scans have bits, or
+    /// if the times have more than [`TIME_BITS_MAX`]. A single cell has one bit.
     #[must_use]
-    pub const fn new(units: u32, levels: Levels) -> Option<Self> {
+    pub const fn new(times: Times, levels: Levels) -> Option<Self> {
         let (first, second) = (levels.first as u32, levels.second as u32);
-        let bits = Self::bits_of(units);
+        let tops = Self::bits_of(times.count());
+        let bits = tops + times.fine_bits();
         let is_first = first >= 1 && first <= LEVELS_MAX;
         let is_second = second == 0 || (second <= LEVELS_MAX && first == LEVELS_MAX);
-        if is_first && is_second && bits <= TIME_BITS_MAX && first + second <= bits {
+        if is_first && is_second && bits <= TIME_BITS_MAX && first + second <= tops {
+            let scans = match times {
+                Times::Cells(_) => None,
+                Times::Scans(scans) => Some(scans),
+            };
             Some(Self {
                 bits,
                 first,
                 second,
+                scans,
             })
         } else {
             None
         }
     }
 
-    /// Chooses the shape for a window of times below `units` with so many events and active pixels.
+    /// Chooses the shape for a window with times that are coded so, and so many events and active pixels.
     ///
     /// The more events share a pixel, the finer are the slots in which their neighbours tell where they are; where
     /// each pixel has an event of its own, more levels cost time and save nothing. The rule follows the best shapes of
     /// some recordings with windows of 4 to 131 ms. Returns `None` if the times have too many bits.
     #[must_use]
-    pub const fn of_window(units: u32, effort: Effort, events: u32, pixels: u32) -> Option<Self> {
-        let bits = Self::bits_of(units);
+    pub const fn of_window(times: Times, effort: Effort, events: u32, pixels: u32) -> Option<Self> {
+        let bits = Self::bits_of(times.count());
         // Eighths of events per active pixel.
         let shared = match (8 * events as u64).checked_div(pixels as u64) {
             Some(shared) => shared,
@@ -136,7 +145,7 @@ impl Shape {
         let rest = bits.saturating_sub(first);
         let second = if second < rest { second } else { rest };
         Self::new(
-            units,
+            times,
             Levels {
                 first: first as u8,
                 second: second as u8,
@@ -144,8 +153,8 @@ impl Shape {
         )
     }
 
-    const fn bits_of(units: u32) -> u32 {
-        let bits = 32 - units.saturating_sub(1).leading_zeros();
+    const fn bits_of(count: u32) -> u32 {
+        let bits = 32 - count.saturating_sub(1).leading_zeros();
         if bits == 0 { 1 } else { bits }
     }
 
@@ -169,7 +178,7 @@ impl Shape {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TreeEvent {
-    /// From the window's start, in time units: the number of its cell.
+    /// As it is coded: the number of its cell, or of its scan with the distance from it.
     time: u32,
     /// Column, row << 16, and for ON events bit 31.
     at: u32,
@@ -181,11 +190,11 @@ impl TreeEvent {
     /// No event; for memory whose content does not count.
     pub const NONE: Self = Self { time: 0, at: 0 };
 
-    /// Returns the event of a cell at column and row.
+    /// Returns the event of a coded time ([`Times::of`]) at column and row.
     #[inline]
     #[must_use]
-    pub const fn at((x, y): (u16, u16), cell: u32, is_on: bool) -> Self {
-        Self::new(cell, Self::place_of(x as u32, y as u32), is_on)
+    pub const fn at((x, y): (u16, u16), coded_time: u32, is_on: bool) -> Self {
+        Self::new(coded_time, Self::place_of(x as u32, y as u32), is_on)
     }
 
     /// Returns column and row.
@@ -195,10 +204,10 @@ impl TreeEvent {
         (self.at as u16, (self.place() >> 16) as u16)
     }
 
-    /// Returns the number of its cell.
+    /// Returns its time as it is coded: see [`Times`].
     #[inline]
     #[must_use]
-    pub const fn cell(self) -> u32 {
+    pub const fn coded_time(self) -> u32 {
         self.time
     }
 
@@ -402,9 +411,8 @@ impl<'b> Tree<'b> {
         }
     }
 
-    /// Encodes a window whose first time unit is number `start` of all time (its low bits suffice), and returns the
-    /// payload's length in bytes, or `None` if `out` was too short: the next window then has to begin with
-    /// [`Self::restart`].
+    /// Encodes a window that begins at `start` ([`crate::frame::Header::clock`]), and returns the payload's length in
+    /// bytes, or `None` if `out` was too short: the next window then has to begin with [`Self::restart`].
     ///
     /// `events` are in raster order, and in a pixel by time; those of equal time keep their order. Their times are
     /// below those of the shape.
@@ -475,7 +483,7 @@ impl<'b> Tree<'b> {
         } else {
             **number + 1
         };
-        let clock = Clock { shape, start };
+        let clock = Clock::new(shape, start);
         match state {
             State::Single {
                 places,

@@ -1,6 +1,7 @@
 //! The coder as a whole: every window comes back, and any bytes are decoded to an end.
 
 use super::*;
+use crate::coder::{Axis, Cells, Fidelity, Readout};
 use proptest::prelude::*;
 use std::{vec, vec::Vec};
 
@@ -64,7 +65,7 @@ struct Case {
     sensor: Sensor,
     effort: Effort,
     shape: Shape,
-    units: u32,
+    times: Times,
     has_history: bool,
 }
 
@@ -84,6 +85,34 @@ impl Case {
     }
 }
 
+/// Cells of a microsecond.
+fn cells(count: u32) -> Times {
+    Times::Cells(Cells::new(Fidelity::Lossless, count))
+}
+
+/// Scans of a window: along columns or rows, period, slope, and a number that says how much before the window the line
+/// that is read last has its first scan.
+fn scans_of(
+    sensor: Sensor,
+    duration_us: u32,
+    (is_columns, period_q16, slope_q16, ago): (bool, u32, i32, u32),
+) -> Option<Scans> {
+    let axis = if is_columns {
+        Axis::Columns
+    } else {
+        Axis::Rows
+    };
+    let readout = Readout::new(axis, period_q16, slope_q16)?;
+    let lines = if is_columns {
+        sensor.width
+    } else {
+        sensor.height
+    };
+    let last = i64::from(slope_q16.max(0)) * i64::from(lines - 1);
+    let phase_q16 = i32::try_from(-last - i64::from(ago % period_q16)).ok()?;
+    Scans::new(readout, phase_q16, sensor, duration_us)
+}
+
 fn sensors() -> impl Strategy<Value = Sensor> {
     let sides = prop_oneof![
         4 => (1_u16..150, 1_u16..60),
@@ -100,24 +129,38 @@ fn cases() -> impl Strategy<Value = Case> {
         1_u32..=1 << 28,
         (0_u32..=28).prop_map(|b| 1 << b)
     ];
-    let shape = (units, 1_u8..=6, 0_u8..=6).prop_filter_map("levels", |(units, first, second)| {
-        let second = if first == 6 { second } else { 0 };
-        let shape = |first, second| Shape::new(units, Levels { first, second });
-        let some = shape(first, second).or_else(|| shape(first, 0));
-        Some((units, some.or_else(|| shape(1, 0))?))
-    });
+    let shape = (1_u8..=6, 0_u8..=6);
+    let scans = (
+        any::<bool>(),
+        16_u32 << 16..=250 << 16,
+        -125_i32 << 16..=125 << 16,
+        any::<u32>(),
+    );
+    let scans = proptest::option::weighted(0.3, scans);
     let effort = prop_oneof![
         6 => Just(Effort::One),
         1 => Just(Effort::Two),
         1 => Just(Effort::Three)
     ];
-    (sensors(), effort, shape, any::<bool>()).prop_map(
-        |(sensor, effort, (units, shape), has_history)| Case {
-            sensor,
-            effort,
-            shape,
-            units,
-            has_history,
+    let all = (sensors(), effort, (units, scans), shape, any::<bool>());
+    all.prop_filter_map(
+        "levels",
+        |(sensor, effort, (units, scans), (first, second), has_history)| {
+            let times = match scans {
+                None => cells(units),
+                Some(scans) => Times::Scans(scans_of(sensor, units, scans)?),
+            };
+            let second = if first == 6 { second } else { 0 };
+            let shape = |first, second| Shape::new(times, Levels { first, second });
+            let some = shape(first, second).or_else(|| shape(first, 0));
+            let shape = some.or_else(|| shape(1, 0))?;
+            Some(Case {
+                sensor,
+                effort,
+                shape,
+                times,
+                has_history,
+            })
         },
     )
 }
@@ -126,7 +169,13 @@ fn cases() -> impl Strategy<Value = Case> {
 fn window(case: Case) -> impl Strategy<Value = Vec<TreeEvent>> {
     let Sensor { width, height } = case.sensor;
     let near = |side: u16| prop_oneof![0..side, 0..side.min(3)];
-    let time = prop_oneof![0..case.units, 0..case.units.min(9)];
+    let count = case.times.count();
+    let top = prop_oneof![0..count, 0..count.min(9)];
+    // Distances from a scan that an encoder writes.
+    let fine = prop_oneof![1_u32..256, 127_u32..130];
+    let bits = case.times.fine_bits();
+    let time =
+        (top, fine).prop_map(move |(top, fine)| if bits == 0 { top } else { top << bits | fine });
     let event = (near(width), near(height), time, any::<bool>());
     let events = proptest::collection::vec(event, 0..120);
     (events, 0_u8..8).prop_map(move |(events, kind)| {
@@ -177,7 +226,7 @@ proptest! {
                 decoder.restart();
             }
             is_first = false;
-            start = start.wrapping_add(if skip % 2 == 0 { case.units } else { *skip });
+            start = start.wrapping_add(if skip % 2 == 0 { case.times.count() } else { *skip });
             let mut out = vec![0; 64 + 24 * window.len()];
             let mut sent = window.clone();
             let len = encoder.encode(case.shape, start, &mut sent, &mut out).unwrap();
@@ -242,7 +291,7 @@ proptest! {
             for event in got {
                 let (x, y) = event.position();
                 prop_assert!(x < case.sensor.width && y < case.sensor.height);
-                prop_assert!(event.cell() >> case.shape.bits == 0);
+                prop_assert!(event.coded_time() >> case.shape.bits == 0);
             }
         }
     }
@@ -251,7 +300,7 @@ proptest! {
 #[test]
 fn shapes_have_bounds() {
     let levels = |units, first, second| {
-        let shape = Shape::new(units, Levels { first, second });
+        let shape = Shape::new(cells(units), Levels { first, second });
         shape.map(|shape| (shape.levels().first, shape.levels().second))
     };
     assert_eq!(levels(1, 1, 0), Some((1, 0)));
@@ -281,12 +330,12 @@ fn windows_have_shapes() {
     for effort in Effort::ALL {
         for bits in 0..=31 {
             for (events, pixels) in [(0, 0), (1, 1), (5, 4), (2, 1), (3, 1), (9, 1), (1 << 24, 1)] {
-                let shape = Shape::of_window(1 << bits, effort, events, pixels);
+                let shape = Shape::of_window(cells(1 << bits), effort, events, pixels);
                 assert_eq!(shape.is_some(), bits <= TIME_BITS_MAX, "{bits}");
             }
         }
         let levels = |events| {
-            let shape = Shape::of_window(32768, effort, events, 8);
+            let shape = Shape::of_window(cells(32768), effort, events, 8);
             shape.map(|shape| (shape.levels().first, shape.levels().second))
         };
         assert_eq!(levels(64), Some((6, 6)));
@@ -307,4 +356,40 @@ fn memory_that_is_too_small_is_refused() {
         memory.words.truncate(words - 1);
         assert!(Tree::new(sensor, effort, 100, true, &mut memory.lent()).is_none());
     }
+}
+
+/// Events on the scans cost less than those beside them, and what a clock shows follows the scans.
+#[test]
+fn times_on_scans_are_cheap() {
+    let sensor = Sensor::new(64, 48).unwrap();
+    let scans = scans_of(sensor, 50_000, (true, 197 << 16, -30_000, 0)).unwrap();
+    let times = Times::Scans(scans);
+    let bytes = |beside: u32| {
+        let mut events: Vec<_> = (0..3000_u32)
+            .map(|i| {
+                let mixed = i.wrapping_mul(0x9E37_79B9);
+                let place = ((mixed >> 8 & 63) as u16, (mixed >> 16) as u16 % 48);
+                let fine = 128 + if beside > 0 { mixed >> 5 & beside } else { 0 };
+                TreeEvent::at(place, mixed % scans.count() << 8 | fine, mixed >> 31 == 1)
+            })
+            .collect();
+        sort(&mut events);
+        let sizes = Sizes::new(sensor, Effort::One, events.len(), true);
+        let mut memory = Memory::new(sizes);
+        let mut lent = memory.lent();
+        let mut tree = Tree::new(sensor, Effort::One, events.len(), true, &mut lent).unwrap();
+        tree.restart();
+        let shape = Shape::of_window(times, Effort::One, 3000, 1500).unwrap();
+        let mut out = vec![0; 24_000];
+        tree.encode(shape, 7, &mut events, &mut out).unwrap()
+    };
+    let (on, beside) = (bytes(0), bytes(1));
+    // A bit an event.
+    assert!((350..400).contains(&(beside - on)), "{on} {beside}");
+    let shape = Shape::of_window(times, Effort::One, 3000, 1500).unwrap();
+    let clock = Clock::new(shape, 1000);
+    assert_eq!(clock.at(2 << 8 | 130), 1000 + 2 * 197 + scans.line0_us(0));
+    // 197 us are a scan, but for the rounding.
+    assert_eq!(clock.units(197), 255);
+    assert_eq!(clock.units(u32::MAX), 1 << 30);
 }

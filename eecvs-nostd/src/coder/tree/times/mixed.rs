@@ -408,7 +408,8 @@ impl<C: BitCoder> Walk<'_, '_, C> {
         }
         scene.expect();
         let place = TreeEvent::place_of(x, y);
-        let Clock { shape, start } = self.clock;
+        let clock = self.clock;
+        let (shape, start) = (clock.shape, clock.at(0));
         let shift = shape.bits - shape.first;
         let mut target = Nodes::NONE;
         if C::ENCODES {
@@ -439,7 +440,8 @@ impl<C: BitCoder> Walk<'_, '_, C> {
         };
         let around = few(scene.near.map(|view| view.tree.leaves));
         let levels = (shape.first, shift);
-        let tree = self.tree::<FULL>(0, &scene, target, levels, (since, 0), &own);
+        let from = (clock.units(since), 0);
+        let tree = self.tree::<FULL>(0, &scene, target, levels, from, &own);
         self.row.add(tree);
         let mut made = Pixel {
             inner: tree.inner,
@@ -505,7 +507,8 @@ impl<C: BitCoder> Walk<'_, '_, C> {
                 let leaves = leaves_within(events, place, leaf_bits, shape.second);
                 target = Nodes::of(leaves, shape.second);
             }
-            let since = start.wrapping_add(base).wrapping_sub(own.last_time) & (2 * NEVER - 1);
+            let since = clock.at(base).wrapping_sub(own.last_time) & (2 * NEVER - 1);
+            let since = clock.units(since);
             let levels = (shape.second, leaf_bits);
             let tree = self.tree::<FULL>(SECOND, &inside, target, levels, (since, base), &own);
             self.row_seconds[i as usize & 63].add(tree);
@@ -548,7 +551,7 @@ impl<C: BitCoder> Walk<'_, '_, C> {
         let last = events.last().copied().unwrap_or_default();
         made.last = 2 * u32::from(last.is_on());
         if let Some(place) = kept.lasts.get_mut(index) {
-            *place = start.wrapping_add(last.time) << 1 | u32::from(last.is_on());
+            *place = clock.at(last.time) << 1 | u32::from(last.is_on());
         }
         let set = |bytes: &mut [u8], at: usize, byte: u8| {
             if let Some(place) = bytes.get_mut(at) {
@@ -739,8 +742,7 @@ impl<C: BitCoder> Walk<'_, '_, C> {
         own: &mut Own,
         events: &mut [TreeEvent],
     ) -> (usize, bool, bool) {
-        let start = self.clock.start;
-        let silence = start.wrapping_add(leaf.base).wrapping_sub(own.last_time) & (NEVER - 1);
+        let silence = self.clock.at(leaf.base).wrapping_sub(own.last_time) & (NEVER - 1);
         let silence = half_octaves(silence >> 6).min(31);
         let interval = u32::from(own.interval) & 15;
         let mut count = 1_u32;
@@ -778,12 +780,10 @@ impl<C: BitCoder> Walk<'_, '_, C> {
         let mut time = 0;
         for (k, event) in (0..count).zip(events) {
             let told = event.time.wrapping_sub(leaf.base);
-            time = if count == 1 {
-                self.coder.raw(told, leaf.shift)
-            } else {
-                let low = &mut self.learned.low;
-                low.code(self.coder, (k, count), leaf.shift, told, time)
-            };
+            let low = &mut self.learned.low;
+            let scans = (self.clock.shape.scans.as_ref(), place);
+            let within = (leaf.base, leaf.shift);
+            time = low.code(self.coder, (k, count), scans, within, told, time);
             let all = (near, scene);
             let on = self.polarity::<FULL>(leaf, (k, time), all, own, event.is_on());
             has_on |= on;
@@ -805,7 +805,7 @@ impl<C: BitCoder> Walk<'_, '_, C> {
         own: &mut Own,
         is_on: bool,
     ) -> bool {
-        let now = self.clock.start.wrapping_add(leaf.base + time);
+        let now = self.clock.at(leaf.base + time);
         let since = now.wrapping_sub(own.last_time) & (NEVER - 1);
         let ago = (32 - (since >> 8).leading_zeros()).min(15);
         own.last_time = now;

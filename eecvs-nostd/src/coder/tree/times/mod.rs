@@ -5,16 +5,19 @@
 //! occupied at the same place in the trees of the neighbours, and by how long the pixel has been silent. In a leaf
 //! follow the number of its events, the low bits of their times, and after each time the polarity.
 
+mod beside;
 pub(super) mod mixed;
 pub(super) mod single;
 
 use event_types::Sensor;
 
+use self::beside::Beside;
 use super::counter::{Counter, code_value};
 use super::places::MixedSizes;
 use super::pyramid::{Level, MARGIN_BYTES, halved, word_at};
 use super::range::BitCoder;
 use super::{Shape, TreeEvent};
+use crate::coder::scan::{FINE_BITS, Scans};
 
 /// Number of counters that [`single`] has, and [`mixed`] besides its mixers.
 pub(super) const COUNTERS_SINGLE: usize = single::COUNTERS;
@@ -183,17 +186,18 @@ fn leaves_within(events: &[TreeEvent], place: u32, leaf_bits: u32, levels: u32) 
     })
 }
 
-/// Low bits of the times in a leaf of several events.
+/// Low bits of the times in a leaf.
 #[derive(Debug)]
 struct Low<'m> {
     /// Upper two bits of the first event's, if there are two events, or more.
     first: [&'m mut [Counter; 4]; 2],
     /// Class of the distance to the event before: 0, or one more than the logarithm.
     distance: [&'m mut [Counter; 32]; 2],
+    beside: Beside<'m>,
 }
 
 impl<'m> Low<'m> {
-    const COUNTERS: usize = 2 * (4 + 32);
+    const COUNTERS: usize = 2 * (4 + 32) + Beside::COUNTERS;
 
     fn new(counters: &mut &'m mut [Counter]) -> Option<Self> {
         fn two<'m, const N: usize>(
@@ -207,6 +211,7 @@ impl<'m> Low<'m> {
         Some(Self {
             first: two(counters)?,
             distance: two(counters)?,
+            beside: Beside::new(counters)?,
         })
     }
 
@@ -217,11 +222,36 @@ impl<'m> Low<'m> {
         for counters in &mut self.distance {
             counters.fill(Counter::EVEN);
         }
+        self.beside.restart();
     }
 
-    /// Codes the time in a leaf of `shift` bits of event number `k` of `count`; `before` is that of the one before.
+    /// Codes the time of event number `k` of `count` of a pixel in a leaf that begins at `base` and has `shift` bits;
+    /// `before` is the time of the event before it. Both are from the leaf's start.
     #[inline(always)]
     fn code<C: BitCoder>(
+        &mut self,
+        coder: &mut C,
+        (k, count): (u32, u32),
+        (scans, place): (Option<&Scans>, u32),
+        (base, shift): (u32, u32),
+        time: u32,
+        before: u32,
+    ) -> u32 {
+        let Some(scans) = scans else {
+            return self.steps(coder, (k, count), shift, time, before);
+        };
+        let upper = (time >> FINE_BITS, before >> FINE_BITS);
+        let shift = shift.saturating_sub(FINE_BITS);
+        let scan = self.steps(coder, (k, count), shift, upper.0, upper.1);
+        let at = (place as u16, (place >> 16) as u16);
+        let fraction = scans.fraction(at, (base >> FINE_BITS) + scan);
+        let fine = time & low_mask(FINE_BITS);
+        scan << FINE_BITS | self.beside.code(coder, fraction, fine)
+    }
+
+    /// As [`Self::code`], without scans.
+    #[inline(always)]
+    fn steps<C: BitCoder>(
         &mut self,
         coder: &mut C,
         (k, count): (u32, u32),
@@ -229,6 +259,9 @@ impl<'m> Low<'m> {
         time: u32,
         before: u32,
     ) -> u32 {
+        if count == 1 {
+            return coder.raw(time, shift);
+        }
         if shift == 0 {
             return 0;
         }
@@ -253,8 +286,50 @@ impl<'m> Low<'m> {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Clock {
     pub(super) shape: Shape,
-    /// Low bits of the window's start, in time units.
-    pub(super) start: u32,
+    /// Low bits of the window's start: in time units, or where these are scans in microseconds.
+    start: u32,
+    /// Units of a time for each microsecond, in 2^-16, if times are scans.
+    per_us_q16: u64,
+}
+
+impl Clock {
+    /// Most time units that matter.
+    const FAR: u64 = 1 << 30;
+
+    pub(super) fn new(shape: Shape, start: u32) -> Self {
+        let per_us_q16 = shape.scans.map_or(0, |scans| {
+            (1 << (32 + FINE_BITS)) / scans.readout().period()
+        });
+        Self {
+            shape,
+            start,
+            per_us_q16,
+        }
+    }
+
+    /// Returns a time of the window on the clock on which windows follow each other.
+    #[inline(always)]
+    pub(super) const fn at(&self, time: u32) -> u32 {
+        let since = match self.shape.scans {
+            None => time,
+            Some(scans) => scans.line0_us(time >> FINE_BITS),
+        };
+        self.start.wrapping_add(since)
+    }
+
+    /// Returns how many time units an interval of that clock has.
+    #[inline(always)]
+    pub(super) const fn units(&self, interval: u32) -> u32 {
+        if self.per_us_q16 == 0 {
+            return interval;
+        }
+        let units = (interval as u64 * self.per_us_q16) >> 16;
+        if units < Self::FAR {
+            units as u32
+        } else {
+            Self::FAR as u32
+        }
+    }
 }
 
 #[cfg(test)]

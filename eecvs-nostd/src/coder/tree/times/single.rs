@@ -379,7 +379,8 @@ impl<C: BitCoder> Walk<'_, '_, C> {
             return 0;
         };
         let place = TreeEvent::place_of(x, y);
-        let Clock { shape, start } = self.clock;
+        let clock = self.clock;
+        let shape = clock.shape;
         let shift = shape.bits - shape.first;
         let mut target = Nodes::NONE;
         if C::ENCODES {
@@ -394,11 +395,13 @@ impl<C: BitCoder> Walk<'_, '_, C> {
             polarities: *last & 15,
             area: u32::from(*area),
         };
+        let start = clock.at(0);
         let mut since = start.wrapping_sub(own.last_time) & TIME_MASK;
         if *last == 0 {
             since = NEVER;
             own.last_time = start.wrapping_sub(NEVER);
         }
+        let since = clock.units(since);
         let row = if self.has_history {
             self.row
         } else {
@@ -478,7 +481,8 @@ impl<C: BitCoder> Walk<'_, '_, C> {
                 let leaves = leaves_within(events, place, leaf_bits, shape.second);
                 target = Nodes::of(leaves, shape.second);
             }
-            let since = start.wrapping_add(base).wrapping_sub(own.last_time) & TIME_MASK;
+            let since = clock.at(base).wrapping_sub(own.last_time) & TIME_MASK;
+            let since = clock.units(since);
             let levels = (shape.second, leaf_bits);
             let nodes = &mut *self.learned.nodes;
             let tree = code_tree(self.coder, nodes, SECOND, &around, target, levels, since);
@@ -542,9 +546,15 @@ impl<C: BitCoder> Walk<'_, '_, C> {
         let Some(event) = events.first_mut() else {
             return (0, 0, 0);
         };
-        let time = self
-            .coder
-            .raw(event.time.wrapping_sub(leaf.base), leaf.shift);
+        let told = event.time.wrapping_sub(leaf.base);
+        let time = match &self.clock.shape.scans {
+            None => self.coder.raw(told, leaf.shift),
+            scans => {
+                let (scans, low) = (scans.as_ref(), &mut self.learned.low);
+                let leaf = (leaf.base, leaf.shift);
+                low.code(self.coder, (0, 1), (scans, place), leaf, told, 0)
+            }
+        };
         let on = self.polarity(leaf, place, time, near, own, event);
         (1, u64::from(on), u64::from(!on))
     }
@@ -565,7 +575,9 @@ impl<C: BitCoder> Walk<'_, '_, C> {
         for (k, event) in (0..count).zip(events) {
             let told = event.time.wrapping_sub(leaf.base);
             let low = &mut self.learned.low;
-            time = low.code(self.coder, (k, count), leaf.shift, told, time);
+            let scans = (self.clock.shape.scans.as_ref(), place);
+            let within = (leaf.base, leaf.shift);
+            time = low.code(self.coder, (k, count), scans, within, told, time);
             let is_on = self.polarity(leaf, place, time, near, own, event);
             on |= u64::from(is_on);
             off |= u64::from(!is_on);
@@ -584,7 +596,7 @@ impl<C: BitCoder> Walk<'_, '_, C> {
         own: &mut Own,
         event: &mut TreeEvent,
     ) -> bool {
-        let now = self.clock.start.wrapping_add(leaf.base + time) & TIME_MASK;
+        let now = self.clock.at(leaf.base + time) & TIME_MASK;
         let ago = ago(now.wrapping_sub(own.last_time) & TIME_MASK);
         own.last_time = now;
         let side = (near.on >> leaf.i & 1) as u32 * 2 + (near.off >> leaf.i & 1) as u32;
