@@ -2,6 +2,7 @@
 
 mod codec;
 mod cutter;
+pub mod duration;
 mod parallel;
 pub mod readout;
 pub mod step;

@@ -1,0 +1,196 @@
+//! Chooses the duration of windows that suits a recording, by encoding its first events with several.
+//!
+//! Where many events share a pixel, short windows cost the fewest bits; in a quiet scene a longer window shares its
+//! header and its active pixels between more events.
+
+use std::num::NonZeroUsize;
+
+use eecvs_nostd::{Config, Fidelity, Hybrid, Mode, Readout, WindowConfig};
+use event_types::ensure;
+use event_types::stream::{Ahead, EventReader, MemoryReader, Result};
+
+use super::{Codec, Limits, encode};
+use crate::frame_file::FrameFileWriter;
+
+/// Largest number of events that are encoded with each duration.
+pub const EVENTS: usize = 1 << 18;
+/// Durations that are tried, in microseconds.
+pub const DURATIONS_US: [u32; 6] = [4_096, 8_192, 16_384, 32_768, 65_536, 131_072];
+/// Logarithms of the numbers of scans in windows that are tried for a sensor that scans.
+const SCANS_LOG2: [u32; 4] = [6, 7, 8, 9];
+/// Fewest windows of the first events for which a duration is tried.
+const WINDOWS_MIN: u64 = 4;
+
+/// Reads a recording's first events, up to [`EVENTS`] and a batch more, and returns the reader, which delivers them
+/// again, with the configuration that has the duration with the fewest bytes of those events' frame file.
+///
+/// It tries that of the configuration, and those of [`DURATIONS_US`] of which at least four would hold the events'
+/// span; where [`Config::readout`] is set, also windows of 64, 128, 256 and 512 scans. A source that pauses is not
+/// waited for.
+///
+/// # Errors
+/// Modes other than hybrid with exact times or within a tolerance, and a byte budget: there the duration is part of
+/// what is asked for. Errors of the encoder.
+pub fn look(
+    reader: Box<dyn EventReader>,
+    codec: Codec<'_>,
+    limits: Limits,
+    threads: NonZeroUsize,
+) -> Result<(Box<dyn EventReader>, Config)> {
+    let config = codec.config;
+    let is_free = matches!(
+        config.mode,
+        Mode::Hybrid(Hybrid {
+            fidelity: Fidelity::Lossless | Fidelity::ToleranceUs(_),
+            ..
+        })
+    );
+    ensure!(
+        is_free && config.bytes_per_second.is_none() && codec.budget.is_none(),
+        Refused,
+        "the duration of windows can be chosen for --mode hybrid, without --bins and --bytes-per-second"
+    );
+    let ahead = Ahead::new(reader, EVENTS);
+    let events = ahead.events();
+    let times = events.iter().map(|event| event.t_us);
+    let span_us = match (times.clone().min(), times.max()) {
+        (Some(first), Some(last)) => last - first,
+        _ => 0,
+    };
+    let scans = config.readout.into_iter().flat_map(|readout| {
+        let sensor = config.window.sensor;
+        let lines = sensor.width.max(sensor.height);
+        SCANS_LOG2.map(|log2| scans_us(readout, lines, 1 << log2))
+    });
+    let durations = DURATIONS_US.into_iter().chain(scans);
+    let durations =
+        durations.filter(|duration_us| u64::from(*duration_us) <= span_us / WINDOWS_MIN);
+    let mut best = None;
+    for duration_us in [config.window.window_us].into_iter().chain(durations) {
+        let config = Config {
+            window: WindowConfig {
+                window_us: duration_us,
+                ..config.window
+            },
+            ..config
+        };
+        let mut reader = MemoryReader::new(ahead.sensor(), events.to_vec());
+        let mut out = FrameFileWriter::new(std::io::sink());
+        let codec = Codec { config, ..codec };
+        encode(&mut reader, codec, limits, threads, &mut out, &mut |_| ())?;
+        let bytes = out.bytes();
+        if best.is_none_or(|(fewest, _)| bytes < fewest) {
+            best = Some((bytes, config));
+        }
+    }
+    let config = best.map_or(config, |(_, config)| config);
+    Ok((Box::new(ahead), config))
+}
+
+/// Returns the duration of a window that has at most `count` scans wherever it begins, in microseconds.
+fn scans_us(readout: Readout, lines: u16, count: u32) -> u32 {
+    let lag_q16 = u64::from(readout.slope_q16().unsigned_abs()) * u64::from(lines);
+    // The first scan of a line is up to a scan before the window, a time is rounded to its nearest one.
+    let scans_q16 = u64::from(count - 3) * u64::from(readout.period_q16());
+    let duration_us = scans_q16.saturating_sub(lag_q16) >> 16;
+    u32::try_from(duration_us.max(1)).unwrap_or(u32::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use eecvs_nostd::{
+        Axis, Coder, Effort, Event, Polarity, Scans, Sensor, Thresholds, WindowConfig,
+    };
+
+    use super::*;
+
+    fn config(sensor: Sensor) -> Config {
+        let mode = Mode::Hybrid(Hybrid {
+            coder: Coder::Tree(Effort::One),
+            fidelity: Fidelity::Lossless,
+        });
+        let thresholds = Thresholds::new(0, 0).unwrap();
+        Config::new(WindowConfig::new(sensor, 32_768), thresholds, mode)
+    }
+
+    fn chosen(events: &[Event], config: Config) -> Result<(Vec<Event>, u32)> {
+        let reader = MemoryReader::new(config.window.sensor, events.to_vec());
+        let (limits, one) = (Limits::default(), NonZeroUsize::MIN);
+        let (mut reader, config) = look(Box::new(reader), config.into(), limits, one)?;
+        let mut read = Vec::new();
+        while reader.read(&mut read)? > 0 {}
+        Ok((read, config.window.window_us))
+    }
+
+    /// A crowd of events, then a quiet scene: the window follows, and no event is lost.
+    #[test]
+    fn a_dense_scene_has_shorter_windows_than_a_sparse_one() {
+        let sensor = Sensor::new(64, 48).unwrap();
+        let events = |count: u64, gap_us: u64| -> Vec<Event> {
+            let event = |i: u64| {
+                let mixed = i.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+                Event {
+                    t_us: 500 + i * gap_us / 16,
+                    x: (mixed >> 20) as u16 % 64,
+                    y: (mixed >> 40) as u16 % 48,
+                    polarity: Polarity::from_bool(mixed >> 60 > 7),
+                }
+            };
+            (0..count).map(event).collect()
+        };
+        let dense = events(300_000, 10);
+        let sparse = events(20_000, 16_000);
+        let (read, short_us) = chosen(&dense, config(sensor)).unwrap();
+        assert_eq!(read, dense);
+        let (read, long_us) = chosen(&sparse, config(sensor)).unwrap();
+        assert_eq!(read, sparse);
+        assert!(short_us < long_us, "{short_us} {long_us}");
+        // Nothing to choose from.
+        for events in [&[][..], &dense[..1]] {
+            assert_eq!(chosen(events, config(sensor)).unwrap().1, 32_768);
+        }
+    }
+
+    #[test]
+    fn other_modes_are_refused() {
+        let sensor = Sensor::new(64, 48).unwrap();
+        let bins = Mode::Hybrid(Hybrid {
+            coder: Coder::Fast,
+            fidelity: Fidelity::Bins(8),
+        });
+        for mode in [Mode::Transform, bins] {
+            let config = Config {
+                mode,
+                ..config(sensor)
+            };
+            assert!(chosen(&[], config).is_err());
+        }
+        let config = Config {
+            bytes_per_second: std::num::NonZeroU32::new(100_000),
+            ..config(sensor)
+        };
+        assert!(chosen(&[], config).is_err());
+    }
+
+    #[test]
+    fn windows_of_scans_have_no_more_of_them() {
+        let sensor = Sensor::new(320, 240).unwrap();
+        for (axis, period, slope) in [
+            (Axis::Columns, 197 << 16, -39_000),
+            (Axis::Rows, 16 << 16, 3_000),
+            (Axis::Columns, 250 << 16, 0),
+        ] {
+            let readout = Readout::new(axis, period, slope).unwrap();
+            for count in SCANS_LOG2.map(|log2| 1 << log2) {
+                let duration_us = scans_us(readout, 320, count);
+                for ago in [0, period / 2, period - 1] {
+                    // The line that is read last has its first scan up to a period before the window.
+                    let last = slope.max(0) * 319;
+                    let phase = -last - ago as i32;
+                    let scans = Scans::new(readout, phase, sensor, duration_us).unwrap();
+                    assert!(scans.count() <= count, "{} {count}", scans.count());
+                }
+            }
+        }
+    }
+}
