@@ -370,7 +370,11 @@ fn times_on_scans_are_cheap() {
                 let mixed = i.wrapping_mul(0x9E37_79B9);
                 let place = ((mixed >> 8 & 63) as u16, (mixed >> 16) as u16 % 48);
                 let fine = 128 + if beside > 0 { mixed >> 5 & beside } else { 0 };
-                TreeEvent::at(place, mixed % scans.count() << 8 | fine, mixed >> 31 == 1)
+                TreeEvent::at(
+                    place,
+                    ((mixed % scans.count()) << 8) | fine,
+                    mixed >> 31 == 1,
+                )
             })
             .collect();
         sort(&mut events);
