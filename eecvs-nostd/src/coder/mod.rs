@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! group -> cells -> fast, dense or tree -> frame
-//! window in order of arrival -> quick -> frame
+//! window in order of arrival -> quick or keys -> frame
 //! ```
 
 pub mod arrival_order;
@@ -14,6 +14,7 @@ pub mod content;
 pub mod dense;
 pub mod fast;
 pub mod key_frames;
+pub mod keys;
 pub mod quick;
 pub mod range;
 pub mod scan;
