@@ -336,6 +336,7 @@ fn a_window_beyond_the_dense_coders_memory_is_a_fast_frame() {
             words: &mut words,
         }),
         tree: None,
+        keys: None,
         coefficients: None,
         hot: &mut [],
         order: &mut [],

@@ -36,6 +36,9 @@ pub enum Coder {
     /// Adaptive Golomb-like codes, the cheaper to compute: [`fast`].
     #[default]
     Fast,
+    /// Events sorted by place and time, and the differences of their keys in prefix codes, for whole windows on a host:
+    /// [`keys`]. Fewer bits than [`Self::Fast`], at several times its speed; an image has no memory for it.
+    Keys,
     /// Blocks of events in order of arrival, by vectors, the cheapest to compute: [`quick`]. Lossless alone.
     Quick,
     /// A range coder with learned contexts, for fewer bits: [`dense`].
@@ -46,11 +49,12 @@ pub enum Coder {
 }
 
 impl Coder {
-    /// Returns the name in lower case: `fast`, `quick`, `dense`, or `tree-1` to `tree-3` by the effort.
+    /// Returns the name in lower case: `fast`, `keys`, `quick`, `dense`, or `tree-1` to `tree-3` by the effort.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Fast => "fast",
+            Self::Keys => "keys",
             Self::Quick => "quick",
             Self::Dense => "dense",
             Self::Tree(Effort::One) => "tree-1",
