@@ -80,6 +80,40 @@ fn the_documents_quick_payload_is_true() {
 }
 
 #[test]
+fn the_documents_keys_payload_is_true() {
+    let sensor = Sensor {
+        width: 8,
+        height: 4,
+    };
+    let mut config = plain_config(sensor, Transform::Dct, 16);
+    config.window.window_us = 16;
+    config.window.origin_us = Some(1000);
+    config.mode = Mode::Hybrid(Hybrid {
+        coder: Coder::Keys,
+        fidelity: Fidelity::Lossless,
+    });
+    let event = |t_us, x, y, on| Event {
+        t_us,
+        x,
+        y,
+        polarity: Polarity::from_bool(on),
+    };
+    let events = [
+        event(1002, 3, 0, true),
+        event(1005, 3, 0, true),
+        event(1005, 1, 2, false),
+        event(1006, 1, 2, true),
+        event(1014, 2, 2, true),
+    ];
+    let frame = encode(config, &events, 10, 4096).concat();
+    let frame = Frame::parse(&frame).expect("a frame");
+    assert_eq!(
+        bytes_of("\n#### Worked example of the keys coder"),
+        hex(frame.payload)
+    );
+}
+
+#[test]
 fn the_documents_frame_is_true() {
     assert_eq!(bytes_of("\n## Worked example"), hex(&frame()));
 }
