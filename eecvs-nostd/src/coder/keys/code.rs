@@ -34,6 +34,20 @@ impl Code {
         range: (0, 0),
     };
 
+    /// Returns the code of these symbols, which follow each other, with their lengths; the first one's flip is 0, and the
+    /// last one's is 1.
+    pub fn of(symbols: impl Iterator<Item = (usize, u8)>) -> Self {
+        let mut code = Self::NONE;
+        let (mut first, mut end) = (None, 0);
+        for (symbol, length) in symbols {
+            code.set(symbol, length);
+            first = first.or(Some(symbol as u8));
+            end = symbol as u8 + 1;
+        }
+        code.range = (first.unwrap_or(0), end);
+        code
+    }
+
     /// Puts a symbol in.
     #[inline(always)]
     fn set(&mut self, symbol: usize, length: u8) {

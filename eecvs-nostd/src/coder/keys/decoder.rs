@@ -107,8 +107,24 @@ fn decode_slice<K: Kernels>(
         let (three, four) = rest.split_at_mut(section_start(n, 3) - section_start(n, 2));
         read_four(sections, [one, two, three, four], &memory.table)?;
     } else {
+        if model.is_preset {
+            sections[0] = payload.get(at..)?;
+        }
         let mut chain = Chain::new(sections[0]);
-        chain.finish(symbols, &memory.table)?;
+        chain.read(symbols, &memory.table);
+        if model.is_preset {
+            chain.bytes = chain.bytes.get(..chain.at.div_ceil(8))?;
+            at += chain.bytes.len();
+            // Its classes are not those of the span.
+            let highest = Span::new(window, head.units).highest();
+            if symbols
+                .iter()
+                .any(|symbol| u32::from(symbol >> 1) > highest)
+            {
+                return None;
+            }
+        }
+        chain.finish()?;
     }
     // Mantissas.
     let bits: u32 = symbols.iter().map(|&symbol| width(symbol)).sum();
@@ -263,8 +279,9 @@ impl<'a> Chain<'a> {
         self.at += word.trailing_zeros() as usize;
     }
 
+    /// Reads symbols.
     #[inline(always)]
-    fn finish(&mut self, symbols: &mut [u8], table: &Table) -> Option<()> {
+    fn read(&mut self, symbols: &mut [u8], table: &Table) {
         let mut batches = symbols.chunks_exact_mut(BATCH);
         for batch in &mut batches {
             let mut word = self.word();
@@ -278,7 +295,11 @@ impl<'a> Chain<'a> {
             self.next(&mut word, symbol, table);
         }
         self.advance(word);
-        // All bytes are used, and the rest of the last is zeros.
+    }
+
+    /// Returns whether all bytes were read, and the rest of the last is zeros.
+    #[inline(always)]
+    fn finish(&self) -> Option<()> {
         let rest = self.bytes.len() * 8;
         if self.at > rest || rest - self.at > 7 || self.word() != 1 {
             return None;
@@ -334,7 +355,8 @@ fn read_four(
         }
     }
     for (chain, rest) in chains.iter_mut().zip([a_rest, b_rest, c_rest, d_rest]) {
-        chain.finish(rest, table)?;
+        chain.read(rest, table);
+        chain.finish()?;
     }
     Some(())
 }

@@ -4,6 +4,7 @@ use crate::coder::keys::code::{CONTEXTS, Codes, LONGEST, SYMBOLS, codes};
 use crate::coder::keys::head::{Head, Model, SECTIONS, section_start, sections};
 use crate::coder::keys::kernels::{AHEAD, Kernels, Pairs, Span, Symbols, Words};
 use crate::coder::keys::portable::width;
+use crate::coder::keys::preset::preset;
 use crate::coder::keys::sort::Sorter;
 use crate::coder::keys::{SLICE_EVENTS, Simd, Window, slice_start, slices};
 use crate::coder::quick::Placed;
@@ -252,10 +253,31 @@ fn code<K: Kernels>(
     {
         *code = crate::coder::keys::code::code(counts);
     }
-    let codes = codes(&model.codes, model.contexts);
-    let symbol_bits = cost(one, &codes);
+    let mut all_codes = codes(&model.codes, model.contexts);
+    let mut symbol_bits = cost(one, &all_codes);
     // Sections' sizes are not known yet, but have a fixed place.
-    let head_bytes = head.write(n, last.unwrap_or(0), &model, out);
+    let last = last.unwrap_or(0);
+    let mut head_bytes = head.write(n, last, &model, out);
+    if sections(n) == 1 {
+        let mut other = Model {
+            contexts: 1,
+            is_preset: true,
+            ..Model::NONE
+        };
+        other.codes[0] = preset(&span, n);
+        let other_codes = codes(&other.codes, 1);
+        let bits = cost(one, &other_codes);
+        let has_all = one
+            .iter()
+            .zip(&other_codes)
+            .all(|(count, code)| *count == 0 || *code > 0);
+        let other_bytes = head.write(n, last, &other, &mut []);
+        let total = |head: usize, bits: u32| head + bits.div_ceil(8) as usize;
+        if has_all && total(other_bytes, bits) <= total(head_bytes, symbol_bits) {
+            head_bytes = head.write(n, last, &other, out);
+            (model, all_codes, symbol_bits) = (other, other_codes, bits);
+        }
+    }
     let most = head_bytes as u64
         + u64::from(symbol_bits) / 8
         + SECTIONS as u64
@@ -267,12 +289,14 @@ fn code<K: Kernels>(
     let mut at = head_bytes;
     for section in 0..sections(n) {
         let symbols = &symbols[section_start(n, section)..section_start(n, section + 1)];
-        let size = write_symbols(symbols, &codes, &mut out[at..]);
+        let size = write_symbols(symbols, &all_codes, &mut out[at..]);
         head.sections[section] = size as u16;
         at += size;
     }
     at += write_pairs(symbols, &sorter.words, &sorter.pairs, &mut out[at..]);
-    head.patch(n, last.unwrap_or(0), out);
+    if !model.is_preset {
+        head.patch(n, last, out);
+    }
     Ok(at)
 }
 

@@ -3,6 +3,7 @@
 use crate::coder::keys::bits::{Reader, Writer};
 use crate::coder::keys::code::{CONTEXTS, Code, describe, read};
 use crate::coder::keys::kernels::Span;
+use crate::coder::keys::preset::preset;
 use crate::coder::keys::{SLICE_EVENTS, Window};
 
 /// Sections of symbols in a slice of [`SECTIONED`] events and more.
@@ -23,6 +24,8 @@ pub const fn section_start(events: usize, section: usize) -> usize {
 /// Bits of the first byte: the slice tells its times; it has two contexts.
 const TIMES: u8 = 1;
 const SPLIT: u8 = 2;
+/// Bit of the first byte: the code is the preset one, and the only section is as long as its symbols.
+const PRESET: u8 = 4;
 
 /// The codes of a slice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -33,6 +36,8 @@ pub struct Model {
     pub contexts: usize,
     /// First class after which the second context holds.
     pub split: u8,
+    /// Whether the code is the preset one, of a slice with one section.
+    pub is_preset: bool,
 }
 
 impl Model {
@@ -41,6 +46,7 @@ impl Model {
         codes: [Code::NONE; CONTEXTS],
         contexts: 0,
         split: 0,
+        is_preset: false,
     };
 }
 
@@ -53,7 +59,7 @@ pub struct Head {
     pub units: u32,
     /// Whether the header has them: else they are all of the window's.
     pub tells_times: bool,
-    /// Size of each section of symbols.
+    /// Size of each section of symbols; none with the preset code.
     pub sections: [u16; SECTIONS],
 }
 
@@ -65,10 +71,14 @@ impl Head {
         let mut flags = 0;
         flags |= if self.tells_times { TIMES } else { 0 };
         flags |= if model.contexts > 1 { SPLIT } else { 0 };
+        flags |= if model.is_preset { PRESET } else { 0 };
         writer.byte(flags);
         if self.tells_times {
             writer.varint(self.first - last);
             writer.varint(self.units - 1);
+        }
+        if model.is_preset {
+            return writer.bytes();
         }
         for size in &self.sections[..sections(events)] {
             writer.byte(*size as u8);
@@ -84,7 +94,7 @@ impl Head {
         writer.bytes()
     }
 
-    /// Writes the sections' sizes into a header that is there already.
+    /// Writes the sections' sizes into a header without the preset code that is there already.
     pub fn patch(&self, events: usize, last: u32, out: &mut [u8]) {
         let mut writer = Writer::new(&mut []);
         if self.tells_times {
@@ -112,7 +122,7 @@ impl Head {
     ) -> Option<(Self, usize)> {
         let mut reader = Reader::new(payload, at);
         let flags = reader.byte()?;
-        if flags & !(TIMES | SPLIT) != 0 || events == 0 || events > SLICE_EVENTS {
+        if flags & !(TIMES | SPLIT | PRESET) != 0 || events == 0 || events > SLICE_EVENTS {
             return None;
         }
         let all = window.cells.count();
@@ -129,11 +139,31 @@ impl Head {
         } else {
             return None;
         };
+        let span = Span::new(window, units);
         let mut sizes = [0; SECTIONS];
+        if flags & PRESET != 0 {
+            if flags & SPLIT != 0 || sections(events) != 1 {
+                return None;
+            }
+            *model = Model {
+                contexts: 1,
+                is_preset: true,
+                ..Model::NONE
+            };
+            model.codes[0] = preset(&span, events);
+            let head = Self {
+                first,
+                units,
+                tells_times,
+                sections: sizes,
+            };
+            return Some((head, reader.at()));
+        }
+        model.is_preset = false;
         for size in &mut sizes[..sections(events)] {
             *size = u16::from_le_bytes([reader.byte()?, reader.byte()?]);
         }
-        let highest = Span::new(window, units).highest();
+        let highest = span.highest();
         model.contexts = if flags & SPLIT != 0 { 2 } else { 1 };
         model.split = if flags & SPLIT != 0 {
             reader.bits(6)? as u8

@@ -21,6 +21,7 @@ mod kernels;
 #[cfg(target_arch = "aarch64")]
 mod neon;
 mod portable;
+mod preset;
 mod sort;
 #[cfg(test)]
 mod tests;
