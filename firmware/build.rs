@@ -78,7 +78,7 @@ fn golden() -> Result<String, Box<dyn Error>> {
             events,
             frames,
         } = golden;
-        // Images have neither the tree nor the quick coder.
+        // Images have none of the tree, the keys and the quick coder.
         if mode & 3 == 3 {
             continue;
         }

@@ -177,6 +177,7 @@ fn frames(folder: &Path) -> anyhow::Result<()> {
     };
     let of_events = [
         ("fast", lossless(Coder::Fast), false),
+        ("keys", lossless(Coder::Keys), false),
         ("dense", lossless(Coder::Dense), false),
         ("fast-ordered", lossless(Coder::Fast), true),
         ("dense-ordered", lossless(Coder::Dense), true),

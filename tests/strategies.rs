@@ -106,6 +106,7 @@ pub fn hybrid() -> impl Strategy<Value = Hybrid> {
     let coder = prop_oneof![
         Just(Coder::Fast),
         Just(Coder::Dense),
+        Just(Coder::Keys),
         Just(Coder::Quick),
         effort.prop_map(Coder::Tree),
     ];

@@ -15,6 +15,7 @@
 //! Cargo features:
 //!
 //! - `coefficients` (default): the encoder can use the adaptive coefficient coders ([`coder::coefficients`]).
+//! - `keys` (default): the encoder can use the keys coder ([`coder::keys`]).
 //! - `order` (default): the encoder supports [`Config::keep_order`].
 //! - `quick` (default): the encoder can use the quick coder ([`coder::quick`]).
 //! - `tree` (default): the encoder can use the tree coder ([`coder::tree`]).

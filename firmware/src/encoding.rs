@@ -93,6 +93,7 @@ impl Encoding {
             magnitudes: MAGNITUDES.try_take()?,
             dense: None,
             tree: None,
+            keys: None,
             coefficients: None,
             hot: HOT.try_take()?,
             order: &mut [],

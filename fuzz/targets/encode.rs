@@ -22,6 +22,7 @@ pub fn to_mode(mode: u8, fidelity: u8) -> Mode {
                 fidelity: Fidelity::Lossless,
             });
         }
+        1 if mode >> 6 == 2 => Coder::Keys,
         1 => Coder::Fast,
         2 => Effort::from_number(mode >> 6).map_or(Coder::Dense, Coder::Tree),
         3 => return Mode::Coefficients(Coder::Fast),
@@ -79,11 +80,11 @@ pub fn run(data: &[u8]) {
                 width: 50,
                 height: 4,
             }),
-            isolated: *control & 1 == 1 && !mode.keeps_arrival(),
+            isolated: *control & 1 == 1 && !mode.takes_arrival(),
         },
         bytes_per_second: NonZeroU32::new(budget)
-            .filter(|_| *control & 2 == 2 && !mode.is_transform() && !mode.keeps_arrival()),
-        keep_order: *key & 2 == 2 && !mode.is_transform(),
+            .filter(|_| *control & 2 == 2 && !mode.is_transform() && !mode.takes_arrival()),
+        keep_order: *key & 2 == 2 && !mode.is_transform() && !mode.has_keys(),
     };
     let mut storage = HostStorage::new(sensor, 1 + usize::from(*capacity));
     let mut encoder = storage.encoder(config).expect("a valid configuration");

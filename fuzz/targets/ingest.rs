@@ -116,6 +116,7 @@ pub fn run(data: &[u8]) {
         magnitudes: &mut magnitudes,
         dense: None,
         tree: None,
+        keys: None,
         coefficients: None,
         hot: &mut [0; 20],
         order: &mut [],

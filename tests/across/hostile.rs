@@ -313,6 +313,58 @@ fn headers_of_the_quick_coder_say_nothing_else() {
     }
 }
 
+/// A frame of the keys coder may have a fidelity, and has neither history nor order; its payload's events are counted
+/// against its bytes before memory is taken for them.
+#[test]
+fn headers_of_the_keys_coder_say_nothing_else() {
+    let with = |fidelity| Header {
+        mode: Mode::Hybrid(Hybrid {
+            coder: Coder::Keys,
+            fidelity,
+        }),
+        ..quick()
+    };
+    for fidelity in [
+        Fidelity::Lossless,
+        Fidelity::ToleranceUs(9),
+        Fidelity::Bins(9),
+    ] {
+        let header = with(fidelity);
+        let frame = sealed(&header, &[]);
+        assert_eq!(frame[2], 4);
+        assert_eq!(Frame::parse(&frame).map(|frame| frame.header), Ok(header));
+        let fields = &frame[4..usize::from(frame[3]) - 2];
+        let parse = |fields: &[u8]| Frame::parse(&with_fields(&frame, fields)).map(|_| ());
+        for bit in 4..8 {
+            let mut changed = fields.to_vec();
+            changed[2] |= 1 << bit;
+            assert_eq!(parse(&changed), Err(FrameError::HeaderInvalid), "{bit}");
+        }
+        let (before, further) = fields.split_at(fields.len() - 2);
+        assert_eq!(further, [0, 4]);
+        let mut ordered = [before, &[0], further].concat();
+        ordered[1] |= 1 << 7;
+        assert_eq!(parse(&ordered), Err(FrameError::HeaderInvalid));
+        // Levels that neither a tree nor this coder has.
+        for tree in [8, 32, 36, 0xFC] {
+            let other = [before, &[0, tree]].concat();
+            assert_eq!(parse(&other), Err(FrameError::HeaderInvalid), "{tree}");
+        }
+        for payload in [&[][..], &[0; 20], &[0xFF; 300]] {
+            let most = Header {
+                window_events: (1 << 24) - 1,
+                events: (1 << 24) - 1,
+                ..header
+            };
+            let stream = sealed(&most, payload);
+            let limit = WindowLimit::Events((1 << 24) - 1);
+            let mut windows = WindowReader::new(FrameReader::new(&stream[..])).with_limit(limit);
+            assert!(windows.next_window().expect("memory").is_none());
+            assert_eq!(windows.report().frames_malformed, 1);
+        }
+    }
+}
+
 /// A payload of few bytes is refused before memory is taken for the events that its header states.
 #[test]
 fn payloads_of_the_quick_coder_hold_what_they_state() {
@@ -349,9 +401,10 @@ fn payload_of_one() -> [u8; 4] {
 fn crowded_pixels_in_order_of_arrival_are_refused() {
     let sensor = Sensor::new(300, 200).expect("a sensor");
     let mut config = strategies::plain_config(sensor, Transform::Dct, 8);
-    config.mode = quick().mode;
     config.window.window_us = 9;
-    let frames = |of_pixel: u32| {
+    let mut frames = |coder, of_pixel: u32| {
+        let fidelity = Fidelity::Lossless;
+        config.mode = Mode::Hybrid(Hybrid { coder, fidelity });
         let events: Vec<_> = (0..2 * of_pixel - 1)
             .map(|i| Event {
                 t_us: 5,
@@ -362,11 +415,13 @@ fn crowded_pixels_in_order_of_arrival_are_refused() {
             .collect();
         strategies::encode(config, &events, 1 << 18, FRAME_BYTES_MAX).concat()
     };
-    for (of_pixel, is_read) in [(1 << 16, true), ((1 << 16) + 1, false)] {
-        let stream = frames(of_pixel);
-        let mut windows = WindowReader::new(FrameReader::new(&stream[..]));
-        assert_eq!(windows.next_window().expect("memory").is_some(), is_read);
-        assert_eq!(windows.report().frames_crowded, u64::from(!is_read));
+    for coder in [Coder::Keys, Coder::Quick] {
+        for (of_pixel, is_read) in [(1 << 16, true), ((1 << 16) + 1, false)] {
+            let stream = frames(coder, of_pixel);
+            let mut windows = WindowReader::new(FrameReader::new(&stream[..]));
+            assert_eq!(windows.next_window().expect("memory").is_some(), is_read);
+            assert_eq!(windows.report().frames_crowded, u64::from(!is_read));
+        }
     }
 }
 

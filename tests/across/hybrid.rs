@@ -299,7 +299,7 @@ fn a_crowded_pixel_takes_several_frames() {
     let mut config = strategies::plain_config(sensor, eecvs_nostd::Transform::Dct, 8);
     config.window.window_us = 1 << 15;
     let first = events.iter().map(|event| event.t_us).min().expect("some");
-    for coder in [Coder::Fast, Coder::Dense, Coder::Quick] {
+    for coder in [Coder::Fast, Coder::Dense, Coder::Keys, Coder::Quick] {
         let fidelity = Fidelity::Lossless;
         config.mode = Mode::Hybrid(Hybrid { coder, fidelity });
         // The window is aligned to its first event: that has to be the earliest.
@@ -336,6 +336,7 @@ fn a_window_beyond_the_dense_coders_memory_is_a_fast_frame() {
             words: &mut words,
         }),
         tree: None,
+        keys: None,
         coefficients: None,
         hot: &mut [],
         order: &mut [],

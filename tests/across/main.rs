@@ -12,6 +12,7 @@ mod hybrid;
 mod ingest;
 mod keep_order;
 mod kernels;
+mod keys;
 mod link_faults;
 mod memory_budget;
 mod quick;

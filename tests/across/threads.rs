@@ -150,7 +150,7 @@ proptest! {
         batches in proptest::collection::vec(1..400_usize, 1..5),
         damaged in proptest::bool::weighted(0.2), keep_order: bool,
     ) {
-        let keep_order = keep_order && !mode.is_transform();
+        let keep_order = keep_order && !mode.is_transform() && !mode.has_keys();
         let config = Config { mode, key_windows, keep_order, ..config };
         let sensor = config.window.sensor;
         let reorder_us = Some(0);

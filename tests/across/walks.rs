@@ -34,6 +34,7 @@ fn frames(
         magnitudes: &mut [0; 2 * GRID_MAX],
         dense: None,
         tree: None,
+        keys: None,
         coefficients: None,
         hot: &mut [],
         order: &mut [],

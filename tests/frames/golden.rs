@@ -101,6 +101,13 @@ fn hybrid_frames_are_those_of_the_golden_vectors() {
             Fidelity::Bins(8),
             OUTPUT_BYTES_MIN,
         ),
+        ("v4_keys", Coder::Keys, lossless, OUTPUT_BYTES_MIN),
+        (
+            "v4_keys_tolerance",
+            Coder::Keys,
+            Fidelity::ToleranceUs(20),
+            whole,
+        ),
         ("v4_quick", Coder::Quick, lossless, OUTPUT_BYTES_MIN),
         ("v4_tree_1", Coder::Tree(Effort::One), lossless, whole),
         ("v4_tree_2", Coder::Tree(Effort::Two), lossless, whole),

@@ -1,10 +1,11 @@
 //! The worked example of docs/wire-format.md is what the encoder writes.
 
 use eecvs::frame_file::{FrameFileWriter, FrameSink};
+use eecvs::reconstruct::hybrid::HybridDecoder;
 use eecvs_nostd::{
     Coder, Config, Event, Fidelity, Frame, Hybrid, Mode, Polarity, Sensor, Transform,
 };
-use strategies::{encode, plain_config};
+use strategies::{encode, plain_config, sealed};
 
 const DOCUMENT: &str = include_str!("../../docs/wire-format.md");
 
@@ -77,6 +78,55 @@ fn the_documents_quick_payload_is_true() {
         bytes_of("\n#### Worked example of the quick coder"),
         hex(frame.payload)
     );
+}
+
+#[test]
+fn the_documents_keys_payload_is_true() {
+    let sensor = Sensor {
+        width: 8,
+        height: 4,
+    };
+    let mut config = plain_config(sensor, Transform::Dct, 16);
+    config.window.window_us = 16;
+    config.window.origin_us = Some(1000);
+    const HYBRID: Hybrid = Hybrid {
+        coder: Coder::Keys,
+        fidelity: Fidelity::Lossless,
+    };
+    config.mode = Mode::Hybrid(HYBRID);
+    let event = |t_us, x, y, on| Event {
+        t_us,
+        x,
+        y,
+        polarity: Polarity::from_bool(on),
+    };
+    let events = [
+        event(1002, 3, 0, true),
+        event(1005, 3, 0, true),
+        event(1005, 1, 2, false),
+        event(1006, 1, 2, true),
+        event(1014, 2, 2, true),
+    ];
+    let frame = encode(config, &events, 10, 4096).concat();
+    let frame = Frame::parse(&frame).expect("a frame");
+    assert_eq!(
+        bytes_of("\n#### Worked example of the preset code"),
+        hex(frame.payload)
+    );
+    // With a code of its own.
+    let payload = bytes_of("\n#### Worked example of the keys coder");
+    let digits: Vec<_> = payload.bytes().collect();
+    let payload: Vec<u8> = digits
+        .chunks(2)
+        .map(|two| {
+            let two = std::str::from_utf8(two).expect("digits");
+            u8::from_str_radix(two, 16).expect("a byte")
+        })
+        .collect();
+    let frame = sealed(&frame.header, &payload);
+    let frame = Frame::parse(&frame).expect("a frame");
+    let decoded = HybridDecoder::default().frame(&frame, HYBRID);
+    assert_eq!(decoded.as_deref(), Ok(&events[..]));
 }
 
 #[test]

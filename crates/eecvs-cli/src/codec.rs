@@ -149,7 +149,9 @@ enum ModeName {
 enum CoderName {
     /// transform: non-adaptive codes, as a microcontroller uses for coefficients
     Plain,
-    /// For speed; every frame decodes on its own
+    /// For speed; every frame decodes on its own. hybrid: eecvs encode and eecvs-usb capture sort whole windows by place
+    /// and time for it, for the fewest bytes at this speed, unless --keep-order, --isolated or --bytes-per-second is
+    /// given. Files of frames then need a reader of wire version 4
     Fast,
     /// hybrid: for the highest speed, at some more bytes; lossless, keeps the order of events of equal time by itself,
     /// without --isolated and --bytes-per-second. Files of frames then need a reader of wire version 4
@@ -332,6 +334,24 @@ impl CodecOptions {
             bytes_per_second: self.bytes_per_second,
             keep_order: self.keep_order,
         })
+    }
+
+    /// Returns the configuration of an encoder for a file, on a host: that of [`CodecOptions::config`], with the keys
+    /// coder in place of the fast one where it does all that is asked for. A byte budget cannot be set later then.
+    ///
+    /// # Errors
+    /// As for [`CodecOptions::config`].
+    pub fn config_of_file(&self, sensor: Sensor) -> Result<Config> {
+        let mut config = self.config(sensor)?;
+        let is_plain =
+            !config.keep_order && !config.filter.isolated && config.bytes_per_second.is_none();
+        if let Mode::Hybrid(hybrid) = &mut config.mode
+            && hybrid.coder == Coder::Fast
+            && is_plain
+        {
+            hybrid.coder = Coder::Keys;
+        }
+        Ok(config)
     }
 
     /// Returns the configuration of an encoder on a microcontroller.

@@ -239,7 +239,7 @@ impl Windows {
         let decoded = decoded.and_then(|(pixels, events)| {
             let limit = self.limit.pixel_events_max(header.duration_us);
             let is_crowded = u64::from(header.events) > limit
-                && if header.mode.keeps_arrival() {
+                && if header.mode.takes_arrival() {
                     has_crowded_pixel(header.sensor, &events, limit)
                 } else {
                     most_of_a_pixel(&pixels, &events) > limit

@@ -6,6 +6,7 @@ use eecvs_nostd::coder::arrival_order as arrival;
 use eecvs_nostd::coder::coefficients::CoefficientMemory;
 use eecvs_nostd::coder::dense::model::Model;
 use eecvs_nostd::coder::dense::{DenseMemory, words};
+use eecvs_nostd::coder::keys::EncoderMemory;
 use eecvs_nostd::encoder::config::ConfigError;
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::transform::GRID_MAX;
@@ -16,7 +17,7 @@ use eecvs_nostd::{
 };
 use event_types::stream::{Context, Result};
 use event_types::{bail, ensure};
-use zerocopy::{FromBytes, IntoBytes};
+use zerocopy::{FromBytes, FromZeros, IntoBytes};
 
 use crate::tree_memory::TreeStorage;
 
@@ -62,6 +63,7 @@ pub struct HostStorage {
     hot: Vec<u32>,
     coefficients: Box<CoefficientMemory>,
     tree: TreeStorage,
+    keys: Option<Box<EncoderMemory>>,
 }
 
 /// Buffers of one window.
@@ -148,6 +150,7 @@ impl HostStorage {
             hot: Vec::new(),
             coefficients: Box::new(CoefficientMemory::UNSET),
             tree: TreeStorage::default(),
+            keys: None,
         }
     }
 
@@ -188,6 +191,9 @@ impl HostStorage {
             let slots = self.windows.first().map_or(0, WindowMemory::slots);
             self.tree = TreeStorage::new(config.window.sensor, effort, slots);
         }
+        if config.mode.has_keys() && self.keys.is_none() {
+            self.keys = Some(EncoderMemory::new_box_zeroed().ok().context("no memory")?);
+        }
         self.hot.resize(hot.len(), 0);
         let windows: Option<Vec<_>> = self
             .windows
@@ -207,6 +213,7 @@ impl HostStorage {
                 words: &mut self.words,
             }),
             tree: config.mode.effort().map(|_| self.tree.lent()),
+            keys: self.keys.as_deref_mut(),
             coefficients: Some(&mut self.coefficients),
             hot: &mut self.hot,
             order: &mut self.order,
@@ -247,11 +254,19 @@ fn reason(error: ConfigError, config: &Config) -> String {
             config.budget_min()
         ),
         ConfigError::Order => "the order of events can be kept only in mode hybrid".to_owned(),
+        ConfigError::Keys if config.mode.is_transform() => {
+            "the keys coder codes events, in mode hybrid".to_owned()
+        }
+        ConfigError::Keys => {
+            "the keys coder has no order of events of equal time, filter of isolated \
+                              events or byte budget"
+                .to_owned()
+        }
         ConfigError::Quick if config.mode.is_transform() => {
             "the quick coder codes events, in mode hybrid".to_owned()
         }
         ConfigError::Quick if !config.mode.keeps_arrival() => {
-            "windows that keep the order of arrival are for the quick coder".to_owned()
+            "windows that keep the order of arrival are for the quick and the keys coder".to_owned()
         }
         ConfigError::Quick => "the quick coder is lossless: it has no tolerance, bins, filter of \
                                isolated events or byte budget"

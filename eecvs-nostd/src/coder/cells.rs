@@ -68,6 +68,15 @@ impl Cells {
         matches!(self.rule, Rule::Width(1))
     }
 
+    /// Returns the width of all cells but the last in microseconds, at least 1; `None` of bins.
+    #[inline]
+    pub(crate) const fn width_us(self) -> Option<u32> {
+        match self.rule {
+            Rule::Width(width_us) => Some(width_us),
+            Rule::Bins => None,
+        }
+    }
+
     /// Returns the cell of an offset below the window's duration; the cell is below [`Self::count`].
     #[inline]
     #[must_use]

@@ -5,6 +5,7 @@ use core::num::NonZeroU32;
 use crate::coder::coefficients::CoefficientMemory;
 use crate::coder::dense::DenseMemory;
 use crate::coder::key_frames::KEY_WINDOWS;
+use crate::coder::keys::EncoderMemory;
 use crate::coder::tree::TreeMemory;
 use crate::coder::{Coder, Effort, Fidelity, Hybrid, Readout};
 use crate::encoder::rate::WINDOW_BYTES_MIN;
@@ -21,6 +22,9 @@ pub(crate) const HAS_ORDER: bool = cfg!(feature = "order");
 
 /// Whether events can be coded by the tree coder; without the feature none of its code is compiled.
 pub(crate) const HAS_TREE: bool = cfg!(feature = "tree");
+
+/// Whether events can be coded by the keys coder; without the feature none of its code is compiled.
+pub(crate) const HAS_KEYS: bool = cfg!(feature = "keys");
 
 /// Configuration of an encoder, fixed while it runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -74,9 +78,12 @@ pub enum ConfigError {
     /// [`Scratch::tree`] or the feature `tree` is missing, or the memory is too small for the sensor and the effort;
     /// or the tree coder was asked for coefficients.
     Tree,
+    /// The keys coder, which tells no order and removes no isolated events, with either or a budget; or
+    /// [`Scratch::keys`] or the feature `keys` is missing, or the coder was asked for coefficients.
+    Keys,
     /// The quick coder, which is lossless and removes no isolated events, with a fidelity, that filter or a budget;
     /// or the feature `quick` is missing, or the coder was asked for coefficients. Or the window keeps the order of
-    /// arrival for another coder.
+    /// arrival for a coder other than it and the keys coder.
     Quick,
     /// The volume has no bins.
     Bins,
@@ -133,7 +140,7 @@ impl Config {
     #[must_use]
     pub const fn windows(&self) -> WindowConfig {
         WindowConfig {
-            keeps_arrival: self.mode.keeps_arrival(),
+            keeps_arrival: self.mode.takes_arrival(),
             ..self.window
         }
     }
@@ -157,7 +164,24 @@ impl Config {
                     && self.bytes_per_second.is_none()
             }
             Mode::Coefficients(Coder::Quick) => false,
-            _ => !self.window.keeps_arrival,
+            mode => mode.has_keys() || !self.window.keeps_arrival,
+        }
+    }
+
+    /// Returns whether the keys coder can code what was asked for, or is not asked.
+    const fn is_keys_served(&self, scratch: &Scratch<'_>) -> bool {
+        match self.mode {
+            Mode::Hybrid(Hybrid {
+                coder: Coder::Keys, ..
+            }) => {
+                HAS_KEYS
+                    && scratch.keys.is_some()
+                    && !self.keep_order
+                    && !self.filter.isolated
+                    && self.bytes_per_second.is_none()
+            }
+            Mode::Coefficients(Coder::Keys) => false,
+            _ => true,
         }
     }
 
@@ -184,6 +208,9 @@ impl Config {
         }
         if !self.is_quick_served() {
             return Err(ConfigError::Quick);
+        }
+        if !self.is_keys_served(scratch) {
+            return Err(ConfigError::Keys);
         }
         if let Some(budget) = self.bytes_per_second
             && (self.mode.is_transform() || (budget.get() as u64) < self.budget_min())
@@ -253,6 +280,8 @@ pub struct Scratch<'b> {
     pub dense: Option<DenseMemory<'b>>,
     /// State of the tree coder; needed for that coder only, beside [`Self::dense`].
     pub tree: Option<TreeMemory<'b>>,
+    /// State of the keys coder; needed for that coder only.
+    pub keys: Option<&'b mut EncoderMemory>,
     /// State of the adaptive coders of coefficients; needed for these coders only.
     pub coefficients: Option<&'b mut CoefficientMemory>,
     /// One word for each pixel that is never sent: see [`crate::WindowEncoder::add_hot`].

@@ -1,6 +1,7 @@
 //! Encoder with its window: takes events, returns frames.
 
 pub mod config;
+mod keys;
 mod rate;
 pub mod storage;
 pub mod window_encoder;

@@ -8,13 +8,17 @@ use crate::coder::arrival_order;
 use crate::coder::coefficients::{dense, pixel::Common};
 use crate::coder::dense::{Dense, DenseMemory, EVENT_BYTES_MAX};
 use crate::coder::key_frames::Chain;
+use crate::coder::keys;
 use crate::coder::quick::{self, Simd};
 use crate::coder::tree::{Shape, Tree};
 #[cfg(feature = "coefficients")]
 use crate::coder::window_coefficients::{CoefficientEncoder, Numbers, TakenCoefficients};
 use crate::coder::window_events::{EventEncoder, dense_gathered};
 use crate::coder::{Cells, Coder, Effort, Fidelity, Hybrid, Scans, Times};
-use crate::encoder::config::{Config, ConfigError, HAS_ORDER, HAS_TREE, HotError, Scratch};
+use crate::encoder::config::{
+    Config, ConfigError, HAS_KEYS, HAS_ORDER, HAS_TREE, HotError, Scratch,
+};
+use crate::encoder::keys::encode_keys;
 use crate::encoder::rate::Rate;
 use crate::frame::{
     CRC_BYTES, FRAME_BYTES_MAX, HEADER_BYTES_MAX, Header, Mode, NoRoom, OrderSection, seal,
@@ -60,7 +64,11 @@ struct Task {
     gathered: Option<u32>,
 }
 
-const _: () = assert!(OUTPUT_BYTES_MIN - HEADER_BYTES_MAX - CRC_BYTES >= quick::EVENT_BYTES_MAX);
+/// Room for a payload in the smallest output.
+const PAYLOAD_BYTES_MIN: usize = OUTPUT_BYTES_MIN - HEADER_BYTES_MAX - CRC_BYTES;
+const _: () = assert!(
+    PAYLOAD_BYTES_MIN >= quick::EVENT_BYTES_MAX && PAYLOAD_BYTES_MIN >= keys::EVENT_BYTES_MAX
+);
 
 /// Codes what is left of a window that keeps the order of arrival, or as much as there is room for. Returns the
 /// payload's bytes.
@@ -134,6 +142,7 @@ impl<'b> WindowEncoder<'b> {
             magnitudes,
             dense,
             tree,
+            keys,
             coefficients,
             hot,
             order,
@@ -146,6 +155,7 @@ impl<'b> WindowEncoder<'b> {
                 magnitudes,
                 dense,
                 tree,
+                keys,
                 coefficients,
                 hot: &mut [],
                 order,
@@ -199,7 +209,7 @@ impl<'b> WindowEncoder<'b> {
             self.rate = None;
             return Ok(());
         };
-        if self.config.mode.is_transform() || self.config.mode.keeps_arrival() {
+        if self.config.mode.is_transform() || self.config.mode.takes_arrival() {
             return Err(ConfigError::Rate);
         }
         let least = self.config.budget_min().min(u64::from(u32::MAX)) as u32;
@@ -378,9 +388,15 @@ impl<'b> WindowEncoder<'b> {
                     None => self.encode_plain::<C, F, T>(window, task, payload, trace),
                 }
             }
-            mode if HAS_QUICK && mode.keeps_arrival() => {
+            Mode::Hybrid(hybrid) if HAS_QUICK && header.mode.takes_arrival() => {
                 trace.enter(Stage::Pack);
-                encode_quick(window, task, payload)
+                match &mut self.scratch.keys {
+                    Some(memory) if HAS_KEYS && hybrid.coder == Coder::Keys => {
+                        let left = &mut task.left;
+                        encode_keys(memory, window, hybrid.fidelity, header, left, payload)
+                    }
+                    _ => encode_quick(window, task, payload),
+                }
             }
             // Only the order is left to code.
             Mode::Hybrid(_) if HAS_ORDER && task.left == 0 && header.part > 0 => {
@@ -473,12 +489,14 @@ impl<'b> WindowEncoder<'b> {
             hybrid.coder = Coder::Dense;
         }
         if window.keeps_arrival() {
-            mode = Mode::Hybrid(Hybrid {
-                coder: Coder::Quick,
-                fidelity: Fidelity::Lossless,
-            });
+            if !(HAS_KEYS && mode.has_keys() && self.scratch.keys.is_some()) {
+                mode = Mode::Hybrid(Hybrid {
+                    coder: Coder::Quick,
+                    fidelity: Fidelity::Lossless,
+                });
+            }
         } else if let Mode::Hybrid(hybrid) = &mut mode
-            && hybrid.coder == Coder::Quick
+            && matches!(hybrid.coder, Coder::Keys | Coder::Quick)
         {
             // A window that was created for another coder.
             hybrid.coder = Coder::Fast;
@@ -498,7 +516,7 @@ impl<'b> WindowEncoder<'b> {
         };
         let keeps_order = HAS_ORDER && self.config.keep_order && window.events() > 0;
         self.order = match mode {
-            Mode::Hybrid(hybrid) if keeps_order && !mode.keeps_arrival() => {
+            Mode::Hybrid(hybrid) if keeps_order && !mode.takes_arrival() => {
                 let cells = Cells::new(hybrid.fidelity, closed.duration_us);
                 arrival_order::note(self.scratch.order, window, used, cells)
             }
@@ -934,6 +952,7 @@ mod tests {
                     words: &mut words,
                 }),
                 tree: Some(tree),
+                keys: None,
                 coefficients: None,
                 hot: &mut [],
                 order: &mut [],

@@ -61,7 +61,7 @@ impl From<ConfigError> for Refusal {
             ConfigError::Order => Self::Order,
             ConfigError::Coefficients => Self::Coefficients,
             // No image has it.
-            ConfigError::Quick | ConfigError::Tree => Self::Mode,
+            ConfigError::Keys | ConfigError::Quick | ConfigError::Tree => Self::Mode,
         }
     }
 }

@@ -25,7 +25,7 @@ pub const SYNC: [u8; 2] = [0xEE, 0xC5];
 /// Version of the wire format whose header ends with a byte of further flags.
 pub const VERSION: u8 = 3;
 /// Version of a frame of the tree coder, whose header has the effort and the levels after the further flags, or of
-/// the quick coder, which has a zero there.
+/// the quick or the keys coder, which have a code of their own there.
 pub const VERSION_TREE: u8 = 4;
 /// Version of a frame without further flags.
 pub const VERSION_PLAIN: u8 = 2;
@@ -194,6 +194,8 @@ const LEVELS_SECOND_SHIFT: u32 = 5;
 
 /// That byte of a frame of the quick coder: no effort and no levels.
 const QUICK: u8 = 0;
+/// That byte of a frame of the keys coder: no effort, and levels that no tree has.
+const KEYS: u8 = 1 << LEVELS_FIRST_SHIFT;
 
 /// Codes of the mode.
 const TRANSFORM: u8 = 0;
@@ -269,7 +271,25 @@ impl Mode {
         }
     }
 
-    /// Returns whether events are coded in their order of arrival, by the quick coder.
+    /// Returns whether windows keep the order of arrival for the coder, which is the quick or the keys coder.
+    #[must_use]
+    pub const fn takes_arrival(self) -> bool {
+        self.keeps_arrival() || self.has_keys()
+    }
+
+    /// Returns whether events are coded by the keys coder, which decodes them into order of time.
+    #[must_use]
+    pub const fn has_keys(self) -> bool {
+        matches!(
+            self,
+            Self::Hybrid(Hybrid {
+                coder: Coder::Keys,
+                ..
+            })
+        )
+    }
+
+    /// Returns whether events are coded and decoded in their order of arrival, by the quick coder.
     #[must_use]
     pub const fn keeps_arrival(self) -> bool {
         matches!(
@@ -286,16 +306,14 @@ impl Mode {
         let Hybrid { coder, fidelity } = match self {
             Self::Transform => return (TRANSFORM, None),
             Self::Coefficients(Coder::Fast) => return (COEFFICIENTS_FAST, None),
-            // The quick and the tree coder have none: `Config::check` refuses them.
-            Self::Coefficients(Coder::Dense | Coder::Quick | Coder::Tree(_)) => {
-                return (COEFFICIENTS_DENSE, None);
-            }
+            // The other coders have none: `Config::check` refuses them.
+            Self::Coefficients(_) => return (COEFFICIENTS_DENSE, None),
             Self::Hybrid(hybrid) => hybrid,
         };
         let coder = match coder {
             Coder::Fast => FAST,
             Coder::Dense => DENSE,
-            Coder::Quick | Coder::Tree(_) => TREE,
+            Coder::Keys | Coder::Quick | Coder::Tree(_) => TREE,
         };
         let (fidelity, value) = match fidelity {
             Fidelity::Lossless => (LOSSLESS, None),
@@ -305,8 +323,8 @@ impl Mode {
         (coder | (fidelity << FIDELITY_SHIFT), value)
     }
 
-    /// The inverse of [`Self::code`], which tells neither the effort nor the quick coder from the tree coder; `None` for
-    /// an unknown code or a value out of range.
+    /// The inverse of [`Self::code`], which tells neither the effort nor the quick or the keys coder from the tree
+    /// coder; `None` for an unknown code or a value out of range.
     pub(crate) const fn from_code(code: u8, value: u32) -> Option<Self> {
         match code {
             TRANSFORM => return Some(Self::Transform),
@@ -426,7 +444,7 @@ impl Header {
 
     /// Returns the lowest version that can express the header.
     const fn version(&self) -> u8 {
-        if self.mode.effort().is_some() || self.mode.keeps_arrival() {
+        if self.mode.effort().is_some() || self.mode.takes_arrival() {
             VERSION_TREE
         } else if self.begins_run {
             VERSION
@@ -531,6 +549,8 @@ impl Header {
             put(&|out| Ok(postcard::to_slice(&tree, out)?.len()))?;
         } else if self.mode.keeps_arrival() {
             put(&|out| Ok(postcard::to_slice(&QUICK, out)?.len()))?;
+        } else if self.mode.has_keys() {
+            put(&|out| Ok(postcard::to_slice(&KEYS, out)?.len()))?;
         }
         Ok(len)
     }
@@ -662,6 +682,12 @@ impl Header {
                     return None;
                 }
                 hybrid.coder = Coder::Quick;
+            } else if tree == KEYS {
+                // It has no history, and no order to tell.
+                if chained != 0 || order.is_some() {
+                    return None;
+                }
+                hybrid.coder = Coder::Keys;
             } else {
                 let told = Levels {
                     first: tree >> LEVELS_FIRST_SHIFT & 7,

@@ -160,8 +160,9 @@ pub struct WindowConfig {
     /// Whether to close windows without events too, at most [`EMPTY_WINDOWS_MAX`] in a row, so that a receiver
     /// can tell a sensor that sees nothing from one that is gone.
     pub every_window: bool,
-    /// Whether events are kept in their order of arrival, not by their pixels: for [`crate::Coder::Quick`], and set by
-    /// [`crate::Config::windows`]. Frames of such a window are of that coder, whatever the mode; isolated events stay.
+    /// Whether events are kept in their order of arrival, not by their pixels: for [`crate::Coder::Quick`] and
+    /// [`crate::Coder::Keys`], and set by [`crate::Config::windows`]. Frames of such a window are of either coder, whatever
+    /// the mode; isolated events stay.
     pub keeps_arrival: bool,
 }
 
@@ -969,6 +970,12 @@ impl<'b> Window<'b> {
     pub(crate) fn in_order(&self) -> &[quick::Placed] {
         let slots = self.slots.get(..self.len as usize).unwrap_or_default();
         <[quick::Placed]>::ref_from_bytes(slots.as_bytes()).unwrap_or_default()
+    }
+
+    /// As [`Self::in_order`], to be put into another order.
+    pub(crate) fn in_order_mut(&mut self) -> &mut [quick::Placed] {
+        let slots = self.slots.get_mut(..self.len as usize).unwrap_or_default();
+        <[quick::Placed]>::mut_from_bytes(slots.as_mut_bytes()).unwrap_or_default()
     }
 
     /// Removes from a closed window that keeps the order of arrival all events whose position `is_kept` refuses;

@@ -42,7 +42,7 @@ const THRESHOLDS: &str = "thresholds.toml";
 
 /// The ways to encode, each with a file of frames and a decoded recording.
 const WAYS: [(&str, Mode, Option<Transform>); 7] = [
-    ("fast", hybrid(Coder::Fast, Fidelity::Lossless), None),
+    ("fast", hybrid(Coder::Keys, Fidelity::Lossless), None),
     ("dense", hybrid(Coder::Dense, Fidelity::Lossless), None),
     (
         "dense50us",

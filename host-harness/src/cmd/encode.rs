@@ -81,7 +81,7 @@ impl Encode {
             None => event_files::open(&self.input, &reading)?,
         };
         look_for(reader.sensor(), &name_of(&self.input))?;
-        let config = self.codec.config(reader.sensor())?;
+        let config = self.codec.config_of_file(reader.sensor())?;
         let reader = self.sort.apply(reader)?;
         let (reader, config) = self.codec.look(reader, config);
         let mut reader = Intact::new(reader);

@@ -110,6 +110,7 @@ pub const fn coder_name(coder: Coder) -> &'static str {
     match coder {
         Coder::Dense => "hybrid-dense",
         Coder::Fast => "hybrid-fast",
+        Coder::Keys => "hybrid-keys",
         Coder::Quick => "hybrid-quick",
         Coder::Tree(eecvs_nostd::Effort::One) => "hybrid-tree-1",
         Coder::Tree(eecvs_nostd::Effort::Two) => "hybrid-tree-2",

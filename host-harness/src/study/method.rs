@@ -69,6 +69,7 @@ impl Method {
             },
             Self::Hybrid { coder, .. } => match coder {
                 Coder::Fast => "hybrid-fast",
+                Coder::Keys => "hybrid-keys",
                 Coder::Quick => "hybrid-quick",
                 Coder::Dense => "hybrid-dense",
                 Coder::Tree(_) => "hybrid-tree",

@@ -153,7 +153,7 @@ impl Capture {
             }
             Kind::Frames => {
                 let reader: Box<dyn EventReader> = Box::new(session.reader_of_sensor()?);
-                let config = self.codec.config(reader.sensor())?;
+                let config = self.codec.config_of_file(reader.sensor())?;
                 let (reader, config) = self.codec.look(reader, config);
                 let hot = self.codec.hot_pixels(reader.sensor())?;
                 let codec = Codec {

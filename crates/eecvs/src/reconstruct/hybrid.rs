@@ -5,15 +5,17 @@ use eecvs_nostd::coder::content::{Content, END, Node};
 use eecvs_nostd::coder::dense::model::Model;
 use eecvs_nostd::coder::dense::{Dense, DenseMemory, words};
 use eecvs_nostd::coder::fast::Fast;
+use eecvs_nostd::coder::keys::{self, DecoderMemory};
 use eecvs_nostd::coder::quick::{self, Simd};
 use eecvs_nostd::coder::range::RangeDecoder;
 use eecvs_nostd::coder::tree::{Shape, Tree, TreeEvent};
 use eecvs_nostd::{
-    Coder, Config, Effort, Event, Frame, Header, Hybrid, Mode, NextStart, Polarity, Push, Sensor,
-    Thresholds, Times, WindowConfig,
+    Coder, Config, Effort, Event, Fidelity, Frame, Header, Hybrid, Mode, NextStart, Polarity, Push,
+    Sensor, Thresholds, Times, WindowConfig,
 };
 use event_types::ensure;
 use event_types::stream::{Context, Result};
+use zerocopy::FromZeros;
 
 use super::{DecodedWindow, Pixel, pixels};
 use crate::storage::HostStorage;
@@ -49,6 +51,7 @@ impl std::error::Error for Refused {}
 pub struct HybridDecoder {
     chain: Option<Chain>,
     trees: Option<TreeChain>,
+    keys: Option<Box<DecoderMemory>>,
     found: Vec<TreeEvent>,
     nodes: Vec<Node>,
     positions: Vec<(u16, u16)>,
@@ -134,7 +137,8 @@ impl HybridDecoder {
         }
     }
 
-    /// Decodes a frame's events, in raster order, or those of the quick coder in their order of arrival.
+    /// Decodes a frame's events, in raster order, or those of the quick coder in their order of arrival, and of the keys
+    /// coder in order of time.
     ///
     /// # Errors
     /// [`Refused`] if the frame does not decode; none of its events is returned then.
@@ -144,6 +148,7 @@ impl HybridDecoder {
         let times = Times::new(hybrid.fidelity, header.scans, header.duration_us);
         match hybrid.coder {
             Coder::Fast => fast(header, payload, times, std::mem::take(&mut self.spare)),
+            Coder::Keys => self.keys(header, hybrid.fidelity, payload),
             Coder::Quick => quick(header, payload, std::mem::take(&mut self.spare)),
             // A frame that carries only the arrival order has nothing for the dense coder.
             Coder::Dense if header.order.is_some() && header.events == 0 => {
@@ -212,6 +217,30 @@ impl HybridDecoder {
 }
 
 impl HybridDecoder {
+    fn keys(
+        &mut self,
+        header: &Header,
+        fidelity: Fidelity,
+        payload: &[u8],
+    ) -> Result<Vec<Event>, Refused> {
+        let mut events = unset(header, payload, std::mem::take(&mut self.spare))?;
+        let memory = match &mut self.keys {
+            Some(memory) => memory,
+            none => none.insert(DecoderMemory::new_box_zeroed().expect("memory")),
+        };
+        let window = keys::Window::new(header.sensor, header.t0_us, header.duration_us, fidelity);
+        match keys::decode(
+            keys::Simd::detected(),
+            &window,
+            payload,
+            memory,
+            &mut events,
+        ) {
+            Ok(()) => Ok(events),
+            Err(keys::Damaged) => Err(Refused::Malformed),
+        }
+    }
+
     fn tree(
         &mut self,
         header: &Header,
@@ -272,15 +301,23 @@ fn event(header: &Header, times: Times, (x, y): (u16, u16), told: u32, on: bool)
     }
 }
 
-/// Decodes a payload of the quick coder, into the memory of `events`.
-fn quick(header: &Header, payload: &[u8], mut events: Vec<Event>) -> Result<Vec<Event>, Refused> {
+/// Returns as many events as the header says, whose content means nothing, in the memory of `events`.
+///
+/// # Errors
+/// [`Refused::Malformed`] if the payload has fewer bits: an event takes at least one, which limits the memory reserved
+/// before anything is decoded.
+fn unset(header: &Header, payload: &[u8], mut events: Vec<Event>) -> Result<Vec<Event>, Refused> {
     let count = header.events as usize;
-    // An event takes at least one bit, which limits the memory reserved before anything is decoded.
     if count > payload.len().saturating_mul(8) {
         return Err(Refused::Malformed);
     }
-    // The content of memory in use before does not matter.
     events.resize(count, Event::UNSET);
+    Ok(events)
+}
+
+/// Decodes a payload of the quick coder, into the memory of `events`.
+fn quick(header: &Header, payload: &[u8], events: Vec<Event>) -> Result<Vec<Event>, Refused> {
+    let mut events = unset(header, payload, events)?;
     let window = quick::Window::new(header.sensor, header.t0_us, header.duration_us);
     match quick::decode(Simd::detected(), window, payload, &mut events) {
         Ok(()) => Ok(events),

@@ -86,8 +86,8 @@ pub struct DecodedWindow {
     pub header: Header,
     /// Pixels of all its frames that arrived, in raster order within each frame; empty in mode `hybrid`.
     pub pixels: Vec<Pixel>,
-    /// Events, in mode `hybrid` only: in raster order within each frame, or in the order of time and arrival if the
-    /// frames send that order.
+    /// Events, in mode `hybrid` only: in raster order within each frame, or in the order of time if the keys coder
+    /// coded them, or of time and arrival if the frames send that order.
     pub events: Vec<Event>,
 }
 

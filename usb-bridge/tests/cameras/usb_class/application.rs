@@ -168,6 +168,7 @@ impl Encoder {
             magnitudes: leak(0, NUMBERS),
             dense,
             tree: None,
+            keys: None,
             coefficients: None,
             hot: leak(0, 4),
             order: &mut [],
