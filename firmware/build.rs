@@ -54,6 +54,8 @@ struct Golden {
     mode: u8,
     #[serde(default)]
     fidelity: u32,
+    #[serde(default)]
+    scans: Option<(u32, i32)>,
     events: Vec<(u64, u16, u16, u8)>,
     frames: Vec<String>,
 }
@@ -75,6 +77,7 @@ fn golden() -> Result<String, Box<dyn Error>> {
             m,
             mode,
             fidelity,
+            scans,
             events,
             frames,
         } = golden;
@@ -89,7 +92,7 @@ fn golden() -> Result<String, Box<dyn Error>> {
         writeln!(
             text,
             "Golden {{ width: {width}, height: {height}, transform: {transform:?}, m: {m}, \
-             mode: {mode}, fidelity: {fidelity}, \
+             mode: {mode}, fidelity: {fidelity}, scans: {scans:?}, \
              events: &{events:?}, frames: &["
         )?;
         for frame in frames {

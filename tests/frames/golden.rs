@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 
 use eecvs_nostd::event_link::Setup;
 use eecvs_nostd::{
-    Coded, Coder, Effort, Event, Fidelity, Hybrid, Level, Mode, OUTPUT_BYTES_MIN, Polarity, Sensor,
-    Transform,
+    Axis, Coded, Coder, Effort, Event, Fidelity, Hybrid, Level, Mode, OUTPUT_BYTES_MIN, Polarity,
+    Readout, Sensor, Transform,
 };
 use serde::{Deserialize, Serialize};
 use strategies::{encode, parse, plain_config};
@@ -37,6 +37,9 @@ struct Golden {
     mode: u8,
     #[serde(default)]
     fidelity: u32,
+    /// Period and slope of the columns' scans, in 2^-16 us.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    scans: Option<(u32, i32)>,
     /// (t_us, x, y, p)
     events: Vec<(u64, u16, u16, u8)>,
     pixels: Vec<GoldenPixel>,
@@ -133,6 +136,7 @@ fn hybrid_frames_are_those_of_the_golden_vectors() {
             m: 16,
             mode: setup.mode,
             fidelity: setup.fidelity,
+            scans: None,
             events: listed(&events),
             pixels: vec![],
             frames: frames.iter().map(|bytes| hex(bytes)).collect(),
@@ -140,6 +144,69 @@ fn hybrid_frames_are_those_of_the_golden_vectors() {
         let frozen = frozen(&format!("{name}.json"), &golden);
         assert_eq!(golden.events, frozen.events, "{name}: events");
         assert_eq!(golden.frames, frozen.frames, "{name}: bytes");
+    }
+}
+
+/// Events on the scans of a sensor and beside them, in two windows.
+#[test]
+fn frames_with_scans_are_those_of_the_golden_vectors() {
+    let sensor = Sensor {
+        width: 40,
+        height: 3,
+    };
+    let readout = Readout::new(Axis::Columns, (197 << 16) + 18_559, -39_327).expect("in range");
+    let mut events: Vec<Event> = (0..400_u64)
+        .map(|i| {
+            let mixed = i.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+            let x = (mixed >> 20) as u16 % 40;
+            let scan = mixed >> 50 & 255;
+            let lag_q16 = i64::from(readout.slope_q16()) * i64::from(x);
+            let since_q16 = scan as i64 * i64::from(readout.period_q16()) + lag_q16;
+            // One in eight is a few microseconds off.
+            let beside = if i % 8 == 0 { mixed >> 40 & 7 } else { 0 };
+            Event {
+                t_us: (1_700_000_000_000_100 + ((since_q16 + (1 << 15)) >> 16)) as u64 + beside,
+                x,
+                y: (mixed >> 30) as u16 % 3,
+                polarity: Polarity::from_bool(mixed >> 60 > 7),
+            }
+        })
+        .collect();
+    events.sort_by_key(|event| event.t_us);
+    let whole = 1 << 14;
+    for (name, coder, frame_bytes) in [
+        ("v2_hybrid_dense_scans", Coder::Dense, OUTPUT_BYTES_MIN),
+        ("v4_tree_1_scans", Coder::Tree(Effort::One), whole),
+        ("v4_tree_2_scans", Coder::Tree(Effort::Two), whole),
+        ("v4_tree_3_scans", Coder::Tree(Effort::Three), whole),
+    ] {
+        let fidelity = Fidelity::Lossless;
+        let mut config = plain_config(sensor, Transform::Dct, 16);
+        config.mode = Mode::Hybrid(Hybrid { coder, fidelity });
+        config.readout = Some(readout);
+        let setup = Setup::new(&config, 0);
+        let frames = encode(config, &events, 1000, frame_bytes);
+        for frame in &frames {
+            let header = parse(frame).header;
+            assert!(
+                header.scans.is_some() && header.mode == config.mode,
+                "{name}"
+            );
+        }
+        let golden = Golden {
+            width: sensor.width,
+            height: sensor.height,
+            transform: "dct".into(),
+            m: 16,
+            mode: setup.mode,
+            fidelity: setup.fidelity,
+            scans: Some((readout.period_q16(), readout.slope_q16())),
+            events: listed(&events),
+            pixels: vec![],
+            frames: frames.iter().map(|bytes| hex(bytes)).collect(),
+        };
+        let frozen = frozen(&format!("{name}.json"), &golden);
+        assert_eq!(golden, frozen, "{name}");
     }
 }
 
@@ -184,6 +251,7 @@ fn frames_are_those_of_the_golden_vectors() {
                 m,
                 mode: 0,
                 fidelity: 0,
+                scans: None,
                 events: listed(&events),
                 pixels: frames.iter().flat_map(|bytes| pixels(bytes)).collect(),
                 frames: frames.iter().map(|bytes| hex(bytes)).collect(),

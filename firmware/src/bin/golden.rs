@@ -28,9 +28,9 @@ use eecvs_nostd::group::lists::Lists;
 use eecvs_nostd::transform::phase::PhaseScale;
 use eecvs_nostd::transform::{Basis, Dct, Dtft};
 use eecvs_nostd::{
-    Coder, Config, Encoder, Event, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, OUTPUT_BYTES_MIN,
-    Polarity, Push, Quantiser, Sensor, Stage, Storage, Thresholds, Trace, Transform, WindowConfig,
-    bitmap_words, segments,
+    Axis, Coder, Config, Encoder, Event, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode,
+    OUTPUT_BYTES_MIN, Polarity, Push, Quantiser, Readout, Sensor, Stage, Storage, Thresholds,
+    Trace, Transform, WindowConfig, bitmap_words, segments,
 };
 
 /// A golden vector, as described in `tests/frames/golden.rs`.
@@ -42,6 +42,8 @@ struct Golden {
     /// Code of the mode, as in a setup.
     mode: u8,
     fidelity: u32,
+    /// Period and slope of the columns' scans, in 2^-16 us.
+    scans: Option<(u32, i32)>,
     /// (t_us, x, y, p).
     events: &'static [(u64, u16, u16, u8)],
     frames: &'static [&'static [u8]],
@@ -243,6 +245,7 @@ fn runs_hold(seed: u32, storage: &mut Small) -> bool {
         m: 8,
         mode: 0,
         fidelity: 0,
+        scans: None,
         events: &[],
         frames: &[],
     };
@@ -353,6 +356,7 @@ fn walks_hold(seed: u32, (transform, mode): (Transform, u8), storage: &mut Small
         m: 8,
         mode,
         fidelity: 0,
+        scans: None,
         events: &[],
         frames: &[],
     };
@@ -404,6 +408,7 @@ fn dense_walk_holds(seed: u32, storage: &mut Small, (model, memory): &mut Dense)
         m: 8,
         mode: 2,
         fidelity: 0,
+        scans: None,
         events: &[],
         frames: &[],
     };
@@ -517,7 +522,12 @@ fn config(golden: &Golden) -> Option<Config> {
         quantiser: Quantiser::DEFAULT,
         mode,
         key_windows: KEY_WINDOWS,
-        readout: None,
+        readout: match golden.scans {
+            Some((period_q16, slope_q16)) => {
+                Some(Readout::new(Axis::Columns, period_q16, slope_q16)?)
+            }
+            None => None,
+        },
         filter: Filter::NONE,
         bytes_per_second: None,
         keep_order: false,

@@ -14,11 +14,11 @@ use eecvs_cli::options::{FollowOptions, OutputOptions, ReadingOptions, tell_dama
 use eecvs_cli::order::{SortOptions, tell_disorder};
 use eecvs_cli::output::{Place, frame_file, rows};
 use eecvs_cli::progress::Progress;
+use event_files::Intact;
 use event_files::findings::Findings;
 use event_files::input::growing::open_growing;
 use event_files::input::piped::{is_stream, name_of};
 use event_files::output::Kind;
-use event_files::{EventReader, Intact};
 use serde::Serialize;
 
 /// Encode a recording into frames
@@ -81,10 +81,9 @@ impl Encode {
             None => event_files::open(&self.input, &reading)?,
         };
         look_for(reader.sensor(), &name_of(&self.input))?;
-        let config = self.codec.config_of_file(reader.sensor())?;
+        let config = self.codec.config_of_recording(reader.sensor())?;
         let reader = self.sort.apply(reader)?;
         let (reader, config) = self.codec.look(reader, config);
-        let mut reader = Intact::new(reader);
         let hot = self.codec.hot_pixels(reader.sensor())?;
         let codec = Codec {
             hot: &hot,
@@ -92,9 +91,13 @@ impl Encode {
             config,
             kernel: self.kernel.kernel(),
         };
+        let limits = self.limits.limits();
+        let (reader, codec) = self
+            .codec
+            .choose_window(reader, codec, limits, self.threads())?;
+        let mut reader = Intact::new(reader);
         let mut out = frame_file(&self.output)?;
         let progress = Progress::new("events");
-        let limits = self.limits.limits();
         let mut summary = encode(
             &mut reader,
             codec,
@@ -120,7 +123,8 @@ impl Encode {
             Some(_) if follow.is_none() => out.finish_incomplete()?,
             _ => out.finish().map(|()| self.output.clone())?,
         };
-        let report = Report::new(&self.input, &output, &summary, findings);
+        let window_us = codec.config.window.window_us;
+        let report = Report::new(&self.input, &output, window_us, &summary, findings);
         let place = Place::beside([self.output.as_path()]);
         place.tell(self.json, &report, || report.table())?;
         tell_damage(
@@ -158,6 +162,8 @@ struct Report<'c> {
     bytes_in: Option<u64>,
     /// `bytes_in` / `bytes_out`.
     ratio: Option<f64>,
+    /// Duration of the windows.
+    window_us: u32,
     #[serde(flatten)]
     summary: &'c EncodeSummary,
     events_exact: u64,
@@ -167,7 +173,13 @@ struct Report<'c> {
 }
 
 impl<'c> Report<'c> {
-    fn new(input: &Path, output: &Path, summary: &'c EncodeSummary, findings: Findings) -> Self {
+    fn new(
+        input: &Path,
+        output: &Path,
+        window_us: u32,
+        summary: &'c EncodeSummary,
+        findings: Findings,
+    ) -> Self {
         let metadata = std::fs::metadata(input).ok().filter(Metadata::is_file);
         let bytes_in = metadata.map(|metadata| metadata.len());
         Self {
@@ -177,6 +189,7 @@ impl<'c> Report<'c> {
             ratio: bytes_in
                 .filter(|_| summary.bytes_out > 0)
                 .map(|bytes_in| bytes_in as f64 / summary.bytes_out as f64),
+            window_us,
             summary,
             events_exact: summary.events_exact(),
             bits_per_encoded_event: summary.bits_per_encoded_event(),
@@ -214,6 +227,7 @@ impl<'c> Report<'c> {
             ),
             ("runs", count(summary.runs)),
             ("windows", count(summary.windows)),
+            ("  duration", format!("{} us", self.window_us)),
         ]);
         // Only windows coded as coefficients have a transform.
         if summary.windows_as_coefficients > 0 {

@@ -181,6 +181,45 @@ fn what_does_not_go_together_is_refused() {
         .fails(&["hot.txt: line 1", "x,y"]);
 }
 
+/// The duration that takes the fewest bytes, and everything comes back.
+#[test]
+fn the_duration_of_windows_is_chosen_where_that_is_asked_for() {
+    let folder = Folder::new();
+    folder.scene("scene.raw");
+    let encode = |flags: &str| {
+        let line = format!("encode scene.raw -o a.eecvs --json {flags}");
+        let summary = folder.eecvs(&line).ok().object();
+        (count(&summary, "window_us"), folder.bytes("a.eecvs").len())
+    };
+    for coder in ["fast", "dense", "dense --effort 1"] {
+        let (default_us, default) = encode(&format!("--coder {coder}"));
+        assert_eq!(default_us, 32_768);
+        let (chosen_us, chosen) = encode(&format!("--coder {coder} --window-us auto"));
+        folder.eecvs("decode a.eecvs -o b.raw").ok();
+        let compared = compared(&folder, "scene.raw", "b.raw");
+        assert_eq!(number(&compared, "exact_fraction"), 1.0, "{coder}");
+        assert!(chosen <= default, "{coder}: {chosen_us} us");
+        assert_eq!(
+            encode(&format!("--coder {coder} --window-us {chosen_us}")),
+            (chosen_us, chosen)
+        );
+    }
+    for flags in ["--mode transform", "--bins 8", "--bytes-per-second 100000"] {
+        folder
+            .eecvs(&format!(
+                "encode scene.raw -o c.eecvs --window-us auto {flags}"
+            ))
+            .fails(&["--window-us auto", "--mode hybrid"]);
+    }
+    for text in ["0", "-1", "1.5", "any", "4294967296"] {
+        let outcome = folder.eecvs(&format!("encode scene.raw -o c.eecvs --window-us {text}"));
+        assert_eq!(outcome.status, Some(2), "{outcome}");
+    }
+    folder
+        .eecvs("mcu scene.raw -o c.eecvs --window-us auto")
+        .fails(&["--window-us auto", "eecvs encode"]);
+}
+
 /// What is filtered, left out or approximate is told on both sides.
 #[test]
 fn filters_and_budgets_are_accounted_for() {
