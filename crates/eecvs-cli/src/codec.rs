@@ -1,13 +1,12 @@
 //! The codec flags shared by `eecvs encode`, the microcontroller commands, the ROS nodes and the hub.
 
-use std::num::{NonZeroU32, NonZeroUsize};
+use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 
 use anyhow::{Context, Result, bail, ensure};
 use clap::{Args, ValueEnum};
 use eecvs::encode::step::quantiser_within;
-use eecvs::encode::{Codec, Limits, duration, readout};
+use eecvs::encode::{Limits, readout};
 use eecvs::hot_pixels;
 use eecvs_nostd::{
     Coder, Config, Effort, Fidelity, Filter, Hybrid, KEY_WINDOWS, Kernel, Mode, OUTPUT_BYTES_MIN,
@@ -99,10 +98,9 @@ pub struct CodecOptions {
     #[arg(long, value_name = "E", conflicts_with = "step_log2")]
     max_error: Option<f64>,
 
-    /// Window duration in microseconds, or auto, for eecvs encode and hybrid: that which takes the fewest bytes for the
-    /// first 262,144 events, of 4,096 to 131,072, or of numbers of scans for sensors that scan
+    /// Window duration in microseconds
     #[arg(long, value_name = "T", default_value = "32768")]
-    window_us: WindowDuration,
+    window_us: NonZeroU32,
 
     /// Begin windows at T + i window-us microseconds, for integer i, so that the windows of several sensors match
     /// [default: with the first event]
@@ -160,36 +158,6 @@ enum CoderName {
     Quick,
     /// For size; a frame depends on those before it, back to the last key frame
     Dense,
-}
-
-/// Duration of windows, on the command line.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum WindowDuration {
-    /// To be chosen from a recording's first events.
-    Auto,
-    Us(NonZeroU32),
-}
-
-impl WindowDuration {
-    /// Returns the duration in microseconds; the default's where it is to be chosen.
-    const fn us(self) -> u32 {
-        match self {
-            Self::Auto => 32_768,
-            Self::Us(us) => us.get(),
-        }
-    }
-}
-
-impl FromStr for WindowDuration {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        if text == "auto" {
-            return Ok(Self::Auto);
-        }
-        let us = text.parse().map(Self::Us);
-        us.map_err(|_| "give a whole number of microseconds, 1 to 4294967295, or auto".to_owned())
-    }
 }
 
 /// Whether times are encoded by scans, on the command line.
@@ -267,20 +235,6 @@ impl CodecOptions {
     /// A thresholds file that cannot be read, a region outside the sensor, a `--max-error` that no step meets, or
     /// flags that exclude each other.
     pub fn config(&self, sensor: Sensor) -> Result<Config> {
-        self.check_window()?;
-        self.config_of_any(sensor)
-    }
-
-    fn check_window(&self) -> Result<()> {
-        ensure!(
-            self.window_us != WindowDuration::Auto,
-            "--window-us auto is for eecvs encode: give a number of microseconds"
-        );
-        Ok(())
-    }
-
-    /// As [`CodecOptions::config`]; a duration that is to be chosen is the default's.
-    fn config_of_any(&self, sensor: Sensor) -> Result<Config> {
         let fidelity = match (self.time_tolerance_us, self.bins) {
             (None | Some(0), None) => Fidelity::Lossless,
             (Some(tolerance_us), _) => Fidelity::ToleranceUs(tolerance_us),
@@ -351,7 +305,7 @@ impl CodecOptions {
             window: WindowConfig {
                 origin_us: self.origin_us,
                 every_window: self.every_window,
-                ..WindowConfig::new(sensor, self.window_us.us())
+                ..WindowConfig::new(sensor, self.window_us.get())
             },
             thresholds: self.thresholds.load()?,
             transform: match self.transform {
@@ -388,17 +342,7 @@ impl CodecOptions {
     /// # Errors
     /// As for [`CodecOptions::config`].
     pub fn config_of_file(&self, sensor: Sensor) -> Result<Config> {
-        self.check_window()?;
-        self.config_of_recording(sensor)
-    }
-
-    /// As [`CodecOptions::config_of_file`], for a recording that is read from its beginning on: `--window-us auto` is
-    /// the default's duration, until [`CodecOptions::choose_window`] has chosen another one.
-    ///
-    /// # Errors
-    /// As for [`CodecOptions::config`].
-    pub fn config_of_recording(&self, sensor: Sensor) -> Result<Config> {
-        let mut config = self.config_of_any(sensor)?;
+        let mut config = self.config(sensor)?;
         let is_plain =
             !config.keep_order && !config.filter.isolated && config.bytes_per_second.is_none();
         if let Mode::Hybrid(hybrid) = &mut config.mode
@@ -434,26 +378,6 @@ impl CodecOptions {
              begin with the first event"
         );
         Ok(config)
-    }
-
-    /// Returns the reader of a recording and the encoder with the duration of windows that suits its first events, if
-    /// `--window-us` asks for it: see [`duration::look`].
-    ///
-    /// # Errors
-    /// Modes for which the duration cannot be chosen, and errors of the encoder.
-    pub fn choose_window<'h>(
-        &self,
-        reader: Box<dyn EventReader>,
-        codec: Codec<'h>,
-        limits: Limits,
-        threads: NonZeroUsize,
-    ) -> Result<(Box<dyn EventReader>, Codec<'h>)> {
-        if self.window_us != WindowDuration::Auto {
-            return Ok((reader, codec));
-        }
-        let chosen = duration::look(reader, codec, limits, threads);
-        let (reader, config) = chosen.context("--window-us auto")?;
-        Ok((reader, Codec { config, ..codec }))
     }
 
     /// Returns the reader, and the configuration with the readout detected from its first events, unless `--scans` is

@@ -5,9 +5,9 @@ use std::iter;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::Args;
-use eecvs::encode::{Codec, EncodeSummary, all_cores, encode, encode_nothing};
+use eecvs::encode::{Codec, EncodeSummary, all_cores, duration, encode, encode_nothing};
 use eecvs_cli::codec::{CodecOptions, KernelName, LimitOptions};
 use eecvs_cli::memory::look_for;
 use eecvs_cli::options::{FollowOptions, OutputOptions, ReadingOptions, tell_damage};
@@ -34,6 +34,11 @@ pub struct Encode {
 
     #[command(flatten)]
     codec: CodecOptions,
+
+    /// hybrid: instead of --window-us, the duration that takes the fewest bytes for the first 262,144 events, of 4,096 to
+    /// 131,072 us, or of numbers of scans for sensors that scan
+    #[arg(long, conflicts_with = "window_us")]
+    auto_window: bool,
 
     /// Kernel that computes the coefficients of the DCT and the DTFT; the Haar transform has a single, exact
     /// kernel. The decoder need not know the kernel: coefficients differ only by the kernel's error
@@ -81,7 +86,7 @@ impl Encode {
             None => event_files::open(&self.input, &reading)?,
         };
         look_for(reader.sensor(), &name_of(&self.input))?;
-        let config = self.codec.config_of_recording(reader.sensor())?;
+        let config = self.codec.config_of_file(reader.sensor())?;
         let reader = self.sort.apply(reader)?;
         let (reader, config) = self.codec.look(reader, config);
         let hot = self.codec.hot_pixels(reader.sensor())?;
@@ -92,9 +97,13 @@ impl Encode {
             kernel: self.kernel.kernel(),
         };
         let limits = self.limits.limits();
-        let (reader, codec) = self
-            .codec
-            .choose_window(reader, codec, limits, self.threads())?;
+        let (reader, codec) = if self.auto_window {
+            let chosen = duration::look(reader, codec, limits, self.threads());
+            let (reader, config) = chosen.context("--auto-window")?;
+            (reader, Codec { config, ..codec })
+        } else {
+            (reader, codec)
+        };
         let mut reader = Intact::new(reader);
         let mut out = frame_file(&self.output)?;
         let progress = Progress::new("events");
