@@ -2,9 +2,13 @@
 
 pub mod one_pixel;
 
+use std::num::NonZeroUsize;
 use std::path::Path;
 
-use eecvs::encode::HostStorage;
+use eecvs::decode::WindowReader;
+use eecvs::encode::{EncodeSummary, HostStorage, Limits, encode as encode_events};
+use eecvs::frame_file::{FrameFileWriter, FrameReader};
+use eecvs::reconstruct::DecodedWindow;
 use eecvs_bench::marks::Marks;
 use eecvs_bench::record_file::{self, RecordFile};
 use eecvs_nostd::frame::{CRC_BYTES, HEADER_BYTES_MAX, seal};
@@ -12,6 +16,7 @@ use eecvs_nostd::{
     Coder, Config, Effort, Encoder, Event, Fidelity, Frame, Header, Hybrid, Mode, Polarity, Push,
     Quantiser, Scan, Sensor, Thresholds, Transform, WindowConfig, scan,
 };
+use event_types::stream::MemoryReader;
 use proptest::prelude::*;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -188,6 +193,45 @@ pub fn encode_windows(
     encoder.flush();
     close(&mut encoder, &mut open);
     (frames, windows)
+}
+
+/// 300,000 events whose times ascend, and then step back by less than the reordering time.
+pub fn stepping_back(sensor: Sensor) -> Vec<Event> {
+    let event = |i: u64| {
+        let mixed = i.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+        let back = if i > 200_000 { mixed >> 60 } else { 0 };
+        Event {
+            t_us: 1_000_000 + i / 3 - back,
+            x: (mixed >> 20) as u16 % sensor.width,
+            y: (mixed >> 40) as u16 % sensor.height,
+            polarity: Polarity::from_bool(mixed >> 59 & 1 == 1),
+        }
+    };
+    (0..300_000).map(event).collect()
+}
+
+/// Encodes all events into a file, on so many threads, and decodes it; both count the same windows in order.
+pub fn through_a_file(
+    config: Config,
+    limits: Limits,
+    threads: usize,
+    events: &[Event],
+) -> (EncodeSummary, Vec<DecodedWindow>) {
+    let mut reader = MemoryReader::new(config.window.sensor, events.to_vec());
+    let mut out = FrameFileWriter::new(Vec::new());
+    let threads = NonZeroUsize::new(threads).expect("not 0");
+    let summary = encode_events(&mut reader, config, limits, threads, &mut out, &mut |_| ());
+    let summary = summary.expect("memory");
+    assert_eq!(summary.events_encoded, events.len() as u64);
+    let file = out.finish().expect("memory");
+    let mut reader = WindowReader::new(FrameReader::new(&file[..]));
+    let mut windows = Vec::new();
+    while let Some(window) = reader.next_window().expect("memory") {
+        windows.push(window);
+    }
+    assert!(reader.report().is_clean());
+    assert_eq!(reader.counts().windows_in_order, summary.windows_in_order);
+    (summary, windows)
 }
 
 /// The frame of a header and a payload.

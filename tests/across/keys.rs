@@ -1,19 +1,16 @@
 //! The keys coder: all events of a window come back in order of time, by files and by frames.
 
-use std::num::{NonZeroU32, NonZeroUsize};
+use std::num::NonZeroU32;
 
-use eecvs::decode::WindowReader;
-use eecvs::encode::{HostStorage, Limits, encode as encode_events};
-use eecvs::frame_file::{FrameFileWriter, FrameReader};
+use eecvs::encode::{HostStorage, Limits};
 use eecvs::reconstruct::hybrid::HybridDecoder;
 use eecvs::reconstruct::order::by_time;
 use eecvs_nostd::{
-    Cells, Coder, Config, Event, Fidelity, Filter, Frame, Hybrid, Mode, OUTPUT_BYTES_MIN, Polarity,
-    Region, Sensor, SetupError, Storage, bitmap_words, segments,
+    Cells, Coder, Config, Event, Fidelity, Filter, Frame, Hybrid, Mode, OUTPUT_BYTES_MIN, Region,
+    Sensor, SetupError, Storage, bitmap_words, segments,
 };
-use event_types::stream::MemoryReader;
 use proptest::prelude::*;
-use strategies::{encode_windows, job, plain_config};
+use strategies::{encode_windows, job, plain_config, stepping_back, through_a_file};
 
 const fn hybrid(fidelity: Fidelity) -> Hybrid {
     Hybrid {
@@ -127,49 +124,28 @@ fn what_it_does_not_code_is_refused() {
     );
 }
 
-/// A file of events whose times ascend, and then step back by less than the reordering time, from several threads, in
-/// windows of several slices and frames.
+/// A file of events whose times step back, from several threads, in windows of several slices and frames.
 #[test]
 fn files_come_back_in_order() {
     let sensor = Sensor::new(320, 240).expect("a sensor");
-    let events: Vec<_> = (0..300_000_u64)
-        .map(|i| {
-            let mixed = i.wrapping_mul(0x9E37_79B9_7F4A_7C15);
-            let back = if i > 200_000 { mixed >> 60 } else { 0 };
-            Event {
-                t_us: 1_000_000 + i / 3 - back,
-                x: (mixed >> 20) as u16 % 320,
-                y: (mixed >> 40) as u16 % 240,
-                polarity: Polarity::from_bool(mixed >> 59 & 1 == 1),
-            }
-        })
-        .collect();
+    let events = stepping_back(sensor);
     let config = Config {
         mode: Mode::Hybrid(hybrid(Fidelity::Lossless)),
         ..plain_config(sensor, eecvs_nostd::Transform::Dct, 8)
     };
     for (threads, frame_bytes) in [(1, 1 << 24), (3, 1 << 24), (2, 10_000)] {
-        let mut reader = MemoryReader::new(sensor, events.clone());
-        let mut out = FrameFileWriter::new(Vec::new());
-        let threads = NonZeroUsize::new(threads).expect("not 0");
         let limits = Limits {
             frame_bytes,
             ..Limits::default()
         };
-        let summary = encode_events(&mut reader, config, limits, threads, &mut out, &mut |_| ());
-        let summary = summary.expect("memory");
-        assert_eq!(summary.events_encoded, 300_000);
+        let (summary, windows) = through_a_file(config, limits, threads, &events);
         assert_eq!(summary.windows_in_order, 0);
         assert_eq!(summary.frames > summary.windows, frame_bytes == 10_000);
-        let file = out.finish().expect("memory");
-        let mut reader = WindowReader::new(FrameReader::new(&file[..]));
         let mut found = Vec::new();
-        while let Some(window) = reader.next_window().expect("memory") {
+        for mut window in windows {
             assert!(window.events == by_time(&window.header, &window.events));
-            found.extend_from_slice(&window.events);
-            reader.reuse(window);
+            found.append(&mut window.events);
         }
-        assert!(reader.report().is_clean());
         assert!(sorted(found) == sorted(events.clone()));
     }
 }

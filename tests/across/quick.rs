@@ -1,19 +1,14 @@
 //! The quick coder: events come back exactly, in the order in which they arrived, by files and by frames.
 
-use std::num::NonZeroUsize;
-
-use eecvs::decode::WindowReader;
-use eecvs::encode::{HostStorage, Limits, encode as encode_events};
-use eecvs::frame_file::{FrameFileWriter, FrameReader};
+use eecvs::encode::{HostStorage, Limits};
 use eecvs::reconstruct::hybrid::HybridDecoder;
 use eecvs::reconstruct::order::by_time;
 use eecvs_nostd::{
     Coder, Config, ConfigError, Event, Fidelity, Filter, Frame, Hybrid, Mode, OUTPUT_BYTES_MIN,
-    Polarity, Region, SetupError, Storage, bitmap_words, segments,
+    Region, SetupError, Storage, bitmap_words, segments,
 };
-use event_types::stream::MemoryReader;
 use proptest::prelude::*;
-use strategies::{encode_windows, job, plain_config};
+use strategies::{encode_windows, job, plain_config, stepping_back, through_a_file};
 
 const HYBRID: Hybrid = Hybrid {
     coder: Coder::Quick,
@@ -117,44 +112,22 @@ fn what_it_does_not_code_is_refused() {
     );
 }
 
-/// A file of events whose times ascend, and then step back by less than the reordering time, from several threads.
+/// A file of events whose times step back, from several threads.
 #[test]
 fn files_come_back_in_order() {
     let sensor = eecvs_nostd::Sensor::new(320, 240).expect("a sensor");
-    let events: Vec<_> = (0..300_000_u64)
-        .map(|i| {
-            let mixed = i.wrapping_mul(0x9E37_79B9_7F4A_7C15);
-            let back = if i > 200_000 { mixed >> 60 } else { 0 };
-            Event {
-                t_us: 1_000_000 + i / 3 - back,
-                x: (mixed >> 20) as u16 % 320,
-                y: (mixed >> 40) as u16 % 240,
-                polarity: Polarity::from_bool(mixed >> 59 & 1 == 1),
-            }
-        })
-        .collect();
+    let events = stepping_back(sensor);
     let config = Config {
         mode: Mode::Hybrid(HYBRID),
         ..plain_config(sensor, eecvs_nostd::Transform::Dct, 8)
     };
     for threads in [1, 3] {
-        let mut reader = MemoryReader::new(sensor, events.clone());
-        let mut out = FrameFileWriter::new(Vec::new());
-        let threads = NonZeroUsize::new(threads).expect("not 0");
-        let limits = Limits::default();
-        let summary = encode_events(&mut reader, config, limits, threads, &mut out, &mut |_| ());
-        let summary = summary.expect("memory");
-        assert_eq!(summary.events_encoded, 300_000);
+        let (summary, windows) = through_a_file(config, Limits::default(), threads, &events);
         assert_eq!(summary.windows_in_order, summary.windows);
-        let file = out.finish().expect("memory");
-        let mut reader = WindowReader::new(FrameReader::new(&file[..]));
-        let mut found = Vec::new();
-        while let Some(window) = reader.next_window().expect("memory") {
-            found.extend(by_time(&window.header, &window.events));
-            reader.reuse(window);
-        }
-        assert!(reader.report().is_clean());
-        assert_eq!(reader.counts().windows_in_order, summary.windows);
+        let found = windows.iter();
+        let found: Vec<_> = found
+            .flat_map(|window| by_time(&window.header, &window.events))
+            .collect();
         // Events of equal time stay in order.
         let mut expected = events.clone();
         expected.sort_by_key(|event| event.t_us);
