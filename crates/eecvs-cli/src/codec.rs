@@ -343,11 +343,10 @@ impl CodecOptions {
     /// As for [`CodecOptions::config`].
     pub fn config_of_file(&self, sensor: Sensor) -> Result<Config> {
         let mut config = self.config(sensor)?;
-        let is_plain =
-            !config.keep_order && !config.filter.isolated && config.bytes_per_second.is_none();
+        let suits_keys = config.suits_keys();
         if let Mode::Hybrid(hybrid) = &mut config.mode
             && hybrid.coder == Coder::Fast
-            && is_plain
+            && suits_keys
         {
             hybrid.coder = Coder::Keys;
         }

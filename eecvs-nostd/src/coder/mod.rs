@@ -37,14 +37,15 @@ pub enum Coder {
     #[default]
     Fast,
     /// Events sorted by place and time, and the differences of their keys in prefix codes, for whole windows on a host:
-    /// [`keys`]. Fewer bits than [`Self::Fast`], at several times its speed; an image has no memory for it.
+    /// [`keys`]. Fewer bits than [`Self::Fast`] from some dozen events a window on, and in less time from some
+    /// thousand on; an image has no memory for it.
     Keys,
     /// Blocks of events in order of arrival, by vectors, the cheapest to compute: [`quick`]. Lossless alone.
     Quick,
     /// A range coder with learned contexts, for fewer bits: [`dense`].
     Dense,
     /// Trees of places and times, the fewest bits, for whole windows of events on a host: [`tree`]. A window that does
-    /// not fit its output or memory, and those of a sensor that scans, are coded by [`dense`].
+    /// not fit its output or memory is coded by [`dense`].
     Tree(Effort),
 }
 

@@ -173,16 +173,17 @@ impl Config {
         match self.mode {
             Mode::Hybrid(Hybrid {
                 coder: Coder::Keys, ..
-            }) => {
-                HAS_KEYS
-                    && scratch.keys.is_some()
-                    && !self.keep_order
-                    && !self.filter.isolated
-                    && self.bytes_per_second.is_none()
-            }
+            }) => HAS_KEYS && scratch.keys.is_some() && self.suits_keys(),
             Mode::Coefficients(Coder::Keys) => false,
             _ => true,
         }
+    }
+
+    /// Returns whether [`Coder::Keys`] can do all that is asked for beside the mode: it has no order of events of equal
+    /// time, no filter of isolated events and no byte budget.
+    #[must_use]
+    pub const fn suits_keys(&self) -> bool {
+        !self.keep_order && !self.filter.isolated && self.bytes_per_second.is_none()
     }
 
     /// Returns the smallest budget in bytes per second: the headers of all windows and a seventh more.

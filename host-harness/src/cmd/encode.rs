@@ -35,8 +35,8 @@ pub struct Encode {
     #[command(flatten)]
     codec: CodecOptions,
 
-    /// hybrid: instead of --window-us, the duration that takes the fewest bytes for the first 262,144 events, of 4,096 to
-    /// 131,072 us, or of numbers of scans for sensors that scan
+    /// hybrid: instead of --window-us, the duration from some 4 to 131 ms that takes the fewest bytes for the recording's
+    /// first events, 262,144 if it has as many; a pipe is read that far before anything is written
     #[arg(long, conflicts_with = "window_us")]
     auto_window: bool,
 

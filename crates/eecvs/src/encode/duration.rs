@@ -5,7 +5,7 @@
 
 use std::num::NonZeroUsize;
 
-use eecvs_nostd::{Config, Fidelity, Hybrid, Mode, Readout, WindowConfig};
+use eecvs_nostd::{Axis, Config, Fidelity, Hybrid, Mode, Readout, Sensor, WindowConfig};
 use event_types::ensure;
 use event_types::stream::{Ahead, EventReader, MemoryReader, Result};
 
@@ -25,8 +25,8 @@ const WINDOWS_MIN: u64 = 4;
 /// again, with the configuration that has the duration with the fewest bytes of those events' frame file.
 ///
 /// It tries that of the configuration, and those of [`DURATIONS_US`] of which at least four would hold the events'
-/// span; where [`Config::readout`] is set, also windows of 64, 128, 256 and 512 scans. A source that pauses is not
-/// waited for.
+/// span; where [`Config::readout`] is set, also windows of 64, 128, 256 and 512 scans. A live or growing source
+/// is not waited for; a pipe is, until it has given as many events or ends.
 ///
 /// # Errors
 /// Modes other than hybrid with exact times or within a tolerance, and a byte budget: there the duration is part of
@@ -58,15 +58,14 @@ pub fn look(
         _ => 0,
     };
     let scans = config.readout.into_iter().flat_map(|readout| {
-        let sensor = config.window.sensor;
-        let lines = sensor.width.max(sensor.height);
-        SCANS_LOG2.map(|log2| scans_us(readout, lines, 1 << log2))
+        SCANS_LOG2.map(|log2| scans_us(readout, config.window.sensor, 1 << log2))
     });
-    let durations = DURATIONS_US.into_iter().chain(scans);
-    let durations =
-        durations.filter(|duration_us| u64::from(*duration_us) <= span_us / WINDOWS_MIN);
+    let given_us = config.window.window_us;
+    let durations = DURATIONS_US.into_iter().chain(scans).filter(|duration_us| {
+        *duration_us != given_us && u64::from(*duration_us) <= span_us / WINDOWS_MIN
+    });
     let mut best = None;
-    for duration_us in [config.window.window_us].into_iter().chain(durations) {
+    for duration_us in [given_us].into_iter().chain(durations) {
         let config = Config {
             window: WindowConfig {
                 window_us: duration_us,
@@ -88,7 +87,11 @@ pub fn look(
 }
 
 /// Returns the duration of a window that has at most `count` scans wherever it begins, in microseconds.
-fn scans_us(readout: Readout, lines: u16, count: u32) -> u32 {
+fn scans_us(readout: Readout, sensor: Sensor, count: u32) -> u32 {
+    let lines = match readout.axis() {
+        Axis::Columns => sensor.width,
+        Axis::Rows => sensor.height,
+    };
     let lag_q16 = u64::from(readout.slope_q16().unsigned_abs()) * u64::from(lines);
     // The first scan of a line is up to a scan before the window, a time is rounded to its nearest one.
     let scans_q16 = u64::from(count - 3) * u64::from(readout.period_q16());
@@ -98,9 +101,7 @@ fn scans_us(readout: Readout, lines: u16, count: u32) -> u32 {
 
 #[cfg(test)]
 mod tests {
-    use eecvs_nostd::{
-        Axis, Coder, Effort, Event, Polarity, Scans, Sensor, Thresholds, WindowConfig,
-    };
+    use eecvs_nostd::{Coder, Effort, Event, Polarity, Scans, Thresholds};
 
     use super::*;
 
@@ -182,7 +183,7 @@ mod tests {
         ] {
             let readout = Readout::new(axis, period, slope).unwrap();
             for count in SCANS_LOG2.map(|log2| 1 << log2) {
-                let duration_us = scans_us(readout, 320, count);
+                let duration_us = scans_us(readout, sensor, count);
                 for ago in [0, period / 2, period - 1] {
                     // The line that is read last has its first scan up to a period before the window.
                     let last = slope.max(0) * 319;

@@ -22,7 +22,7 @@ pub struct Code {
     pub lengths: [u8; SYMBOLS],
     /// Number of codes of each length; what stands at 0 is of no use.
     numbers: [u8; 16],
-    /// First symbol, of class `low`, and the one after the last.
+    /// First symbol, and the one after the last.
     range: (u8, u8),
 }
 

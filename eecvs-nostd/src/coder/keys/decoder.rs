@@ -175,7 +175,10 @@ fn decode_slice<K: Kernels>(
             start_us: window.start_us,
             first: head.first,
             unit_us,
-            last_us: window.duration_us - 1,
+            // A cell's middle may lie beyond the last time that a clock shows.
+            last_us: u32::try_from(u64::MAX - window.start_us)
+                .unwrap_or(u32::MAX)
+                .min(window.duration_us - 1),
         },
         // The numbers of units, at first.
         None => Clock {
@@ -189,7 +192,7 @@ fn decode_slice<K: Kernels>(
     if window.cells.width_us().is_none() {
         for event in events {
             let offset_us = window.cells.offset_us(event.t_us as u32);
-            event.t_us = window.start_us.wrapping_add(u64::from(offset_us));
+            event.t_us = window.start_us.saturating_add(u64::from(offset_us));
         }
     }
     Some(at + bytes)

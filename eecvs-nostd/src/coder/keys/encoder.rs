@@ -51,7 +51,7 @@ pub struct Coded {
 const BEYOND: usize = 8;
 
 /// Room in which one event has a payload of its own, whatever it is: flags, two numbers of 5 bytes, a section's size, a
-/// code of two symbols in 36 bits, a bit, 53 bits of mantissa, and the last word.
+/// code of two symbols in at most 40 bits, a bit, 53 bits of mantissa, and the last word.
 pub const EVENT_BYTES_MAX: usize = 1 + 10 + 2 + 5 + SECTIONS + 7 + BEYOND;
 
 /// Memory of an encoder.

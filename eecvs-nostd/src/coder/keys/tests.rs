@@ -13,8 +13,14 @@ use crate::coder::quick::{Placed, place};
 use event_types::{Event, Polarity, Sensor};
 use zerocopy::FromZeros;
 
+/// The ways to code: on a processor without vectors a single one, which is then compared with nothing.
 fn kinds() -> Vec<Simd> {
-    vec![Simd::NONE, Simd::detected()]
+    let detected = Simd::detected();
+    if detected == Simd::NONE {
+        std::eprintln!("skipped: this processor has no vectors for the keys coder");
+        return vec![detected];
+    }
+    vec![Simd::NONE, detected]
 }
 
 /// Memory of both sides, which is what a window before left there.
@@ -265,6 +271,30 @@ fn the_largest_differences_come_back() {
     }
 }
 
+/// The middle of the last cell lies beyond the last time that a clock shows.
+#[test]
+fn the_last_times_of_a_clock_do_not_wrap() {
+    let sensor = Sensor::new(8, 4).unwrap();
+    let mut memory = Memory::new();
+    for fidelity in [Fidelity::ToleranceUs(500), Fidelity::Bins(3)] {
+        for count in [1, 9, 2000] {
+            let window = Window::new(sensor, u64::MAX - 100, 1000, fidelity);
+            let placed = vec![[100, 1]; count];
+            let mut out = vec![0; 100 + 8 * count];
+            let coded = encode(Simd::NONE, &window, &placed, &mut memory.encoder, &mut out);
+            let coded = coded.unwrap();
+            assert_eq!(coded.events, count);
+            for simd in kinds() {
+                let mut events = vec![Event::UNSET; count];
+                let payload = &out[..coded.bytes];
+                decode(simd, &window, payload, &mut memory.decoder, &mut events).unwrap();
+                let times = events.iter().map(|event| event.t_us);
+                assert!(times.into_iter().all(|t_us| t_us >= u64::MAX - 100));
+            }
+        }
+    }
+}
+
 #[test]
 fn wrong_events_are_refused() {
     let mut memory = Memory::new();
@@ -463,13 +493,10 @@ fn the_bits_are_frozen() {
     let mut all = vec![];
     for seed in 0..40 {
         let (window, events) = case(1 << 42 | seed);
-        if window.cells.width_us().is_none() {
-            continue;
-        }
         all.extend(round_trip(&window, &events, &mut memory));
     }
     assert_eq!(
         (all.len(), crate::checksum::crc_32(&all)),
-        (142_253, 0xD834_A4F8)
+        (160_026, 0x8213_862A)
     );
 }

@@ -135,7 +135,8 @@ impl Simd {
         events: &mut [Event],
     ) -> Option<()> {
         // Vectors are for times that ascend, and take longer for few events.
-        if events.len() < VECTORS_FROM || matches!(body.times, Times::Back { .. }) {
+        let is_for_one = self.0 == Kind::None || events.len() < VECTORS_FROM;
+        if is_for_one || matches!(body.times, Times::Back { .. }) {
             return portable::decode_block(body, window, first, events);
         }
         if let Ok(full) = events.as_mut().try_into() {
