@@ -189,7 +189,8 @@ impl HostStorage {
         }
         if let Some(effort) = config.mode.effort() {
             let slots = self.windows.first().map_or(0, WindowMemory::slots);
-            self.tree = TreeStorage::new(config.window.sensor, effort, slots);
+            let tree = TreeStorage::new(config.window.sensor, effort, slots);
+            self.tree = tree.ok().context("no memory")?;
         }
         if config.mode.has_keys() && self.keys.is_none() {
             self.keys = Some(EncoderMemory::new_box_zeroed().ok().context("no memory")?);

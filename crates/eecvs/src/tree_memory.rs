@@ -4,6 +4,7 @@ use eecvs_nostd::coder::tree::{
     Counter, Curve, Marks, Nodes, Pixel, Sizes, TreeEvent, TreeMemory, Weights,
 };
 use eecvs_nostd::{Effort, Sensor};
+use zerocopy::{AllocError, FromZeros};
 
 /// Memory of the tree coder, allocated for a sensor and an effort.
 #[derive(Debug, Default)]
@@ -21,21 +22,25 @@ pub(crate) struct TreeStorage {
 }
 
 impl TreeStorage {
-    /// Allocates memory for windows of any number of events; `events` of them have room in it.
-    pub(crate) fn new(sensor: Sensor, effort: Effort, events: usize) -> Self {
+    /// Allocates memory for windows of any number of events; `events` of them have room in it. The system gives zeros,
+    /// of which only what a window touches takes room.
+    ///
+    /// # Errors
+    /// Fails if the system refuses the memory.
+    pub(crate) fn new(sensor: Sensor, effort: Effort, events: usize) -> Result<Self, AllocError> {
         let sizes = Sizes::new(sensor, effort, usize::MAX, true);
-        Self {
-            counters: vec![Counter::UNSET; sizes.counters],
-            weights: vec![Weights::default(); sizes.weights],
-            curves: vec![[0; _]; sizes.curves],
-            bytes: vec![0; sizes.bytes],
-            halves: vec![0; sizes.halves],
-            words: vec![0; sizes.words],
-            pixels: vec![Pixel::NONE; sizes.pixels],
-            seconds: vec![Nodes::default(); sizes.seconds],
-            marks: vec![Marks::default(); sizes.marks],
-            events: vec![TreeEvent::NONE; events],
-        }
+        Ok(Self {
+            counters: Counter::new_vec_zeroed(sizes.counters)?,
+            weights: Weights::new_vec_zeroed(sizes.weights)?,
+            curves: Curve::new_vec_zeroed(sizes.curves)?,
+            bytes: u8::new_vec_zeroed(sizes.bytes)?,
+            halves: u16::new_vec_zeroed(sizes.halves)?,
+            words: u32::new_vec_zeroed(sizes.words)?,
+            pixels: Pixel::new_vec_zeroed(sizes.pixels)?,
+            seconds: Nodes::new_vec_zeroed(sizes.seconds)?,
+            marks: Marks::new_vec_zeroed(sizes.marks)?,
+            events: TreeEvent::new_vec_zeroed(events)?,
+        })
     }
 
     /// Lends all of it.

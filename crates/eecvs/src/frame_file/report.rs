@@ -33,6 +33,8 @@ pub struct LinkReport {
     pub frames_dependent: u64,
     /// Undamaged frames of windows with more events than the decoder accepts.
     pub frames_crowded: u64,
+    /// Undamaged frames for whose decoding the system refused memory.
+    pub frames_without_memory: u64,
     /// Segments whose end mark is that of their frames: counts, hash and index.
     pub segments_ended: u64,
     /// Segments whose end mark is another one: frames are missing, or the mark is wrong.
@@ -68,6 +70,7 @@ impl LinkReport {
             + self.frames_malformed
             + self.frames_dependent
             + self.frames_crowded
+            + self.frames_without_memory
             + self.segments_different
             + self.segments_cut_short;
         missing > 0 || self.other_sensor.is_some()
@@ -79,6 +82,7 @@ impl LinkReport {
             Refused::Malformed => self.frames_malformed += 1,
             Refused::Dependent => self.frames_dependent += 1,
             Refused::Crowded => self.frames_crowded += 1,
+            Refused::Memory => self.frames_without_memory += 1,
         }
     }
 
@@ -116,6 +120,7 @@ impl LinkReport {
                 self.frames_crowded,
                 "with more events than a sensor sends or --max-events-per-window allows",
             ),
+            (self.frames_without_memory, "without memory to decode them"),
         ] {
             if frames > 0 {
                 met.push(format!("frames {what}: {frames}"));

@@ -30,6 +30,8 @@ pub enum Refused {
     Dependent,
     /// The window has more events than the [`WindowLimit`](crate::window_limit::WindowLimit).
     Crowded,
+    /// The system refused the memory that decoding takes.
+    Memory,
 }
 
 impl std::fmt::Display for Refused {
@@ -40,6 +42,7 @@ impl std::fmt::Display for Refused {
             Self::Crowded => {
                 "the window has more events than a sensor sends or --max-events-per-window allows"
             }
+            Self::Memory => "there is no memory to decode the frame",
         })
     }
 }
@@ -102,29 +105,39 @@ struct TreeChain {
     effort: Effort,
     has_history: bool,
     storage: TreeStorage,
-    /// Sequence number of the frame that continues from this state.
-    next: u32,
+    /// Sequence number of the frame that continues from this state; `None` after one that did not decode.
+    next: Option<u32>,
 }
 
 impl TreeChain {
-    /// As [`Chain::of`].
-    fn of(before: Option<Self>, header: &Header, effort: Effort) -> Result<Self, Refused> {
-        let before = before.filter(|chain| {
-            (chain.sensor, chain.effort, chain.has_history)
-                == (header.sensor, effort, header.has_previous)
+    /// Returns the state that a frame continues from, in `chain`: as [`Chain::of`]. Memory whose state is of no use
+    /// serves the next key frame.
+    fn of<'c>(
+        chain: &'c mut Option<Self>,
+        header: &Header,
+        effort: Effort,
+    ) -> Result<&'c mut Self, Refused> {
+        let (sensor, has_history) = (header.sensor, header.has_previous);
+        let mut before = chain.take_if(|chain| {
+            (chain.sensor, chain.effort, chain.has_history) == (sensor, effort, has_history)
         });
-        if header.is_key {
-            Ok(before.unwrap_or_else(|| Self {
-                sensor: header.sensor,
+        let next = before.as_mut().and_then(|chain| chain.next.take());
+        let before = match before {
+            Some(before) => before,
+            None if header.is_key => Self {
+                sensor,
                 effort,
-                has_history: header.has_previous,
-                storage: TreeStorage::new(header.sensor, effort, 0),
-                next: 0,
-            }))
+                has_history,
+                storage: TreeStorage::new(sensor, effort, 0).map_err(|_| Refused::Memory)?,
+                next: None,
+            },
+            None => return Err(Refused::Dependent),
+        };
+        let state = chain.insert(before);
+        if header.is_key || next == Some(header.sequence) {
+            Ok(state)
         } else {
-            before
-                .filter(|chain| chain.next == header.sequence)
-                .ok_or(Refused::Dependent)
+            Err(Refused::Dependent)
         }
     }
 }
@@ -226,7 +239,7 @@ impl HybridDecoder {
         let mut events = unset(header, payload, std::mem::take(&mut self.spare))?;
         let memory = match &mut self.keys {
             Some(memory) => memory,
-            none => none.insert(DecoderMemory::new_box_zeroed().expect("memory")),
+            none => none.insert(DecoderMemory::new_box_zeroed().map_err(|_| Refused::Memory)?),
         };
         let window = keys::Window::new(header.sensor, header.t0_us, header.duration_us, fidelity);
         match keys::decode(
@@ -248,9 +261,9 @@ impl HybridDecoder {
         payload: &[u8],
         times: Times,
     ) -> Result<Vec<Event>, Refused> {
-        let mut chain = TreeChain::of(self.trees.take(), header, effort)?;
         let shape = header.levels.and_then(|levels| Shape::new(times, levels));
         let shape = shape.ok_or(Refused::Malformed)?;
+        let chain = TreeChain::of(&mut self.trees, header, effort)?;
         let count = header.events as usize;
         self.found.clear();
         self.found.resize(count, TreeEvent::NONE);
@@ -273,8 +286,7 @@ impl HybridDecoder {
         if !is_whole || !self.found.iter().all(is_inside) {
             return Err(Refused::Malformed);
         }
-        chain.next = header.sequence.wrapping_add(1);
-        self.trees = Some(chain);
+        chain.next = Some(header.sequence.wrapping_add(1));
         let mut events = std::mem::take(&mut self.spare);
         events.clear();
         let found = self.found.iter();

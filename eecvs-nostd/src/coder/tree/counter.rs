@@ -1,9 +1,11 @@
 //! Adaptive probabilities that learn fast at first.
 
+use zerocopy::FromZeros;
+
 use super::range::BitCoder;
 
 /// The probability of a one in the upper 22 bits; below them how often it was learned from, up to a limit.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, FromZeros)]
 pub struct Counter(u32);
 
 /// Number of decisions after which a single counter learns no slower.

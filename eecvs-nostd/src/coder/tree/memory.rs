@@ -17,7 +17,7 @@ pub struct TreeMemory<'b> {
     pub weights: &'b mut [Weights],
     /// Learned corrections of predictions.
     pub curves: &'b mut [Curve],
-    /// Two pyramids, and a byte or more of each pixel.
+    /// Two pyramids, a byte or more of each pixel, and one of each block of counters.
     pub bytes: &'b mut [u8],
     /// When each node of the pyramid was last in use, and how often each slot of a window is.
     pub halves: &'b mut [u16],
@@ -91,7 +91,9 @@ impl Sizes {
                         + pyramid.nodes
                         + areas
                         + area_count(sensor, 4)
-                        + 2 * pixels,
+                        + 2 * pixels
+                        + of_places.blocks
+                        + of_times.blocks,
                     halves: pyramid.nodes + times::HISTOGRAM,
                     words: COUNTS + pixels,
                     pixels: 3 * row,

@@ -100,10 +100,26 @@ pub(super) struct MixerSizes {
     pub(super) curves: usize,
 }
 
+/// Counters that one mark stands for.
+const BLOCK: usize = 256;
+
+/// Mark of a block of counters that hold what was learned before the restart, or anything.
+const STALE: u8 = 1;
+
+impl MixerSizes {
+    /// Number of blocks of counters.
+    pub(super) const fn blocks(&self) -> usize {
+        self.counters.div_ceil(BLOCK)
+    }
+}
+
 /// Everything learned of one kind of decision.
 #[derive(Debug)]
 pub(super) struct Mixer<'m> {
     counters: &'m mut [Counter],
+    /// Which blocks of counters are [`STALE`]: these are set when they are first asked. A key frame of few events
+    /// asks few of them, and setting all at its start would take longer than it.
+    blocks: &'m mut [u8],
     weights: [&'m mut [Weights]; 3],
     curves: &'m mut [Curve],
     /// Decisions so far: the first ones move the weights further.
@@ -119,6 +135,7 @@ pub(super) struct MixerMemory<'m> {
     pub(super) weights: &'m mut [Weights],
     pub(super) curves: &'m mut [Curve],
     pub(super) words: &'m mut [u32],
+    pub(super) blocks: &'m mut [u8],
 }
 
 fn take<'m, T>(from: &mut &'m mut [T], count: usize) -> Option<&'m mut [T]> {
@@ -131,6 +148,7 @@ impl<'m> MixerMemory<'m> {
         let [first, second, third] = sizes.weights;
         Some(Mixer {
             counters: take(&mut self.counters, sizes.counters)?,
+            blocks: take(&mut self.blocks, sizes.blocks())?,
             weights: [
                 take(&mut self.weights, first)?,
                 take(&mut self.weights, second)?,
@@ -146,7 +164,7 @@ impl<'m> MixerMemory<'m> {
 impl Mixer<'_> {
     /// Forgets everything.
     pub(super) fn restart(&mut self) {
-        self.counters.fill(Counter::EVEN);
+        self.blocks.fill(STALE);
         for weights in &mut self.weights {
             weights.fill(WEIGHTS);
         }
@@ -174,6 +192,12 @@ impl Mixer<'_> {
             // All contexts lie in the sizes that are asked for.
             return coder.bit(EVEN_P16, bit);
         };
+        let block = |at: u32| self.blocks.get(at as usize / BLOCK).copied().unwrap_or(0);
+        if at.iter().fold(0, |stale, at| stale | block(*at)) != 0 {
+            for at in at {
+                set_block(self.counters, self.blocks, at as usize / BLOCK);
+            }
+        }
         let mut inputs = [0_i32; LANES];
         for (input, at) in inputs.iter_mut().zip(at) {
             let counter = self.counters.get(at as usize).copied();
@@ -219,6 +243,19 @@ impl Mixer<'_> {
             }
         }
         bit
+    }
+}
+
+/// Sets a block of counters that is [`STALE`] to what they are before anything is learned.
+#[cold]
+#[inline(never)]
+fn set_block(counters: &mut [Counter], blocks: &mut [u8], block: usize) {
+    let counters = counters.chunks_mut(BLOCK).nth(block);
+    if let (Some(counters), Some(mark)) = (counters, blocks.get_mut(block))
+        && *mark == STALE
+    {
+        counters.fill(Counter::EVEN);
+        *mark = 0;
     }
 }
 

@@ -33,6 +33,7 @@ use crate::coder::tree::range::{BitCoder, Decoder, Encoder};
 use crate::coder::tree::times::{Clock, mixed, single};
 use crate::coder::{Scans, Times};
 use event_types::Sensor;
+use zerocopy::FromZeros;
 
 /// How much the coder computes for fewer bits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -175,7 +176,7 @@ impl Shape {
 }
 
 /// An event of a window.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, FromZeros)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TreeEvent {
     /// As it is coded: the number of its cell, or of its scan with the distance from it.
@@ -327,11 +328,14 @@ impl<'b> Tree<'b> {
                 let is_full = effort == Effort::Three;
                 let trees = sizes.seconds / 3;
                 let mut marks = memory.marks.get_mut(..sizes.marks)?;
+                let blocks =
+                    places::mixed_sizes(is_full).blocks + times::mixed_sizes(is_full).blocks;
                 let mut mixers = MixerMemory {
                     counters,
                     weights: memory.weights.get_mut(..sizes.weights)?,
                     curves: memory.curves.get_mut(..sizes.curves)?,
                     words: counts,
+                    blocks: bytes.split_off_mut(..blocks)?,
                 };
                 State::Mixed {
                     is_full,

@@ -221,7 +221,8 @@ proptest! {
             let (mut lent, mut lent_back) = (there.lent(), back.lent());
             let mut encoder = case.tree(events, &mut lent);
             let mut decoder = case.tree(events, &mut lent_back);
-            if *is_key || is_first {
+            let is_key = *is_key || is_first;
+            if is_key {
                 encoder.restart();
                 decoder.restart();
             }
@@ -235,6 +236,16 @@ proptest! {
             prop_assert!(decoder.decode(case.shape, start, &out[..len], &mut got));
             prop_assert_eq!(&got, window);
             prop_assert!(there.state() == back.state());
+            if is_key {
+                // Nothing of the windows before is left.
+                let mut memory = case.memory(events);
+                let mut lent = memory.lent();
+                let mut tree = case.tree(events, &mut lent);
+                tree.restart();
+                let mut alone = vec![0; out.len()];
+                prop_assert_eq!(tree.encode(case.shape, start, &mut sent, &mut alone), Some(len));
+                prop_assert_eq!(&alone[..len], &out[..len]);
+            }
         }
     }
 

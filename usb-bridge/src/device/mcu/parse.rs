@@ -172,6 +172,10 @@ impl Parse for McuParser {
                 "frames with more events than a sensor sends",
                 self.report.frames_crowded,
             ),
+            (
+                "frames without memory to decode them",
+                self.report.frames_without_memory,
+            ),
             ("frames of another sensor", self.other_sensors),
             ("events too late for their window", counts.events_late),
             ("events filtered by the encoder", counts.events_filtered),

@@ -20,6 +20,7 @@ pub(super) struct MixedSizes {
     pub(super) counters: usize,
     pub(super) weights: usize,
     pub(super) curves: usize,
+    pub(super) blocks: usize,
 }
 
 impl MixedSizes {
@@ -28,12 +29,14 @@ impl MixedSizes {
             counters: 0,
             weights: 0,
             curves: 0,
+            blocks: 0,
         };
         let mut i = 0;
         while i < mixers.len() {
             sizes.counters += mixers[i].counters;
             sizes.weights += mixers[i].weights[0] + mixers[i].weights[1] + mixers[i].weights[2];
             sizes.curves += mixers[i].curves;
+            sizes.blocks += mixers[i].blocks();
             i += 1;
         }
         sizes

@@ -10,6 +10,7 @@ pub(super) mod mixed;
 pub(super) mod single;
 
 use event_types::Sensor;
+use zerocopy::FromZeros;
 
 use self::beside::Beside;
 use super::counter::{Counter, code_value};
@@ -45,7 +46,7 @@ pub(super) const fn area_count(sensor: Sensor, side: u16) -> usize {
 }
 
 /// Which nodes of a tree of up to six levels are occupied.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, FromZeros)]
 pub struct Nodes {
     /// Node i of level l is bit 2^l + i; the root is level 0.
     inner: u64,
@@ -88,7 +89,7 @@ impl Nodes {
 }
 
 /// What is kept of a pixel for its neighbours.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, FromZeros)]
 pub struct Pixel {
     /// Inner nodes of its first tree.
     inner: u64,
@@ -132,7 +133,7 @@ impl Pixel {
 }
 
 /// What `mixed` keeps beside a tree: nodes with ON and with OFF events, and times.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, FromZeros)]
 pub struct Marks {
     on: Nodes,
     off: Nodes,
