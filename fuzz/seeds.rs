@@ -5,9 +5,10 @@ use std::path::Path;
 
 use eecvs::encode::HostStorage;
 use eecvs_nostd::{
-    Coder, Config, Encoder, Event, Fidelity, Filter, Hybrid, KEY_WINDOWS, Mode, Polarity, Push,
-    Quantiser, Sensor, Thresholds, Transform, WindowConfig,
+    Coder, Config, Effort, Encoder, Event, Fidelity, Filter, Frame, Hybrid, KEY_WINDOWS, Mode,
+    Polarity, Push, Quantiser, Sensor, Thresholds, Transform, WindowConfig,
 };
+use targets::encode::to_mode;
 
 const SEEDS: [(&str, &str, Sensor); 15] = [
     (
@@ -159,6 +160,7 @@ fn main() -> anyhow::Result<()> {
         writer.finish()?;
     }
     frames(&root.join("frames"))?;
+    sealed(&root.join("sealed"))?;
     uncompressed(&root.join("read_aedat4"))
 }
 
@@ -169,16 +171,14 @@ fn frames(folder: &Path) -> anyhow::Result<()> {
         width: 64,
         height: 64,
     };
-    let lossless = |coder| {
-        Mode::Hybrid(Hybrid {
-            coder,
-            fidelity: Fidelity::Lossless,
-        })
-    };
     let of_events = [
         ("fast", lossless(Coder::Fast), false),
         ("keys", lossless(Coder::Keys), false),
+        ("quick", lossless(Coder::Quick), false),
         ("dense", lossless(Coder::Dense), false),
+        ("tree-1", lossless(Coder::Tree(Effort::One)), false),
+        ("tree-2", lossless(Coder::Tree(Effort::Two)), false),
+        ("tree-3", lossless(Coder::Tree(Effort::Three)), false),
         ("fast-ordered", lossless(Coder::Fast), true),
         ("dense-ordered", lossless(Coder::Dense), true),
         ("coefficients", Mode::Coefficients(Coder::Dense), false),
@@ -188,42 +188,160 @@ fn frames(folder: &Path) -> anyhow::Result<()> {
         Transform::ALL.map(|transform| (transform.name(), Mode::Transform, Some(transform), false));
     for (name, mode, transform, keep_order) in of_transforms.into_iter().chain(of_events) {
         let config = Config {
-            window: WindowConfig::new(sensor, 20),
-            thresholds: Thresholds::new(0, 0).unwrap_or_else(|| unreachable!("in order")),
-            transform,
-            m: 8,
-            grid: None,
-            quantiser: Quantiser::DEFAULT,
-            mode,
-            key_windows: KEY_WINDOWS,
-            readout: None,
-            filter: Filter::NONE,
-            bytes_per_second: None,
             keep_order,
+            ..config(sensor, 20, mode, transform)
         };
-        let mut storage = HostStorage::new(sensor, 100);
-        let mut encoder = storage.encoder(config)?;
-        let mut out = vec![0; 4096];
-        let mut bytes = Vec::new();
-        let mut events = events().into_iter();
-        let mut next = events.next();
-        while let Some(event) = next {
-            if encoder.push(event) == Push::Closed {
-                take(&mut encoder, &mut out, &mut bytes);
-            } else {
-                next = events.next();
-            }
-        }
-        encoder.flush();
-        take(&mut encoder, &mut out, &mut bytes);
-        std::fs::write(folder.join(format!("{name}.eecvs")), bytes)?;
+        let frames = encode(config, events())?;
+        std::fs::write(folder.join(format!("{name}.eecvs")), frames.concat())?;
     }
     Ok(())
 }
 
-fn take(encoder: &mut Encoder<'_>, out: &mut [u8], bytes: &mut Vec<u8>) {
+fn lossless(coder: Coder) -> Mode {
+    let fidelity = Fidelity::Lossless;
+    Mode::Hybrid(Hybrid { coder, fidelity })
+}
+
+fn config(sensor: Sensor, window_us: u32, mode: Mode, transform: Option<Transform>) -> Config {
+    Config {
+        window: WindowConfig::new(sensor, window_us),
+        thresholds: Thresholds::new(0, 0).unwrap_or_else(|| unreachable!("in order")),
+        transform,
+        m: 8,
+        grid: None,
+        quantiser: Quantiser::DEFAULT,
+        mode,
+        key_windows: KEY_WINDOWS,
+        readout: None,
+        filter: Filter::NONE,
+        bytes_per_second: None,
+        keep_order: false,
+    }
+}
+
+/// Returns the frames of events.
+fn encode(config: Config, events: Vec<Event>) -> anyhow::Result<Vec<Vec<u8>>> {
+    let mut storage = HostStorage::new(config.window.sensor, 1000);
+    let mut encoder = storage.encoder(config)?;
+    let mut out = vec![0; 1 << 16];
+    let mut frames = Vec::new();
+    let mut events = events.into_iter();
+    let mut next = events.next();
+    while let Some(event) = next {
+        if encoder.push(event) == Push::Closed {
+            take(&mut encoder, &mut out, &mut frames);
+        } else {
+            next = events.next();
+        }
+    }
+    encoder.flush();
+    take(&mut encoder, &mut out, &mut frames);
+    Ok(frames)
+}
+
+/// Writes inputs of the target `sealed` that decode: two windows of each way to code events, and of each transform.
+fn sealed(folder: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder)?;
+    let modes = (0..=255_u8).flat_map(|mode| [0, 1, 2].map(|fidelity| (mode, fidelity)));
+    let mut seen = Vec::new();
+    for (mode, fidelity) in modes {
+        let kind = to_mode(mode, fidelity * 16);
+        let transform = Transform::ALL[usize::from(mode >> 4) % 3];
+        let key = (kind, kind.is_transform().then_some(transform));
+        if seen.contains(&key) {
+            continue;
+        }
+        seen.push(key);
+        for pixels in [1, 8, 40] {
+            // A payload but the last has whole words: some number of events makes one.
+            let input = (100..250).find_map(|count| {
+                let config = config(
+                    targets::sealed::SENSOR,
+                    targets::sealed::WINDOW_US,
+                    kind,
+                    Some(transform),
+                );
+                let frames = encode(config, bursts(count, pixels)).ok()?;
+                to_sealed(mode, &frames)
+            });
+            if let Some(input) = input {
+                std::fs::write(
+                    folder.join(format!("{mode:02x}-{fidelity}-{pixels}")),
+                    input,
+                )?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Returns events of two windows of [`sealed`], at so many pixels.
+fn bursts(count: u32, pixels: u32) -> Vec<Event> {
+    let mut events: Vec<_> = (0..count)
+        .map(|i| {
+            let hash = i.wrapping_mul(0x9E37_79B1) ^ i << 7;
+            let pixel = (hash >> 8) % pixels;
+            Event {
+                t_us: u64::from(hash >> 16) % (2 * u64::from(targets::sealed::WINDOW_US)),
+                x: (pixel % 9 * 3 % 40) as u16,
+                y: (pixel / 9 * 5 % 24) as u16,
+                polarity: Polarity::from_bool(hash >> 4 & 3 != 0),
+            }
+        })
+        .collect();
+    events.sort_by_key(|event| event.t_us);
+    events
+}
+
+/// Returns the input of the target `sealed` that makes these frames; `None` if none does.
+fn to_sealed(mode: u8, frames: &[Vec<u8>]) -> Option<Vec<u8>> {
+    let mut input = Vec::new();
+    for (i, bytes) in frames.iter().enumerate() {
+        let frame = Frame::parse(bytes).ok()?;
+        let (header, payload) = (&frame.header, frame.payload);
+        let is_last = i + 1 == frames.len();
+        if !is_last && payload.len() % 4 != 0 {
+            return None;
+        }
+        // What tells the fidelity tells the levels too.
+        let levels = header
+            .levels
+            .map(|levels| levels.first | levels.second << 3);
+        let fidelity = (0..=255_u8).find(|fidelity| {
+            to_mode(mode, *fidelity) == header.mode
+                && levels.is_none_or(|levels| fidelity & 63 == levels)
+        })?;
+        let bits = [
+            header.begins_run,
+            header.last,
+            header.is_key,
+            header.has_previous,
+            false,
+            false,
+            header.part > 0,
+        ];
+        let flags = bits
+            .iter()
+            .rev()
+            .fold(0, |flags, bit| flags << 1 | u8::from(*bit));
+        input.extend([
+            u8::try_from(payload.len().div_ceil(4)).ok()?,
+            flags,
+            mode,
+            fidelity,
+            u8::try_from(header.window_events).ok()?,
+            u8::try_from(header.events).ok()?,
+            u8::try_from(header.pixels).ok()?,
+            0,
+        ]);
+        input.extend_from_slice(payload);
+    }
+    Some(input)
+}
+
+fn take(encoder: &mut Encoder<'_>, out: &mut [u8], frames: &mut Vec<Vec<u8>>) {
     while let Ok(Some(encoded)) = encoder.next_frame(out) {
-        bytes.extend_from_slice(&out[encoded.range]);
+        frames.push(out[encoded.range].to_vec());
     }
 }
 

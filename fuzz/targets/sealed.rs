@@ -8,11 +8,13 @@ use eecvs_nostd::{Axis, Header, Quantiser, Readout, Regime, Scans, Sensor, Trans
 use super::encode::to_mode;
 use super::frames;
 
-const SENSOR: Sensor = Sensor {
+/// Sensor of all frames.
+pub const SENSOR: Sensor = Sensor {
     width: 40,
     height: 24,
 };
-const WINDOW_US: u32 = 1 << 13;
+/// Duration of their windows.
+pub const WINDOW_US: u32 = 1 << 13;
 
 /// Runs one input.
 pub fn run(data: &[u8]) {
