@@ -315,12 +315,12 @@ pub fn decode<L: Lanes>(
     count: usize,
     events: &mut [Event; BLOCK],
 ) -> Option<()> {
-    let decode = if count == BLOCK {
-        decode_block::<L, true>
+    // Two calls: one by a pointer would not be inlined, and vectors outside of their features are calls themselves.
+    if count == BLOCK {
+        decode_block::<L, true>(l, body, window, first, count, events)
     } else {
-        decode_block::<L, false>
-    };
-    decode(l, body, window, first, count, events)
+        decode_block::<L, false>(l, body, window, first, count, events)
+    }
 }
 
 #[inline(always)]
