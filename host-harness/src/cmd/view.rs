@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::{Context, Result, anyhow, bail, ensure};
+use anyhow::{Context, Error, Result, anyhow, bail, ensure};
 use clap::Args;
 use eecvs_cli::folder::RunFolder;
 use eecvs_cli::memory::look_for;
@@ -24,12 +24,13 @@ use serde::Serialize;
 use crate::view::frames::Frames;
 use crate::view::gif::{self, Gif};
 use crate::view::input::Input;
+use crate::view::keys::Keys;
 use crate::view::palette::{Palette, is_dumb};
 use crate::view::picture::{Look, default_upscale};
 use crate::view::png::{Pngs, is_numbered};
 use crate::view::slices::{Grid, Slices};
 use crate::view::terminal::{self, Room, Terminal, Text};
-use crate::view::{Played, Screen, play};
+use crate::view::{Played, Screen, Scrub, play};
 
 /// Play a recording or frames, original beside decoded
 ///
@@ -37,6 +38,10 @@ use crate::view::{Played, Screen, play};
 /// orange, darker for larger sums. Two files give three panels: original, decoded, and decoded minus original. Both
 /// files are cut into the same slices by their own event times, starting at --from-us or else at the first event of
 /// FILE. A stretch without events is shortened to one second of playback.
+///
+/// In a terminal, space pauses and goes on, a full stop shows one frame more, the arrows go a second (left, right) or ten
+/// seconds (down, up) of playback back and on, home goes to the start, and q ends. Files of frames have an index, so that
+/// this takes no time; other recordings are read again up to there.
 #[derive(Debug, Args)]
 pub struct View {
     /// Recording of any format, or file of frames
@@ -182,15 +187,41 @@ impl View {
         } else {
             self.frames.unwrap_or(u64::MAX)
         };
+        let mut missing = Vec::new();
+        let mut is_scrubbed = false;
+        let mut open = |before: &Frames, from_us: u64| -> Result<Frames> {
+            is_scrubbed = true;
+            self.add_missing(before, &mut missing);
+            let grid = Grid { from_us, ..grid };
+            let times = from_us..grid.to_us.unwrap_or(u64::MAX);
+            let slices = |path: &Path| -> Result<Slices> {
+                let mut input = Input::open(path, &reading)?;
+                input.seek(times.clone())?;
+                Ok(Slices::new(input, grid, sensor, Arc::clone(&stop)))
+            };
+            let decoded = self.decoded.as_deref().map(slices).transpose()?;
+            Ok(Frames::new(grid, empty_max, slices(&self.file)?, decoded))
+        };
+        let is_seekable = iter::once(&self.file)
+            .chain(&self.decoded)
+            .all(|path| !is_stream(path));
+        let scrub = (self.output.is_none() && is_seekable).then_some(Scrub {
+            start_us: grid.from_us,
+            open: &mut open,
+        });
         let progress = Progress::new("frames");
-        let played = play(&mut frames, screen, limit, &stop, &mut |count| {
+        let played = play(&mut frames, screen, limit, &stop, scrub, &mut |count| {
             // In a terminal, a line of text below the frames shows the progress.
             if self.output.is_some() {
                 progress.set(count);
             }
         })?;
         drop(progress);
-        let link = self.warn(&frames, &played);
+        self.add_missing(&frames, &mut missing);
+        if !is_scrubbed {
+            self.warn_of_clocks(&frames, &played);
+        }
+        let link = first_of(missing);
         if let Some(failure) = played.failure {
             return Err(failure);
         }
@@ -293,13 +324,19 @@ impl View {
                 return Ok(Box::new(Text::new(stdout(), look, columns)));
             }
             let room = Box::new(move || room(columns));
-            let stop = Arc::clone(stop);
+            // Stdin may be the recording.
+            let keys = if is_stream(&self.file) {
+                None
+            } else {
+                Keys::open()
+            };
             return Ok(Box::new(Terminal::new(
                 stdout(),
                 self.fps,
                 look,
                 room,
-                stop,
+                keys,
+                Arc::clone(stop),
             )));
         };
         let upscale = match self.upscale {
@@ -334,12 +371,15 @@ impl View {
         }
     }
 
-    /// Reports what was not shown of the inputs, one line each; returns the first as the error.
-    fn warn(&self, frames: &Frames, played: &Played) -> Result<()> {
-        let mut link = Ok(());
-        let mut missing = |error| match link {
-            Ok(()) => link = Err(error),
-            Err(_) => say!("eecvs: {error:#}"),
+    /// Adds what was not shown of the inputs, and is not known yet.
+    fn add_missing(&self, frames: &Frames, all: &mut Vec<Error>) {
+        let mut missing = |error: Error| {
+            if all
+                .iter()
+                .all(|known| known.to_string() != error.to_string())
+            {
+                all.push(error);
+            }
         };
         let inputs = [
             (Some(&self.file), Some(frames.original())),
@@ -363,6 +403,10 @@ impl View {
                 missing(anyhow!("{name}: {count} events {what}"));
             }
         }
+    }
+
+    /// Says so if the two inputs have no time in common.
+    fn warn_of_clocks(&self, frames: &Frames, played: &Played) {
         if let Some(decoded) = &self.decoded
             && frames.shared() == 0
             && played.frames > 0
@@ -373,8 +417,17 @@ impl View {
                 decoded.display()
             );
         }
-        link
     }
+}
+
+/// Reports errors, one line each, but for the first, which is returned.
+fn first_of(errors: Vec<Error>) -> Result<()> {
+    let mut errors = errors.into_iter();
+    let first = errors.next();
+    for error in errors {
+        say!("eecvs: {error:#}");
+    }
+    first.map_or(Ok(()), Err)
 }
 
 /// Returns the larger width and height of two sensors, which may differ e.g. for text without a header.

@@ -71,6 +71,12 @@ impl Frames {
         }
     }
 
+    /// Returns the duration of a slice, in us.
+    #[must_use]
+    pub const fn slice_us(&self) -> u64 {
+        self.grid.slice_us
+    }
+
     /// Returns the slices of the first input, for their counts.
     #[must_use]
     pub const fn original(&self) -> &Slices {

@@ -8,9 +8,9 @@ use event_files::output::OutputFile;
 use event_pictures::picture::{Colour, Picture};
 use gif::{DisposalMethod, Encoder, EncodingError, Repeat};
 
-use super::Screen;
 use super::frames::Frame;
 use super::picture::{Look, picture};
+use super::{Screen, Wish};
 
 /// Largest frame rate; browsers show a GIF with shorter delays ten times too slowly.
 pub const FPS_MAX: u32 = 50;
@@ -129,8 +129,9 @@ impl Gif {
 }
 
 impl Screen for Gif {
-    fn show(&mut self, frame: &Frame) -> Result<()> {
-        self.write(&picture(frame, self.look))
+    fn show(&mut self, frame: &Frame) -> Result<Wish> {
+        self.write(&picture(frame, self.look))?;
+        Ok(Wish::Next)
     }
 
     fn finish(mut self: Box<Self>) -> Result<()> {

@@ -32,6 +32,11 @@ impl Pace {
         }
     }
 
+    /// Begins anew: the next frame is due when it comes.
+    pub const fn restart(&mut self) {
+        self.due = None;
+    }
+
     /// Decides on the next frame at time `now`.
     pub fn turn(&mut self, now: Instant) -> Turn {
         let due = match self.due {

@@ -7,9 +7,9 @@ use anyhow::Result;
 use eecvs_cli::folder::RunFolder;
 use event_files::output::OutputFile;
 
-use super::Screen;
 use super::frames::Frame;
 use super::picture::{Look, picture};
+use super::{Screen, Wish};
 
 /// Returns whether a picture in a folder has a name that [`Pngs::folder`] gives.
 #[must_use]
@@ -61,7 +61,7 @@ impl Pngs {
 }
 
 impl Screen for Pngs {
-    fn show(&mut self, frame: &Frame) -> Result<()> {
+    fn show(&mut self, frame: &Frame) -> Result<Wish> {
         let path = match &self.place {
             Place::File(path) => path.clone(),
             Place::Folder(folder) => {
@@ -80,7 +80,7 @@ impl Screen for Pngs {
             Place::Folder(_) => file.finish_unsynced()?,
         }
         self.frames += 1;
-        Ok(())
+        Ok(Wish::Next)
     }
 
     fn finish(self: Box<Self>) -> Result<()> {

@@ -10,11 +10,12 @@ use anyhow::{Context, Result};
 use event_pictures::frame_picture::FrameStyle;
 use event_pictures::picture::Colour;
 
-use super::Screen;
 use super::frames::Frame;
+use super::keys::{Key, Keys, Way};
 use super::pace::{Pace, Turn};
 use super::palette::Palette;
 use super::picture::milliseconds;
+use super::{Screen, Wish};
 
 /// Upper half in the foreground colour, lower half in the background colour.
 const HALVES: char = '\u{2580}';
@@ -206,16 +207,25 @@ pub struct Terminal<W: Write> {
     room: Box<dyn FnMut() -> Room>,
     last_room: Option<Room>,
     pace: Pace,
+    fps: u32,
+    /// Last line of the frame that is shown.
+    said: String,
+    /// `None` if nobody can press any.
+    keys: Option<Keys>,
+    is_paused: bool,
+    /// Whether a key asked for the next frame, which is shown at once then.
+    is_asked: bool,
     stop: Arc<AtomicBool>,
 }
 
 impl<W: Write> Terminal<W> {
-    /// Shows `fps` frames per second; calls `room` before each.
+    /// Shows `fps` frames per second, unless `keys` ask for others; calls `room` before each.
     pub fn new(
         out: W,
         fps: u32,
         look: Look,
         room: Box<dyn FnMut() -> Room>,
+        keys: Option<Keys>,
         stop: Arc<AtomicBool>,
     ) -> Self {
         Self {
@@ -224,20 +234,70 @@ impl<W: Write> Terminal<W> {
             room,
             last_room: None,
             pace: Pace::new(fps),
+            fps,
+            said: String::new(),
+            keys,
+            is_paused: false,
+            is_asked: false,
             stop,
         }
     }
 
-    /// Waits for `time`, or until `stop` is set.
-    fn wait(&self, time: Duration) {
-        let end = Instant::now() + time;
+    /// Waits for `time`, for a pause to end, or until `stop` is set. Returns what a key asks for in place of the frame
+    /// that is waited for.
+    fn wait(&mut self, time: Duration) -> Result<Option<Wish>> {
+        let mut end = Instant::now() + time;
         while !self.stop.load(Ordering::Relaxed) {
             let left = end.saturating_duration_since(Instant::now());
-            if left.is_zero() {
+            if left.is_zero() && !self.is_paused {
                 break;
             }
-            std::thread::sleep(left.min(NAP));
+            let nap = if self.is_paused { NAP } else { left.min(NAP) };
+            let Some(keys) = &mut self.keys else {
+                std::thread::sleep(nap);
+                continue;
+            };
+            let Some(key) = keys.next(nap) else {
+                continue;
+            };
+            let by = |seconds: i64, way| {
+                let slices = seconds * i64::from(self.fps);
+                Wish::By(if way == Way::Back { -slices } else { slices })
+            };
+            let wish = match key {
+                Key::Pause => {
+                    self.is_paused = !self.is_paused;
+                    self.pace.restart();
+                    end = Instant::now();
+                    let text = format!("\r{}{CLEAR_LINE}", self.status());
+                    self.put(&text).context("stdout")?;
+                    continue;
+                }
+                Key::Step => {
+                    self.is_paused = true;
+                    self.pace.restart();
+                    break;
+                }
+                Key::Near(way) => by(1, way),
+                Key::Far(way) => by(10, way),
+                Key::Start => Wish::Start,
+                Key::Quit => Wish::End,
+            };
+            self.is_asked = true;
+            return Ok(Some(wish));
         }
+        Ok(None)
+    }
+
+    /// The last line, and what keys do during a pause.
+    fn status(&self) -> String {
+        if !self.is_paused {
+            return self.said.clone();
+        }
+        let columns = self.last_room.map_or(0, |room| room.columns);
+        let keys =
+            "  paused: space goes on, . steps, arrows go 1 or 10 s, home to the start, q ends";
+        cut(&format!("{}{keys}", self.said), columns)
     }
 
     fn put(&mut self, text: &str) -> std::io::Result<()> {
@@ -247,10 +307,17 @@ impl<W: Write> Terminal<W> {
 }
 
 impl<W: Write> Screen for Terminal<W> {
-    fn show(&mut self, frame: &Frame) -> Result<()> {
+    fn show(&mut self, frame: &Frame) -> Result<Wish> {
+        let is_asked = std::mem::take(&mut self.is_asked);
         match self.pace.turn(Instant::now()) {
-            Turn::Skip => return Ok(()),
-            Turn::After(time) => self.wait(time),
+            _ if is_asked => self.pace.restart(),
+            Turn::Skip if !self.is_paused => return Ok(Wish::Next),
+            Turn::Skip => {}
+            Turn::After(time) => {
+                if let Some(wish) = self.wait(time)? {
+                    return Ok(wish);
+                }
+            }
         }
         let room = (self.room)();
         let mut text = String::new();
@@ -261,12 +328,15 @@ impl<W: Write> Screen for Terminal<W> {
             text += CLEAR;
         }
         text += HOME;
-        let lines = lines(frame, room, self.look);
+        let mut lines = lines(frame, room, self.look);
+        self.said = lines.pop().unwrap_or_default();
+        lines.push(self.status());
         // No line feed after the last line: it would scroll a full screen.
         text += &lines.join(&format!("{CLEAR_LINE}\n"));
         text += CLEAR_LINE;
         text += CLEAR_BELOW;
-        self.put(&text).context("stdout")
+        self.put(&text).context("stdout")?;
+        Ok(Wish::Next)
     }
 
     fn finish(self: Box<Self>) -> Result<()> {
@@ -300,7 +370,7 @@ impl<W: Write> Text<W> {
 }
 
 impl<W: Write> Screen for Text<W> {
-    fn show(&mut self, frame: &Frame) -> Result<()> {
+    fn show(&mut self, frame: &Frame) -> Result<Wish> {
         let room = Room {
             columns: self.columns,
             rows: None,
@@ -308,7 +378,8 @@ impl<W: Write> Screen for Text<W> {
         let lines = lines(frame, room, self.look);
         let text = lines.join("\n") + "\n";
         let written = self.out.write_all(text.as_bytes());
-        written.and_then(|()| self.out.flush()).context("stdout")
+        written.and_then(|()| self.out.flush()).context("stdout")?;
+        Ok(Wish::Next)
     }
 
     fn finish(self: Box<Self>) -> Result<()> {
@@ -371,7 +442,7 @@ mod tests {
         let mut out = Vec::new();
         let stop = Arc::default();
         let room = || Box::new(|| ROOM);
-        let mut screen = Box::new(Terminal::new(&mut out, 2, LOOK, room(), stop));
+        let mut screen = Box::new(Terminal::new(&mut out, 2, LOOK, room(), None, stop));
         screen.show(&tiny).unwrap();
         screen.show(&tiny).unwrap();
         screen.finish().unwrap();

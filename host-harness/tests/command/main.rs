@@ -23,5 +23,7 @@ mod status;
 mod streams;
 mod support;
 mod view;
+#[cfg(target_os = "linux")]
+mod view_keys;
 mod volume;
 mod volumes_reference;
