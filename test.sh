@@ -9,6 +9,8 @@
 #   firmware  the images in QEMU: golden vectors, stack, code, instructions, recordings
 #   usb       the USB link: its tests, libusb against a mocked device, simulated cameras in a guest
 #             with a real kernel
+#   links     the tests of hubs and of ROS 2's nodes, which wait for each other's messages more than they compute: only
+#             beside the unit stage, of which they are a part otherwise
 #   metrics   the metrics against scipy and scikit-image, volumes against numpy, in a Python of its own: only when it
 #             is named (the unit stage compares them where the system's Python has these)
 #   peers     the formats against independent decoders, and simulated cameras against drivers of others, in a Python
@@ -92,13 +94,38 @@ emulator() {
     packages qemu-system-arm
 }
 
+# The programs of the workspace's tests: name, folder of the package, path.
+programs() {
+    cargo test "${TESTS[@]}" --no-run --message-format json-render-diagnostics |
+        sed -n 's|.*"manifest_path":"\([^"]*\)/Cargo.toml".*"name":"\([^"]*\)".*"test":true.*"executable":"\([^"]*\)".*|\2 \1 \3|p'
+}
+
+# Runs the programs of tests for which `test NAME` holds, as cargo does: `each TEST`.
+each() {
+    local list name folder program
+    list=$(programs)
+    while read -r name folder program; do
+        ! "$1" "$name" || (echo "     Running $name" && cd "$folder" && "$program") </dev/null
+    done <<<"$list"
+}
+
+is_link() { [ "$1" = hubs ] || [ "$1" = nodes ]; }
+is_no_link() { ! is_link "$1"; }
+
+links() { each is_link; }
+
 unit() {
     umockdev
     # The firmware stage reports a missing one.
     emulator || true
     target thumbv7em-none-eabihf || true
     # The dev profile checks arithmetic overflow and debug assertions.
-    cargo test --workspace "${FEATURES[@]}"
+    if ran links; then
+        each is_no_link
+        cargo test --workspace "${FEATURES[@]}" --doc
+    else
+        cargo test --workspace "${FEATURES[@]}"
+    fi
     # The bits must not depend on the profile.
     cargo test --release -p eecvs-tests --test frames
     host_instructions
@@ -329,13 +356,13 @@ fi
 
 stages=("$@") beside=()
 if [ ${#stages[@]} = 0 ]; then
-    stages=(lint unit demo) beside=(nostd firmware usb)
+    stages=(lint unit) beside=(nostd firmware demo usb links)
     # Two at a time: compilers leave a core idle for a third of the time. Not where installations would meet.
     have flock || { stages+=("${beside[@]}"); beside=(); }
 fi
 for stage in "${stages[@]}"; do
     case $stage in
-        lint | unit | metrics | peers | page | ros | nostd | firmware | usb | usb-recordings | fuzz | demo) ;;
+        lint | unit | links | metrics | peers | page | ros | nostd | firmware | usb | usb-recordings | fuzz | demo) ;;
         *) echo "test.sh: unknown stage '$stage'; the head of this file lists the stages" >&2; exit 2 ;;
     esac
 done

@@ -8,6 +8,7 @@ mod kernels;
 mod read_speed;
 mod record;
 mod saved;
+mod stream;
 mod tests;
 mod tree;
 
@@ -88,6 +89,12 @@ enum Task {
         #[arg(long, default_value_t = 5)]
         rounds: u32,
     },
+    /// Take long streams of events through each coder and back: do rate and memory stay, is every event the same?
+    Stream {
+        /// Number of events; the quicker coders take five times as many
+        #[arg(default_value_t = stream::EVENTS, value_parser = clap::value_parser!(u64).range(1..))]
+        events: u64,
+    },
     /// Run fuzz targets, and fail on a crash
     Fuzz {
         /// Seconds for each target
@@ -159,6 +166,7 @@ fn main() -> Result<ExitCode> {
         Task::HostCases { folder } => host_instructions::run_cases(&folder),
         Task::ImageRecordings { events } => image_recordings::run(events),
         Task::ReadSpeed { record, rounds } => read_speed::run(record.as_deref(), rounds),
+        Task::Stream { events } => stream::run(events, None),
         Task::Fuzz { list: true, .. } => fuzz::list(),
         Task::Fuzz {
             seconds, targets, ..

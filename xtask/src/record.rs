@@ -1,16 +1,17 @@
 //! The records of measurements, and the tables of documents that are made from them.
 //!
 //! All but the demo is measured on the recordings in `../shared/data`, beside the project. Times of a clock (demo,
-//! kernels, skips, read-speed, ros-delay, hub-load, report) need a machine that does nothing else; all other figures
+//! kernels, skips, read-speed, ros-delay, hub-load, stream, report) need a machine that does nothing else; all other figures
 //! are the same in every run.
 
+use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::Result;
 use clap::ValueEnum;
 
 use crate::saved::Action;
-use crate::{instructions, kernels, read_speed, tree};
+use crate::{instructions, kernels, read_speed, stream, tree};
 
 /// Where records are.
 const RECORD: &str = "host-harness/record";
@@ -40,6 +41,8 @@ pub enum Part {
     HubLoad,
     /// docs/paper.md: the paper's evaluation; half an hour
     Report,
+    /// docs/results.md: long streams of events; half an hour
+    Stream,
     /// docs/results.md: instructions of every stage on a Cortex-M4
     Instructions,
     /// docs/results.md: instructions of every kernel on microcontrollers
@@ -107,6 +110,10 @@ fn measure(part: Part) -> Result<()> {
             "--save",
             "docs/paper.md",
         ]),
+        Part::Stream => {
+            stream::run(stream::EVENTS, Some(Path::new(RECORD)))?;
+            sections()
+        }
         Part::Instructions => instructions::run(save).map(drop),
         Part::McuKernels => kernels::run(save).map(drop),
     }

@@ -9,8 +9,8 @@
 //! timed: on one thread, over all pixels of a window, from impulses grouped by pixel in memory to coefficients.
 //!
 //! The crate also holds the other studies: [`errors`] (error curves of the kernels), [`scaling`] (time over the
-//! sensor's area and the number of events) and [`skips`] (what skipping saves); and what all records of
-//! measurements share: [`record_file`] (JSON files of rows) and [`marks`] (tables in documents).
+//! sensor's area and the number of events), [`skips`] (what skipping saves) and [`stream`] (a long one, encoded and
+//! decoded at once); and what all records of measurements share: [`record_file`] (JSON files of rows) and [`marks`] (tables in documents).
 
 pub mod cut;
 pub mod errors;
@@ -23,9 +23,11 @@ pub mod mcu;
 pub mod moderate;
 pub mod peers;
 pub mod record_file;
+pub mod repeated;
 pub mod scaling;
 pub mod skips;
 pub mod source;
+pub mod stream;
 pub mod table;
 pub mod window;
 

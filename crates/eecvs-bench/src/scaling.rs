@@ -7,10 +7,11 @@ use anyhow::{Result, ensure};
 use eecvs::encode::{Limits, encode};
 use eecvs_nostd::{Config, Event, Mode, Sensor, Thresholds, Transform, WindowConfig};
 use event_emulator::{Preset, SceneConfig, emulate};
-use event_files::{BATCH_EVENTS, EventReader, Skipped};
+use event_files::EventReader;
 use serde::Serialize;
 
 use super::quartiles;
+use super::repeated::Repeated;
 
 /// Width and height of the sensors over which the same events are spread.
 const SENSORS: [[u16; 2]; 5] = [
@@ -201,60 +202,4 @@ fn run(
         encode_s_high,
         ns_per_event: encode_s * 1e9 / summary.events_encoded.max(1) as f64,
     })
-}
-
-/// A reader that repeats `base` until it has read `left` events, each time shifted to after the last event.
-struct Repeated<'e> {
-    base: &'e [Event],
-    sensor: Sensor,
-    next: usize,
-    later_us: u64,
-    left: u64,
-    skipped: Skipped,
-}
-
-impl<'e> Repeated<'e> {
-    fn new(base: &'e [Event], count: u64, sensor: Sensor) -> Self {
-        Self {
-            base,
-            sensor,
-            next: 0,
-            later_us: 0,
-            left: count,
-            skipped: Skipped::default(),
-        }
-    }
-}
-
-impl EventReader for Repeated<'_> {
-    fn format(&self) -> &'static str {
-        "memory"
-    }
-
-    fn sensor(&self) -> Sensor {
-        self.sensor
-    }
-
-    fn read(&mut self, events: &mut Vec<Event>) -> event_types::stream::Result<usize> {
-        let (Some(first), Some(last)) = (self.base.first(), self.base.last()) else {
-            return Ok(0);
-        };
-        if self.next == self.base.len() {
-            self.next = 0;
-            self.later_us += last.t_us - first.t_us + 1;
-        }
-        let rest = &self.base[self.next..];
-        let count = rest.len().min(BATCH_EVENTS).min(self.left as usize);
-        events.extend(rest[..count].iter().map(|event| Event {
-            t_us: event.t_us + self.later_us,
-            ..*event
-        }));
-        self.next += count;
-        self.left -= count as u64;
-        Ok(count)
-    }
-
-    fn skipped(&self) -> &Skipped {
-        &self.skipped
-    }
 }

@@ -127,12 +127,16 @@ fn rustc() -> anyhow::Result<String> {
     Ok(String::from_utf8_lossy(&stdout).trim().to_owned())
 }
 
-/// What the compiler made code for.
+/// What the compiler made code for, and the vectors that are looked for when the program runs.
 fn target() -> String {
     let mut target = format!("{} {}", consts::ARCH, consts::OS);
     for feature in features!("avx" "avx2" "avx512f" "bmi1" "bmi2" "fma" "popcnt" "sse3" "sse4.2") {
         target += " +";
         target += feature;
+    }
+    #[cfg(target_arch = "x86_64")]
+    if is_x86_feature_detected!("avx2") {
+        target += ", avx2 at run time";
     }
     target
 }

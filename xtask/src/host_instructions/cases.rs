@@ -1,14 +1,18 @@
-//! What is counted: the encoder and the decoder on the window of [`moderate`], and three readers.
+//! What is counted: the encoder and the decoder on the window of [`moderate`], by every transform and every coder of
+//! events, and three readers.
 
 use std::fs;
 use std::hint::black_box;
 use std::io::Cursor;
 use std::path::Path;
 
-use anyhow::{Context, ensure};
-use eecvs::encode::{HostStorage, WINDOW_EVENTS};
+use anyhow::{Context, bail, ensure};
+use eecvs::encode::{HostStorage, WINDOW_EVENTS, readout};
+use eecvs::reconstruct::hybrid::{HybridDecoder, Refused};
 use eecvs_bench::moderate::{self, SENSOR, config, encode};
-use eecvs_nostd::{Event, FRAME_BYTES_MAX, Scan, Transform, scan};
+use eecvs_nostd::{
+    Coder, Config, Effort, Event, FRAME_BYTES_MAX, Fidelity, Hybrid, Mode, Scan, Transform, scan,
+};
 
 /// Events of the files, at the most: the first of the scene.
 const FILE_EVENTS: usize = 100_000;
@@ -19,6 +23,14 @@ const READERS: [(&str, &str); 3] = [
     ("read evt3", "events.raw"),
 ];
 const M: [u8; 2] = [8, 16];
+/// Coders of events, lossless. Frames are key frames.
+const CODERS: [(&str, Coder); 5] = [
+    ("fast", Coder::Fast),
+    ("keys", Coder::Keys),
+    ("quick", Coder::Quick),
+    ("dense", Coder::Dense),
+    ("tree 1", Coder::Tree(Effort::One)),
+];
 
 /// A case: its name, and the events that it works on.
 pub type Case = (String, usize);
@@ -78,6 +90,58 @@ pub fn run(folder: &Path) -> anyhow::Result<Vec<Case>> {
             ensure!(counted == window.len(), "decoded {counted} events");
             cases.push((name("decode"), window.len()));
         }
+    }
+    // Of the start of a recording, once.
+    let dense = Config {
+        mode: Mode::Hybrid(Hybrid {
+            coder: Coder::Dense,
+            fidelity: Fidelity::Lossless,
+        }),
+        ..config(Transform::Dct, 8)
+    };
+    let mut looked = dense;
+    count_these(&mut || looked = readout::look_at(&events, dense));
+    ensure!(looked.readout.is_none(), "the scene's sensor does not scan");
+    cases.push(("look for scans".to_owned(), events.len()));
+    for (name, coder) in CODERS {
+        let hybrid = Hybrid {
+            coder,
+            fidelity: Fidelity::Lossless,
+        };
+        let config = Config {
+            mode: Mode::Hybrid(hybrid),
+            ..config(Transform::Dct, 8)
+        };
+        let mut storage = HostStorage::new(SENSOR, WINDOW_EVENTS);
+        let mut encoder = storage.encoder(config)?;
+        let mut out = vec![0; FRAME_BYTES_MAX];
+        let frame = encode(&mut encoder, window, &mut out).to_vec();
+        count_these(&mut || {
+            black_box(encode(&mut encoder, window, &mut out));
+        });
+        cases.push((format!("encode {name}"), window.len()));
+
+        let Scan::Frame(frame) = scan(&frame) else {
+            bail!("{name}: no frame");
+        };
+        // Once before: what is allocated for all frames does not count.
+        let mut decoder = HybridDecoder::default();
+        let mut decoded = decoder.frame(&frame, hybrid)?;
+        decoder.reuse(decoded);
+        decoded = Vec::new();
+        let mut decode = || -> Result<(), Refused> {
+            decoded = decoder.frame(&frame, hybrid)?;
+            Ok(())
+        };
+        let mut result = Ok(());
+        count_these(&mut || result = decode());
+        result?;
+        ensure!(
+            decoded.len() == window.len(),
+            "{name}: {} events",
+            decoded.len()
+        );
+        cases.push((format!("decode {name}"), window.len()));
     }
     Ok(cases)
 }
