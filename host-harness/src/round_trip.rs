@@ -5,7 +5,7 @@ use std::num::NonZeroUsize;
 use anyhow::{Result, ensure};
 use eecvs::decode::WindowReader;
 use eecvs::encode::{Limits, encode, readout};
-use eecvs::frame_file::FrameReader;
+use eecvs::frame_file::{FrameFileWriter, FrameReader};
 use eecvs::reconstruct::DecodedWindow;
 use eecvs::reconstruct::events::{EventDecoder, Finder};
 use eecvs::work_limit::WorkLimit;
@@ -35,7 +35,7 @@ pub fn config(
 /// An encoded recording.
 #[derive(Debug, Clone)]
 pub struct Encoded {
-    /// Bytes of the whole file, headers included.
+    /// The whole file: frames, short ones where they follow each other, and its marks.
     pub file: Vec<u8>,
     /// Encoding time in seconds on one thread.
     pub seconds: f64,
@@ -44,19 +44,19 @@ pub struct Encoded {
 }
 
 impl Encoded {
-    /// Encodes a recording on one thread; detects how its sensor scans, as `eecvs encode` does.
+    /// Encodes a recording on one thread to a file as `eecvs encode` writes it; detects how its sensor scans.
     ///
     /// # Errors
     /// Fails if the configuration cannot run, or if an event is in no frame.
     pub fn new(source: &Source, config: Config) -> Result<Self> {
         let config = readout::look_at(&source.events, config);
-        let mut file = Vec::new();
+        let mut out = FrameFileWriter::new(Vec::new());
         let summary = encode(
             &mut source.reader(),
             config,
             Limits::default(),
             NonZeroUsize::MIN,
-            &mut file,
+            &mut out,
             &mut |_| (),
         )?;
         ensure!(
@@ -66,7 +66,7 @@ impl Encoded {
             summary.events_in
         );
         Ok(Self {
-            file,
+            file: out.finish()?,
             seconds: summary.encode_s,
             windows: [
                 summary.windows_dct,

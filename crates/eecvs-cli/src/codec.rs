@@ -46,6 +46,11 @@ pub struct CodecOptions {
           value_parser = clap::value_parser!(u16).range(1..=256))]
     key_windows: u16,
 
+    /// dense: send a key frame every T microseconds of windows, instead of --key-windows: a moment of a file is decoded
+    /// from the key frame before it. From 1 to 256 windows
+    #[arg(long, value_name = "T", conflicts_with = "key_windows")]
+    key_us: Option<NonZeroU32>,
+
     /// hybrid, dense: encode times by scans, for sensors that scan, such as the DVXplorer; auto detects from the
     /// first events how the sensor scans
     #[arg(long, value_enum, default_value = "auto")]
@@ -325,7 +330,7 @@ impl CodecOptions {
                 })?,
             },
             mode,
-            key_windows: self.key_windows,
+            key_windows: self.key_windows(self.window_us.get()),
             readout: None,
             filter: Filter {
                 region: self.region,
@@ -333,6 +338,15 @@ impl CodecOptions {
             },
             bytes_per_second: self.bytes_per_second,
             keep_order: self.keep_order,
+        })
+    }
+
+    /// Returns the number of windows of that duration after which a key frame follows.
+    #[must_use]
+    pub fn key_windows(&self, window_us: u32) -> u16 {
+        self.key_us.map_or(self.key_windows, |key_us| {
+            // It is 256 at the most.
+            (key_us.get() / window_us.max(1)).clamp(1, 256) as u16
         })
     }
 

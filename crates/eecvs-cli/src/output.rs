@@ -28,6 +28,11 @@ pub fn say(line: &str) {
     let _ = writeln!(stderr(), "{}", plain::line(line));
 }
 
+/// Prints lines on stderr, each as [`say()`] does.
+pub fn say_lines(lines: &str) {
+    lines.lines().for_each(say);
+}
+
 /// Prints one line on stderr, with the arguments of [`format!`]; like [`say()`].
 #[macro_export]
 macro_rules! say {

@@ -45,7 +45,7 @@ fn is_errors(name: &str) -> bool {
 }
 
 fn is_rate(name: &str) -> bool {
-    bench_rate::CHART.contains(&name)
+    bench_rate::CHARTS.contains(&name)
 }
 
 /// Source of the instruction counts on microcontrollers.

@@ -6,16 +6,16 @@ use anyhow::{Context, Result, ensure};
 use eecvs_bench::record_file;
 use eecvs_bench::source::{self, Source};
 use eecvs_cli::folder::RunFolder;
-use eecvs_cli::output::{print, print_json};
+use eecvs_cli::output::{print, print_json, say_lines};
 use eecvs_cli::progress::Progress;
 use eecvs_cli::say;
 
 use crate::rate::{Effort, Row, lossless, measure};
 use crate::recordings;
-use crate::report::{rate_chart, rate_table};
+use crate::report::{rate_chart, rate_table, speed_chart};
 
-/// Files of the chart.
-pub const CHART: [&str; 2] = ["rate.svg", "rate.png"];
+/// Files of the charts.
+pub const CHARTS: [&str; 4] = ["rate.svg", "rate.png", "speed.svg", "speed.png"];
 
 /// Arguments of `eecvs bench --rate`.
 pub struct Rate<'o> {
@@ -53,7 +53,7 @@ impl Rate<'_> {
         };
         let rows = self.rows(effort)?;
         self.folder.begin()?;
-        let files = self.chart(&rows)?;
+        let files = self.charts(&rows)?;
         for document in self.save {
             let (marks, table) = rate_table::of(document);
             let table = table(&rows);
@@ -70,7 +70,7 @@ impl Rate<'_> {
             return print_json(&rows);
         }
         print(&format!(
-            "{}chart: {}\n",
+            "{}charts: {}\n",
             rate_table::table(&rows),
             files.map(|file| file.display().to_string()).join(", ")
         ))
@@ -119,12 +119,15 @@ impl Rate<'_> {
         Ok(files)
     }
 
-    fn chart(&self, rows: &[Row]) -> Result<[PathBuf; 2]> {
+    fn charts(&self, rows: &[Row]) -> Result<[PathBuf; 4]> {
+        let files = CHARTS.map(|file| self.folder.path().join(file));
+        let [svg, png, speed_svg, speed_png] = &files;
         let title = "Rate against distortion, windows of 32,768 us: events, coefficients, peers";
-        let files = CHART.map(|file| self.folder.path().join(file));
-        let [svg, png] = &files;
         super::bench::write(svg, &rate_chart::svg(title, rows)?)?;
         rate_chart::picture(title, rows)?.save(png)?;
+        let title = "Bits against speed on one thread, lossless, windows of 32,768 us: ours blue, peers brown";
+        super::bench::write(speed_svg, &speed_chart::svg(title, rows)?)?;
+        speed_chart::picture(title, rows)?.save(speed_png)?;
         Ok(files)
     }
 }
@@ -135,7 +138,7 @@ fn distinct(paths: &[PathBuf]) -> Result<Vec<(String, PathBuf)>> {
     let found = recordings::read(paths, &|read| progress.set(read as u64), &mut |_| ())?;
     drop(progress);
     if let Some(notice) = recordings::notice(&found.left_out) {
-        say!("eecvs: {notice}");
+        say_lines(&format!("eecvs: {notice}"));
     }
     let taken = found.taken.into_iter();
     Ok(taken.map(|taken| (taken.name, taken.path)).collect())

@@ -99,7 +99,8 @@ impl Encode {
         let limits = self.limits.limits();
         let (reader, codec) = if self.auto_window {
             let chosen = duration::look(reader, codec, limits, self.threads());
-            let (reader, config) = chosen.context("--auto-window")?;
+            let (reader, mut config) = chosen.context("--auto-window")?;
+            config.key_windows = self.codec.key_windows(config.window.window_us);
             (reader, Codec { config, ..codec })
         } else {
             (reader, codec)

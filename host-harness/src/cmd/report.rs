@@ -6,7 +6,7 @@ use anyhow::{Context, Result, ensure};
 use clap::Args;
 use eecvs_bench::marks::Marks;
 use eecvs_cli::folder::RunFolder;
-use eecvs_cli::output::print;
+use eecvs_cli::output::{print, say_lines};
 use eecvs_cli::progress::Progress;
 use eecvs_cli::say;
 use eecvs_nostd::Sensor;
@@ -184,7 +184,7 @@ impl Report {
         let (set, left_out) = Set::recordings(&paths, effort, &|read| progress.set(read as u64))?;
         drop(progress);
         if let Some(notice) = recordings::notice(&left_out) {
-            say!("eecvs: {notice}");
+            say_lines(&format!("eecvs: {notice}"));
         }
         if set.is_none() {
             let paths: Vec<String> = paths

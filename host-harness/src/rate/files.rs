@@ -5,10 +5,11 @@ use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
 use eecvs_bench::source::Source;
-use eecvs_nostd::Event;
 use event_files::evt::evt2::Evt2Writer;
 use event_files::evt::evt3::Evt3Writer;
 use event_files::{Aedat4Writer, Compression, EventWriter};
+
+use super::lossless::Stored;
 
 /// A format of event files.
 #[derive(Debug, Clone, Copy)]
@@ -22,11 +23,11 @@ pub enum Format {
 }
 
 impl Format {
-    /// Writes a recording and reads it again; returns the file's bytes, the seconds spent writing, and the events.
+    /// Writes a recording and reads it again.
     ///
     /// # Errors
     /// Fails on I/O errors, or if the format cannot hold the recording.
-    pub fn round_trip(self, source: &Source) -> Result<(usize, f64, Vec<Event>)> {
+    pub fn round_trip(self, source: &Source) -> Result<Stored> {
         let folder = tempfile::tempdir().context("cannot create a temporary folder")?;
         let path = folder.path().join("recording");
         let started = Instant::now();
@@ -37,6 +38,7 @@ impl Format {
         let bytes = std::fs::metadata(&path)
             .context("cannot read the file's size")?
             .len();
+        let started = Instant::now();
         let mut reader = event_files::open(&path, Some(source.sensor))?;
         ensure!(
             reader.sensor() == source.sensor,
@@ -44,7 +46,12 @@ impl Format {
         );
         let mut events = Vec::with_capacity(source.events.len());
         while reader.read(&mut events)? > 0 {}
-        Ok((usize::try_from(bytes)?, seconds, events))
+        Ok(Stored {
+            bytes: usize::try_from(bytes)?,
+            seconds,
+            decode_seconds: started.elapsed().as_secs_f64(),
+            events,
+        })
     }
 
     fn create(self, path: &Path, source: &Source) -> Result<Box<dyn EventWriter>> {
@@ -78,9 +85,9 @@ mod tests {
         ]
         .into_iter()
         .map(|format| {
-            let (bytes, _, events) = format.round_trip(&source).unwrap();
-            check(Promise::Lossless, &source.events, &events).unwrap();
-            bytes
+            let stored = format.round_trip(&source).unwrap();
+            check(Promise::Lossless, &source.events, &stored.events).unwrap();
+            stored.bytes
         })
         .collect();
         // More than 4 bytes per event in EVT 2.0; AEDAT's 16 bytes are compressed, better with Zstandard.

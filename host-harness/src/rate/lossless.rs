@@ -27,6 +27,19 @@ pub enum Peer {
     Columns(&'static str, Way, Way),
 }
 
+/// A recording that was stored and restored.
+#[derive(Debug)]
+pub struct Stored {
+    /// Bytes of the file.
+    pub bytes: usize,
+    /// Time spent making it, in seconds.
+    pub seconds: f64,
+    /// Time spent restoring, in seconds.
+    pub decode_seconds: f64,
+    /// The events restored.
+    pub events: Vec<Event>,
+}
+
 /// Converts bytes to other bytes.
 type Way = fn(&[u8]) -> Result<Vec<u8>>;
 
@@ -72,20 +85,25 @@ impl Peer {
         }
     }
 
-    /// Stores and restores a recording; returns the file's bytes, the seconds spent making it, and the events
-    /// restored.
+    /// Stores and restores a recording.
     ///
     /// # Errors
     /// Fails on I/O errors, or if the peer cannot hold the recording.
-    pub fn round_trip(self, source: &Source) -> Result<(usize, f64, Vec<Event>)> {
+    pub fn round_trip(self, source: &Source) -> Result<Stored> {
         match self {
             Self::File(_, format) => format.round_trip(source),
             Self::Columns(_, squeeze, open) => {
                 let started = Instant::now();
                 let bytes = squeeze(&columns::write(source.sensor, &source.events)?)?;
                 let seconds = started.elapsed().as_secs_f64();
+                let started = Instant::now();
                 let (_, events) = columns::read(&open(&bytes)?)?;
-                Ok((bytes.len(), seconds, events))
+                Ok(Stored {
+                    bytes: bytes.len(),
+                    seconds,
+                    decode_seconds: started.elapsed().as_secs_f64(),
+                    events,
+                })
             }
         }
     }
@@ -102,7 +120,7 @@ mod tests {
     fn every_peer_gives_the_events_back() {
         let source = scenes(30_000).unwrap().remove(0);
         for peer in peers() {
-            let (bytes, _, events) = peer.round_trip(&source).unwrap();
+            let Stored { bytes, events, .. } = peer.round_trip(&source).unwrap();
             check(Promise::Lossless, &source.events, &events).unwrap();
             assert!(bytes > source.events.len() / 8, "{}: {bytes}", peer.name());
         }

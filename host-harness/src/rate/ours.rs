@@ -1,5 +1,7 @@
 //! Encodes a recording with the codec to a file in memory, and decodes it.
 
+use std::time::Instant;
+
 use anyhow::{Context, Result, ensure};
 use eecvs::decode::WindowReader;
 use eecvs::frame_file::FrameReader;
@@ -17,6 +19,8 @@ pub struct Decoded {
     pub file: Vec<u8>,
     /// Time spent encoding on one thread, in seconds.
     pub seconds: f64,
+    /// Time spent decoding on one thread, in seconds: in mode `transform`, with what the volume takes.
+    pub decode_seconds: f64,
     /// Events decoded.
     pub events: Vec<Event>,
     /// Box volume computed from the coefficients directly: the decoder's integral over each bin; `None` in mode
@@ -80,6 +84,7 @@ fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) 
     let mut cells = Vec::new();
     // Tables of one transform, grid and M, which all windows share here.
     let mut bins = None;
+    let started = Instant::now();
     let events = decode(&file, Finder::Peaks, &mut |window| {
         let header = &window.header;
         if !is_transform {
@@ -102,6 +107,7 @@ fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) 
     Ok(Decoded {
         file,
         seconds,
+        decode_seconds: started.elapsed().as_secs_f64(),
         events,
         coefficients: is_transform.then(|| Volume::new(cells)),
     })

@@ -15,5 +15,7 @@ pub mod ros_delay_table;
 pub mod sections;
 pub mod sheet;
 pub mod skip_table;
+pub mod speed_chart;
+pub mod stream_table;
 pub mod strips;
 pub mod study;

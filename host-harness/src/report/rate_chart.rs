@@ -22,7 +22,7 @@ const HEAD: u32 = 82;
 const ROW: u32 = 400;
 const PANELS: u32 = 2;
 /// Number of recordings drawn.
-const COLUMNS: usize = 3;
+pub(super) const COLUMNS: usize = 3;
 /// Recordings that are preferred: with many, some and few events per pixel.
 const PREFERRED: [&str; COLUMNS] = [
     "gen3_vga_dense_evt2",
@@ -58,8 +58,8 @@ const GREEN: RGBColor = RGBColor(0, 158, 115);
 const SERIES: [Series; 7] = [
     series("hybrid-dense", false, "dense", BLUE),
     series("hybrid-dense", true, "dense, bins", BLUE),
-    series("hybrid-fast", false, "fast", GREEN),
-    series("hybrid-fast", true, "fast, bins", GREEN),
+    series("hybrid-keys", false, "fast", GREEN),
+    series("hybrid-keys", true, "fast, bins", GREEN),
     series("transform-dct", false, "DCT", RGBColor(213, 94, 0)),
     series("transform-dtft", false, "DTFT", RGBColor(230, 159, 0)),
     series("transform-dwt", false, "Haar", RGBColor(204, 121, 167)),
@@ -143,7 +143,7 @@ fn check(rows: &[Row]) -> Result<()> {
 }
 
 /// Returns the recordings to draw: the preferred ones, then the first others.
-fn shown(rows: &[Row]) -> Vec<&str> {
+pub(super) fn shown(rows: &[Row]) -> Vec<&str> {
     let all = recordings(rows);
     let preferred = PREFERRED.iter().copied().filter(|name| all.contains(name));
     let others = all.iter().copied().filter(|name| !PREFERRED.contains(name));
@@ -385,7 +385,7 @@ impl Panel<'_> {
 }
 
 /// Formats a rate at a grid line; only labels that have room beside each other are not empty.
-fn tick(bits: f64) -> String {
+pub(super) fn tick(bits: f64) -> String {
     let digit = bits / 10_f64.powf((bits.log10() + 1e-9).floor());
     if [1.0, 2.0, 5.0]
         .iter()
@@ -406,6 +406,7 @@ mod tests {
             recording: recording.to_owned(),
             codec,
             setting: setting.to_owned(),
+            events: 1,
             bits_per_event: bits,
             emd_pixel_us: Some(error),
             mse: None,
@@ -413,6 +414,7 @@ mod tests {
             volume_nmse: Some(error),
             coefficients_nmse: None,
             seconds: 1.0,
+            decode_seconds: None,
         }
     }
 

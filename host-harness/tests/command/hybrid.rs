@@ -1,6 +1,7 @@
 //! The default mode, `hybrid`, from the command line.
 
 use crate::support::{Folder, count, number};
+use eecvs_nostd::Frame;
 use serde_json::Value;
 
 fn compared(folder: &Folder, a: &str, b: &str) -> Value {
@@ -127,6 +128,38 @@ fn a_chain_that_lost_a_frame_goes_on_at_the_next_key_and_says_so() {
         .object();
     assert_eq!(count(&summary, "frames_dependent"), 1);
     assert_eq!(count(&summary, "windows"), frames.len() as u64 - 2);
+}
+
+#[test]
+fn key_frames_are_spaced_by_time() {
+    let folder = Folder::new();
+    folder.scene("scene.raw");
+    let encode = "encode scene.raw -o OUT --coder dense --window-us 20000";
+    let encode = |out: &str, flags: &str| {
+        folder
+            .eecvs(&format!("{} {flags}", encode.replace("OUT", out)))
+            .ok();
+        folder.frames(out)
+    };
+    // As many whole windows as fit, one at the least.
+    for (key_us, windows) in [(1, 1), (20_000, 1), (59_999, 2), (60_000, 3)] {
+        let by_time = encode(&format!("{key_us}.eecvs"), &format!("--key-us {key_us}"));
+        let by_count = encode(
+            &format!("of-{key_us}.eecvs"),
+            &format!("--key-windows {windows}"),
+        );
+        assert_eq!(by_time, by_count, "{key_us} us");
+    }
+    let auto = "encode scene.raw -o auto.eecvs --coder dense --auto-window --key-us 1 --json";
+    let summary = folder.eecvs(auto).ok().object();
+    assert!(count(&summary, "windows") > 1);
+    for frame in folder.frames("auto.eecvs") {
+        assert!(Frame::parse(&frame).expect("a frame").header.is_key);
+    }
+    for flags in ["--key-us 0", "--key-us 60000 --key-windows 3"] {
+        let outcome = folder.eecvs(&format!("encode scene.raw -o no.eecvs {flags}"));
+        assert_eq!(outcome.status, Some(2), "{outcome}");
+    }
 }
 
 #[test]

@@ -5,11 +5,13 @@ use std::collections::BTreeSet;
 use crate::support::{Folder, exists, number, text};
 use serde_json::Value;
 
-const KEYS: [&str; 10] = [
+const KEYS: [&str; 12] = [
     "bits_per_event",
     "codec",
     "coefficients_nmse",
+    "decode_seconds",
     "emd_pixel_us",
+    "events",
     "mse",
     "recording",
     "seconds",
@@ -17,9 +19,14 @@ const KEYS: [&str; 10] = [
     "ssim",
     "volume_nmse",
 ];
-const LOSSLESS: [&str; 6] = [
+const LOSSLESS: [&str; 11] = [
     "hybrid-dense",
+    "hybrid-keys",
     "hybrid-fast",
+    "hybrid-quick",
+    "hybrid-tree-1",
+    "hybrid-tree-2",
+    "hybrid-tree-3",
     "evt2",
     "evt3",
     "aedat4-lz4",
@@ -72,8 +79,18 @@ fn scenes_are_measured_and_drawn() {
             assert_eq!(number(row, "volume_nmse"), 0.0);
         }
         let bits = |codec| number(find(scene, codec, "lossless"), "bits_per_event");
-        assert!(bits("hybrid-dense") < bits("hybrid-fast"), "{scene}");
-        assert!(bits("hybrid-fast") < bits("evt2"), "{scene}");
+        let order = [
+            "hybrid-tree-3",
+            "hybrid-dense",
+            "hybrid-keys",
+            "hybrid-fast",
+            "evt2",
+        ];
+        assert!(
+            order.map(bits).is_sorted(),
+            "{scene}: {:?}",
+            order.map(bits)
+        );
         let within = find(scene, "hybrid-dense", "40 us");
         assert!(number(within, "emd_pixel_us") <= 40.0);
         assert_eq!(
@@ -91,8 +108,10 @@ fn scenes_are_measured_and_drawn() {
         assert!(find(scene, "voxel", "8 bins, i8")["emd_pixel_us"].is_null());
         assert!(number(find(scene, "tore", "f32"), "volume_nmse") < 1.0);
     }
-    for chart in ["charts/rate.svg", "charts/rate.png"] {
-        assert!(exists(&folder.path(chart)), "{chart}");
+    for chart in
+        ["rate.svg", "rate.png", "speed.svg", "speed.png"].map(|name| format!("charts/{name}"))
+    {
+        assert!(exists(&folder.path(&chart)), "{chart}");
     }
 }
 

@@ -144,8 +144,8 @@ pub fn text(answer: &Answer) -> String {
     );
     let no_more = "do not come back from so few bits";
     format!(
-        "On the {sources} {set}, the default (events, by the fast coder) returns every event \
-         exactly, at {default_bits:.1} bits per event in the median; the dense coder does so at \
+        "On the {sources} {set}, events by the fast coder of microcontrollers come back exactly, \
+         at {default_bits:.1} bits per event in the median; those by the dense coder do so at \
          {dense_bits:.1}. At no more bits than the dense coder takes, the best setting of each \
          representation leaves an event off by this much in the median (emd_pixel): {lossless}. At \
          half of these bits: {half}. Representations that are not named {no_more}."
