@@ -93,16 +93,25 @@ pub fn measure(name: &str, coder: Coder, events: u64) -> Result<Row> {
         let mut ticks = Ticks::new(started);
         let mut windows = WindowReader::new(FrameReader::new(output));
         let mut sum = 0_u64;
-        while let Some(window) = windows.next_window()? {
-            sum = add(sum, &window.events);
-            ticks.add(window.events.len() as u64);
-            windows.reuse(window);
-        }
-        ensure!(windows.report().is_clean(), "{:?}", windows.report());
+        let mut decode = || -> Result<()> {
+            while let Some(window) = windows.next_window()? {
+                sum = add(sum, &window.events);
+                ticks.add(window.events.len() as u64);
+                windows.reuse(window);
+            }
+            Ok(())
+        };
+        let decoded = decode();
+        let report = windows.report().clone();
+        // An encoder that still writes ends at a closed pipe.
+        drop(windows);
         let encoded = encoder
             .join()
             .map_err(|_| anyhow::anyhow!("the encoder panicked"))?;
+        // What ended the encoder explains what the decoder met.
         let (encoded, bytes) = encoded?;
+        decoded?;
+        ensure!(report.is_clean(), "{report:?}");
         ensure!(ticks.events == events, "{} events came back", ticks.events);
         ensure!(sum == encoded, "other events came back");
         Ok(ticks.row(name, bytes))
@@ -185,18 +194,21 @@ impl Ticks {
     fn row(&self, coder: &str, bytes: u64) -> Row {
         let whole = self.started.elapsed();
         let part = SPAN.min(whole / 5);
+        let end = (whole, self.events, memory());
+        // At that time or the next look after it; the end if there was none.
+        let at = |time: Duration| {
+            let count = self.seen.partition_point(|(seen, ..)| *seen < time);
+            self.seen.get(count).copied().unwrap_or(end)
+        };
         let before = |time: Duration| {
             let count = self.seen.partition_point(|(seen, ..)| *seen <= time);
-            self.seen
-                .get(count.saturating_sub(1))
-                .copied()
-                .unwrap_or_default()
+            let last = self.seen.get(count.saturating_sub(1));
+            last.copied().unwrap_or_default()
         };
         let rate = |(from, first, _): (Duration, u64, u64), (to, last, _): (Duration, u64, u64)| {
             (last - first) as f64 / (to - from).as_secs_f64().max(1e-9)
         };
-        let (begin, first, last) = (before(Duration::ZERO), before(part), before(whole - part));
-        let end = (whole, self.events, 0);
+        let (begin, first, last) = (at(Duration::ZERO), at(part), before(whole - part));
         let after = self.seen.iter().filter(|(seen, ..)| *seen >= first.0);
         Row {
             coder: coder.to_owned(),

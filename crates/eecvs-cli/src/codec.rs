@@ -46,8 +46,8 @@ pub struct CodecOptions {
           value_parser = clap::value_parser!(u16).range(1..=256))]
     key_windows: u16,
 
-    /// dense: send a key frame every T microseconds of windows, instead of --key-windows: a moment of a file is decoded
-    /// from the key frame before it. From 1 to 256 windows
+    /// dense: send a key frame after as many whole windows as fit in T microseconds, 1 to 256, instead of --key-windows: a
+    /// moment of a file is decoded from the key frame before it
     #[arg(long, value_name = "T", conflicts_with = "key_windows")]
     key_us: Option<NonZeroU32>,
 

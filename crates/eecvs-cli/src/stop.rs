@@ -9,6 +9,9 @@ use event_files::output::remove_parts;
 /// Flag set by the first signal, if a command has asked for it.
 static WISH: Mutex<Option<Arc<AtomicBool>>> = Mutex::new(None);
 
+/// What is called before a signal ends the process.
+static RESTORE: Mutex<Option<fn()>> = Mutex::new(None);
+
 /// Exit status of a process that was ended by a signal.
 const ENDED: i32 = 130;
 
@@ -25,9 +28,19 @@ pub fn end_on_signals() -> Result<()> {
             return;
         }
         remove_parts();
+        let restore = *RESTORE.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(restore) = restore {
+            restore();
+        }
         std::process::exit(ENDED);
     })
     .context("handling Ctrl-C")
+}
+
+/// Has a function called before a second signal ends the process, which drops nothing then: it gives back what is not
+/// the process's own, such as a terminal.
+pub fn restore_at_end(restore: fn()) {
+    *RESTORE.lock().unwrap_or_else(PoisonError::into_inner) = Some(restore);
 }
 
 /// Returns a flag that the first signal from here on sets; the second signal ends the process at once.

@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, Error, Result, anyhow, bail, ensure};
 use clap::Args;
+use eecvs::frame_file::LinkReport;
 use eecvs_cli::folder::RunFolder;
 use eecvs_cli::memory::look_for;
 use eecvs_cli::options::{OutputOptions, ReadingOptions, TimeOptions, tell_confidences, tell_link};
@@ -39,9 +40,10 @@ use crate::view::{Played, Screen, Scrub, play};
 /// files are cut into the same slices by their own event times, starting at --from-us or else at the first event of
 /// FILE. A stretch without events is shortened to one second of playback.
 ///
-/// In a terminal, space pauses and goes on, a full stop shows one frame more, the arrows go a second (left, right) or ten
-/// seconds (down, up) of playback back and on, home goes to the start, and q ends. Files of frames have an index, so that
-/// this takes no time; other recordings are read again up to there.
+/// In a terminal, space pauses and goes on, a full stop shows the next frame and pauses, the arrows go a second (left,
+/// right) or ten seconds (down, up, and the keys for pages) of playback back and on, home goes to the start, and q ends, as
+/// does what is beyond the end. Files of frames have an index, so that this takes no time; other recordings are read again
+/// up to there.
 #[derive(Debug, Args)]
 pub struct View {
     /// Recording of any format, or file of frames
@@ -188,10 +190,10 @@ impl View {
             self.frames.unwrap_or(u64::MAX)
         };
         let mut missing = Vec::new();
-        let mut is_scrubbed = false;
+        let (mut is_scrubbed, mut is_lossy) = (false, false);
         let mut open = |before: &Frames, from_us: u64| -> Result<Frames> {
             is_scrubbed = true;
-            self.add_missing(before, &mut missing);
+            is_lossy |= has_loss(before);
             let grid = Grid { from_us, ..grid };
             let times = from_us..grid.to_us.unwrap_or(u64::MAX);
             let slices = |path: &Path| -> Result<Slices> {
@@ -202,9 +204,7 @@ impl View {
             let decoded = self.decoded.as_deref().map(slices).transpose()?;
             Ok(Frames::new(grid, empty_max, slices(&self.file)?, decoded))
         };
-        let is_seekable = iter::once(&self.file)
-            .chain(&self.decoded)
-            .all(|path| !is_stream(path));
+        let is_seekable = self.inputs().all(|path| !is_stream(path));
         let scrub = (self.output.is_none() && is_seekable).then_some(Scrub {
             start_us: grid.from_us,
             open: &mut open,
@@ -220,6 +220,11 @@ impl View {
         self.add_missing(&frames, &mut missing);
         if !is_scrubbed {
             self.warn_of_clocks(&frames, &played);
+        }
+        if is_lossy && missing.is_empty() {
+            missing.push(anyhow!(
+                "{name}: something was damaged or left out of what was shown before: `eecvs info` says what"
+            ));
         }
         let link = first_of(missing);
         if let Some(failure) = played.failure {
@@ -251,6 +256,10 @@ impl View {
             table(&summary, self.decoded.is_some())
         })?;
         link
+    }
+
+    fn inputs(&self) -> impl Iterator<Item = &PathBuf> {
+        iter::once(&self.file).chain(&self.decoded)
     }
 
     /// Refuses an output that would replace an existing file or an input.
@@ -325,11 +334,8 @@ impl View {
             }
             let room = Box::new(move || room(columns));
             // Stdin may be the recording.
-            let keys = if is_stream(&self.file) {
-                None
-            } else {
-                Keys::open()
-            };
+            let is_seekable = self.inputs().all(|path| !is_stream(path));
+            let keys = if is_seekable { Keys::open() } else { None };
             return Ok(Box::new(Terminal::new(
                 stdout(),
                 self.fps,
@@ -371,15 +377,10 @@ impl View {
         }
     }
 
-    /// Adds what was not shown of the inputs, and is not known yet.
+    /// Adds what was not shown of the inputs.
     fn add_missing(&self, frames: &Frames, all: &mut Vec<Error>) {
         let mut missing = |error: Error| {
-            if all
-                .iter()
-                .all(|known| known.to_string() != error.to_string())
-            {
-                all.push(error);
-            }
+            all.push(error);
         };
         let inputs = [
             (Some(&self.file), Some(frames.original())),
@@ -418,6 +419,15 @@ impl View {
             );
         }
     }
+}
+
+/// Returns whether something of the inputs was not shown.
+fn has_loss(frames: &Frames) -> bool {
+    let inputs = iter::once(frames.original()).chain(frames.decoded());
+    inputs.into_iter().any(|slices| {
+        let is_damaged = slices.input().report().is_some_and(LinkReport::has_loss);
+        is_damaged || slices.late() + slices.outside() > 0
+    })
 }
 
 /// Reports errors, one line each, but for the first, which is returned.

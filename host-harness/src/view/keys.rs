@@ -36,8 +36,8 @@ fn take(bytes: &mut Vec<u8>) -> Option<Key> {
             (b'.', _) => (Some(Key::Step), 1),
             (b'q' | b'Q', _) => (Some(Key::Quit), 1),
             (0x1B, [b'[' | b'O', tail @ ..]) => {
-                // Parameters, then one letter or sign.
-                let end = tail.iter().position(|byte| (0x40..=0x7E).contains(byte))?;
+                // Parameters, then one letter or sign; or it is none of a terminal.
+                let end = tail.iter().position(|byte| !(0x20..=0x3F).contains(byte))?;
                 let key = match (&tail[..end], tail[end]) {
                     ([], b'A') | ([b'5'], b'~') => Some(Key::Far(Way::On)),
                     ([], b'B') | ([b'6'], b'~') => Some(Key::Far(Way::Back)),
@@ -92,17 +92,27 @@ impl Keys {
         self.terminal.read(time, &mut self.bytes);
         #[cfg(not(unix))]
         std::thread::sleep(time);
-        // What is typed without end and means nothing is no key.
-        self.bytes.truncate(256);
-        take(&mut self.bytes)
+        let key = take(&mut self.bytes);
+        // A sequence without end is no key.
+        if self.bytes.len() > 64 {
+            self.bytes.clear();
+        }
+        #[cfg(unix)]
+        if self.terminal.is_closed {
+            return Some(Key::Quit);
+        }
+        key
     }
 }
 
 #[cfg(unix)]
 mod unix {
     use std::io::{IsTerminal, stdin};
+    use std::sync::{Mutex, PoisonError};
     use std::thread::sleep;
     use std::time::Duration;
+
+    use eecvs_cli::stop::restore_at_end;
 
     use rustix::event::{PollFd, PollFlags, Timespec, poll};
     use rustix::process::getpgrp;
@@ -110,11 +120,22 @@ mod unix {
         LocalModes, OptionalActions, SpecialCodeIndex, Termios, tcgetattr, tcgetpgrp, tcsetattr,
     };
 
+    /// How the terminal was, while it is another.
+    static BEFORE: Mutex<Option<Termios>> = Mutex::new(None);
+
+    /// Gives the terminal back as it was.
+    fn restore() {
+        let before = BEFORE.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(before) = before {
+            // If the terminal is gone, nothing needs to be restored. What was typed ahead was for this program.
+            let _ = tcsetattr(stdin(), OptionalActions::Flush, &before);
+        }
+    }
+
     /// The terminal at stdin, without lines and echo.
     #[derive(Debug)]
     pub(super) struct Terminal {
-        before: Termios,
-        is_closed: bool,
+        pub(super) is_closed: bool,
     }
 
     impl Terminal {
@@ -130,13 +151,13 @@ mod unix {
             terminal
                 .local_modes
                 .remove(LocalModes::ICANON | LocalModes::ECHO);
-            terminal.special_codes[SpecialCodeIndex::VMIN] = 0;
+            terminal.special_codes[SpecialCodeIndex::VMIN] = 1;
             terminal.special_codes[SpecialCodeIndex::VTIME] = 0;
             tcsetattr(&stdin, OptionalActions::Now, &terminal).ok()?;
-            Some(Self {
-                before,
-                is_closed: false,
-            })
+            *BEFORE.lock().unwrap_or_else(PoisonError::into_inner) = Some(before);
+            // A second signal ends the process without dropping anything.
+            restore_at_end(restore);
+            Some(Self { is_closed: false })
         }
 
         /// Waits for bytes, at most for `time`, and appends them.
@@ -144,26 +165,26 @@ mod unix {
             let stdin = stdin();
             let timeout = Timespec::try_from(time).ok();
             let mut ready = [PollFd::new(&stdin, PollFlags::IN)];
-            if self.is_closed || poll(&mut ready, timeout.as_ref()).is_err() {
+            if poll(&mut ready, timeout.as_ref()).is_err() {
                 sleep(time);
                 return;
             }
-            if ready[0].revents().is_empty() {
-                return;
-            }
-            let mut room = [0; 64];
-            match rustix::io::read(&stdin, &mut room) {
-                Ok(0) => self.is_closed = true,
-                Ok(count) => bytes.extend_from_slice(&room[..count]),
-                Err(_) => sleep(time),
+            let seen = ready[0].revents();
+            if seen.contains(PollFlags::IN) {
+                let mut room = [0; 64];
+                match rustix::io::read(&stdin, &mut room) {
+                    Ok(count) => bytes.extend_from_slice(&room[..count]),
+                    Err(_) => sleep(time),
+                }
+            } else if !seen.is_empty() {
+                self.is_closed = true;
             }
         }
     }
 
     impl Drop for Terminal {
         fn drop(&mut self) {
-            // If the terminal is gone, nothing needs to be restored.
-            let _ = tcsetattr(stdin(), OptionalActions::Now, &self.before);
+            restore();
         }
     }
 }

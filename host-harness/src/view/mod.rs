@@ -53,26 +53,42 @@ pub struct Scrub<'s> {
     /// Start of the first slice, in us.
     pub start_us: u64,
     /// Opens the inputs again, in place of the frames given, for slices from a time in us on.
-    #[allow(clippy::type_complexity, reason = "named here")]
     pub open: &'s mut dyn FnMut(&Frames, u64) -> Result<Frames>,
 }
 
 impl Scrub<'_> {
-    /// Returns the frame `by` slices after the one at `at_us`, or the next one with events; the one before it if
-    /// nothing else is that far back.
-    fn go(&mut self, frames: &mut Frames, at_us: u64, mut by: i64) -> Result<Option<Frame>> {
+    /// Returns the frame `by` slices after the one at `at_us`, or the first one with events after that; on the way back
+    /// one that is before `at_us`, if there is any.
+    fn go(
+        &mut self,
+        frames: &mut Frames,
+        (at_us, by): (u64, i64),
+        stop: &AtomicBool,
+    ) -> Result<Option<Frame>> {
+        let mut slices = by.unsigned_abs();
         loop {
-            let offset_us = by.saturating_mul(i64::try_from(frames.slice_us()).unwrap_or(i64::MAX));
-            let from_us = at_us.saturating_add_signed(offset_us).max(self.start_us);
+            let offset_us = slices.saturating_mul(frames.slice_us());
+            let from_us = if by < 0 {
+                at_us.saturating_sub(offset_us).max(self.start_us)
+            } else {
+                at_us.saturating_add(offset_us)
+            };
             *frames = (self.open)(frames, from_us)?;
             let frame = frames.next_frame()?;
             let is_before = frame.as_ref().is_some_and(|frame| frame.start_us < at_us);
-            if by >= 0 || is_before || from_us == self.start_us {
+            let is_stopped = stop.load(Ordering::Relaxed);
+            if by >= 0 || is_before || from_us == self.start_us || is_stopped {
                 return Ok(frame);
             }
             // A stretch without events is longer than the way back.
-            by = by.saturating_mul(2);
+            slices = slices.saturating_mul(2);
         }
+    }
+
+    /// Returns the first frame.
+    fn start(&mut self, frames: &mut Frames) -> Result<Option<Frame>> {
+        *frames = (self.open)(frames, self.start_us)?;
+        frames.next_frame()
     }
 }
 
@@ -103,17 +119,27 @@ pub fn play(
     progress: &mut dyn FnMut(u64),
 ) -> Result<Played> {
     let mut played = Played::default();
-    let mut wish = (Wish::Next, 0);
+    let mut wish = Wish::Next;
+    // Start of the frame that was shown last.
+    let mut shown_us = None;
     while played.frames < limit && !stop.load(Ordering::Relaxed) {
         let next = match (wish, &mut scrub) {
-            ((Wish::End, _), _) => break,
-            ((Wish::By(by), at_us), Some(scrub)) => scrub.go(frames, at_us, by),
-            ((Wish::Start, at_us), Some(scrub)) => scrub.go(frames, at_us, i64::MIN),
+            (Wish::End, _) => break,
+            (Wish::By(by), Some(scrub)) => {
+                let at_us = shown_us.unwrap_or(scrub.start_us);
+                scrub.go(frames, (at_us, by), stop)
+            }
+            (Wish::Start, Some(scrub)) => scrub.start(frames),
             _ => frames.next_frame(),
         };
         match next {
             Ok(Some(frame)) => {
-                wish = (screen.show(&frame)?, frame.start_us);
+                wish = screen.show(&frame)?;
+                if wish != Wish::Next {
+                    // It waited to be shown.
+                    continue;
+                }
+                shown_us = Some(frame.start_us);
                 played.frames += 1;
                 played.events += frame.events;
                 played.decoded_events += frame.decoded_events;

@@ -249,15 +249,19 @@ impl<W: Write> Terminal<W> {
         let mut end = Instant::now() + time;
         while !self.stop.load(Ordering::Relaxed) {
             let left = end.saturating_duration_since(Instant::now());
-            if left.is_zero() && !self.is_paused {
-                break;
-            }
             let nap = if self.is_paused { NAP } else { left.min(NAP) };
-            let Some(keys) = &mut self.keys else {
-                std::thread::sleep(nap);
-                continue;
+            // Keys are asked for at least once, however late the frame is.
+            let key = match &mut self.keys {
+                Some(keys) => keys.next(nap),
+                None => {
+                    std::thread::sleep(nap);
+                    None
+                }
             };
-            let Some(key) = keys.next(nap) else {
+            let Some(key) = key else {
+                if !self.is_paused && Instant::now() >= end {
+                    break;
+                }
                 continue;
             };
             let by = |seconds: i64, way| {
@@ -309,14 +313,18 @@ impl<W: Write> Terminal<W> {
 impl<W: Write> Screen for Terminal<W> {
     fn show(&mut self, frame: &Frame) -> Result<Wish> {
         let is_asked = std::mem::take(&mut self.is_asked);
-        match self.pace.turn(Instant::now()) {
-            _ if is_asked => self.pace.restart(),
-            Turn::Skip if !self.is_paused => return Ok(Wish::Next),
-            Turn::Skip => {}
-            Turn::After(time) => {
-                if let Some(wish) = self.wait(time)? {
-                    return Ok(wish);
-                }
+        if is_asked {
+            self.pace.restart();
+        } else {
+            let (time, is_skipped) = match self.pace.turn(Instant::now()) {
+                Turn::Skip => (Duration::ZERO, true),
+                Turn::After(time) => (time, false),
+            };
+            if let Some(wish) = self.wait(time)? {
+                return Ok(wish);
+            }
+            if is_skipped && !self.is_paused {
+                return Ok(Wish::Next);
             }
         }
         let room = (self.room)();

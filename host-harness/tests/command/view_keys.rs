@@ -81,8 +81,30 @@ impl Terminal {
     }
 }
 
+impl Drop for Terminal {
+    fn drop(&mut self) {
+        // Its terminal goes with it, and what runs there.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Whether there is the `script` whose options are used here.
+fn has_script() -> bool {
+    let version = Command::new("script").arg("--version").output();
+    let is_known =
+        version.is_ok_and(|output| output.stdout.windows(10).any(|part| part == b"util-linux"));
+    if !is_known {
+        println!("skipped: there is no `script` of util-linux");
+    }
+    is_known
+}
+
 #[test]
 fn keys_pause_step_and_go_to_another_time() {
+    if !has_script() {
+        return;
+    }
     let folder = Folder::new();
     folder
         .eecvs("emulate motorcycle -o a.raw --width 40 --height 30 --duration-us 3000000")
@@ -91,10 +113,7 @@ fn keys_pause_step_and_go_to_another_time() {
     for files in ["a.raw", "a.eecvs", "a.eecvs a.raw"] {
         let line =
             format!("view {files} --slice-us 5000 --fps 10 --colours none --terminal-columns 200");
-        let Some(mut terminal) = Terminal::new(&folder, &line) else {
-            println!("skipped: there is no `script`");
-            return;
-        };
+        let mut terminal = Terminal::new(&folder, &line).expect("script");
         terminal.until(|time, _| time > 5.0);
         terminal.press(" ");
         let paused = |_: f64, line: &str| line.contains("paused: space");
@@ -109,6 +128,9 @@ fn keys_pause_step_and_go_to_another_time() {
         terminal.press("\x1b[D");
         let back = terminal.until(|time, line| time < far && paused(time, line));
         assert!(back >= far - 51.0, "{files}: from {far} to {back}");
+        terminal.press("\x1b[D");
+        let again = terminal.until(|time, line| time < back && paused(time, line));
+        assert!(again >= back - 51.0, "{files}: from {back} to {again}");
         terminal.press("\x1b[H");
         let start = terminal.until(|time, _| time < 5.0);
         assert!(start >= 0.0, "{start}");
@@ -122,29 +144,79 @@ fn keys_pause_step_and_go_to_another_time() {
 }
 
 #[test]
+fn a_way_back_crosses_a_stretch_without_events() {
+    if !has_script() {
+        return;
+    }
+    let folder = Folder::new();
+    // Two short bursts, ten seconds apart.
+    let burst =
+        |from_us: u64| (0..100).map(move |i| format!("{},{},1,1\n", from_us + i * 1000, i % 20));
+    let lines: String = burst(0).chain(burst(10_000_000)).collect();
+    folder.write("a.csv", format!("t,x,y,p\n{lines}"));
+    folder
+        .eecvs("convert a.csv a.raw --width 20 --height 2")
+        .ok();
+    let line = "view a.raw --slice-us 5000 --fps 1 --colours none --terminal-columns 200";
+    let mut terminal = Terminal::new(&folder, line).expect("script");
+    terminal.until(|time, _| time >= 0.0);
+    terminal.press(" \x1b[A");
+    for _ in 0..2_000 / 10 {
+        let at = terminal.until(|_, line| line.contains("paused"));
+        if at >= 10_000.0 {
+            break;
+        }
+        terminal.press("\x1b[A");
+    }
+    terminal.press("\x1b[D");
+    let back = terminal.until(|time, line| time < 10_000.0 && line.contains("paused"));
+    assert!(back < 100.0, "{back}");
+    terminal.press("q");
+    assert!(terminal.end().success());
+}
+
+#[test]
 fn the_terminal_is_as_before_at_the_end() {
+    if !has_script() {
+        return;
+    }
     let folder = Folder::new();
     folder.scene("a.raw");
-    let eecvs = env!("CARGO_BIN_EXE_eecvs");
-    // A pipe's end ends nothing: the recording plays to its own.
-    let shell =
-        format!("stty -a > before; {eecvs} view a.raw --slice-us 50000 --fps 30; stty -a > after");
-    let mut script = Command::new("script");
-    script.args(["--quiet", "--command", &shell, "/dev/null"]);
-    script
-        .current_dir(folder.path(""))
-        .stdin(Stdio::null())
-        .stdout(Stdio::null());
-    let Ok(status) = script.env("TERM", "xterm-256color").status() else {
-        println!("skipped: there is no `script`");
-        return;
-    };
-    assert!(status.success(), "{status}");
-    let before = folder.bytes("before");
-    assert!(
-        before.starts_with(b"speed"),
-        "{}",
-        String::from_utf8_lossy(&before)
+    let view = format!(
+        "{} view a.raw --slice-us 1000 --fps 10",
+        env!("CARGO_BIN_EXE_eecvs")
     );
-    assert!(before == folder.bytes("after"));
+    let eight = format!(
+        "{} view a.raw --slice-us 50000 --fps 30",
+        env!("CARGO_BIN_EXE_eecvs")
+    );
+    // To its own end; by a key; by Ctrl-C, which is a signal.
+    for (command, keys) in [(&eight, ""), (&view, "q"), (&view, "\x03")] {
+        let shell = format!("stty -a > before; {command}; echo $? > status; stty -a > after");
+        let mut script = Command::new("script");
+        script.args(["--quiet", "--command", &shell, "/dev/null"]);
+        script
+            .current_dir(folder.path(""))
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null());
+        let mut child = script
+            .env("TERM", "xterm-256color")
+            .spawn()
+            .expect("script");
+        let mut stdin = child.stdin.take().expect("a pipe");
+        sleep(Duration::from_millis(500));
+        stdin.write_all(keys.as_bytes()).expect("a pipe");
+        // A pipe's end ends nothing.
+        drop(stdin);
+        let status = child.wait().expect("a child");
+        assert!(status.success(), "{status}");
+        assert_eq!(folder.bytes("status"), b"0\n", "{keys:?}");
+        let before = folder.bytes("before");
+        assert!(
+            before.starts_with(b"speed"),
+            "{}",
+            String::from_utf8_lossy(&before)
+        );
+        assert!(before == folder.bytes("after"), "{keys:?}");
+    }
 }

@@ -111,7 +111,7 @@ struct TreeChain {
 
 impl TreeChain {
     /// Returns the state that a frame continues from, in `chain`: as [`Chain::of`]. Memory whose state is of no use
-    /// serves the next key frame.
+    /// serves the next key frame of the same sensor and effort.
     fn of<'c>(
         chain: &'c mut Option<Self>,
         header: &Header,
@@ -124,13 +124,17 @@ impl TreeChain {
         let next = before.as_mut().and_then(|chain| chain.next.take());
         let before = match before {
             Some(before) => before,
-            None if header.is_key => Self {
-                sensor,
-                effort,
-                has_history,
-                storage: TreeStorage::new(sensor, effort, 0).map_err(|_| Refused::Memory)?,
-                next: None,
-            },
+            None if header.is_key => {
+                // What serves another sensor or effort makes room first.
+                *chain = None;
+                Self {
+                    sensor,
+                    effort,
+                    has_history,
+                    storage: TreeStorage::new(sensor, effort, 0).map_err(|_| Refused::Memory)?,
+                    next: None,
+                }
+            }
             None => return Err(Refused::Dependent),
         };
         let state = chain.insert(before);
@@ -266,6 +270,8 @@ impl HybridDecoder {
         let chain = TreeChain::of(&mut self.trees, header, effort)?;
         let count = header.events as usize;
         self.found.clear();
+        let room = self.found.try_reserve(count);
+        room.map_err(|_| Refused::Memory)?;
         self.found.resize(count, TreeEvent::NONE);
         let mut memory = chain.storage.lent();
         let tree = Tree::new(
