@@ -5,8 +5,8 @@ use std::path::Path;
 
 use eecvs::encode::HostStorage;
 use eecvs_nostd::{
-    Coder, Config, Effort, Encoder, Event, Fidelity, Filter, Frame, Hybrid, KEY_WINDOWS, Mode,
-    Polarity, Push, Quantiser, Sensor, Thresholds, Transform, WindowConfig,
+    Coder, Config, Effort, Encoder, Event, Fidelity, Frame, Hybrid, Mode, Polarity, Push, Sensor,
+    Thresholds, Transform, WindowConfig,
 };
 use targets::encode::to_mode;
 
@@ -203,19 +203,11 @@ fn lossless(coder: Coder) -> Mode {
 }
 
 fn config(sensor: Sensor, window_us: u32, mode: Mode, transform: Option<Transform>) -> Config {
+    let thresholds = Thresholds::new(0, 0).unwrap_or_else(|| unreachable!("in order"));
     Config {
-        window: WindowConfig::new(sensor, window_us),
-        thresholds: Thresholds::new(0, 0).unwrap_or_else(|| unreachable!("in order")),
         transform,
         m: 8,
-        grid: None,
-        quantiser: Quantiser::DEFAULT,
-        mode,
-        key_windows: KEY_WINDOWS,
-        readout: None,
-        filter: Filter::NONE,
-        bytes_per_second: None,
-        keep_order: false,
+        ..Config::new(WindowConfig::new(sensor, window_us), thresholds, mode)
     }
 }
 
@@ -264,11 +256,10 @@ fn sealed(folder: &Path) -> anyhow::Result<()> {
                 let frames = encode(config, bursts(count, pixels)).ok()?;
                 to_sealed(mode, &frames)
             });
-            if let Some(input) = input {
-                std::fs::write(
-                    folder.join(format!("{mode:02x}-{fidelity}-{pixels}")),
-                    input,
-                )?;
+            let name = format!("{mode:02x}-{fidelity}-{pixels}");
+            match input {
+                Some(input) => std::fs::write(folder.join(name), input)?,
+                None => println!("no seed sealed/{name}: an input cannot say such frames"),
             }
         }
     }

@@ -1,8 +1,8 @@
 //! The records of measurements, and the tables of documents that are made from them.
 //!
-//! All but the demo is measured on the recordings in `../shared/data`, beside the project. Times of a clock (demo,
-//! kernels, skips, read-speed, ros-delay, hub-load, stream, report) need a machine that does nothing else; all other figures
-//! are the same in every run.
+//! All but the demo and the streams is measured on the recordings in `../shared/data`, beside the project. Times of a
+//! clock (demo, kernels, skips, read-speed, ros-delay, hub-load, stream, report) need a machine that does nothing else;
+//! all other figures are the same in every run.
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -41,7 +41,7 @@ pub enum Part {
     HubLoad,
     /// docs/paper.md: the paper's evaluation; half an hour
     Report,
-    /// docs/results.md: long streams of events; half an hour
+    /// docs/results.md: long streams of events; ten minutes
     Stream,
     /// docs/results.md: instructions of every stage on a Cortex-M4
     Instructions,

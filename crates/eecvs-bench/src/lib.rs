@@ -10,7 +10,8 @@
 //!
 //! The crate also holds the other studies: [`errors`] (error curves of the kernels), [`scaling`] (time over the
 //! sensor's area and the number of events), [`skips`] (what skipping saves) and [`stream`] (a long one, encoded and
-//! decoded at once); and what all records of measurements share: [`record_file`] (JSON files of rows) and [`marks`] (tables in documents).
+//! decoded at once); and what all records of measurements share: [`record_file`] (JSON files of rows) and [`marks`]
+//! (tables in documents).
 
 pub mod cut;
 pub mod errors;

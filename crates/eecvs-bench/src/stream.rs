@@ -38,15 +38,15 @@ pub struct Row {
     pub bytes: u64,
     /// Duration in s.
     pub seconds: f64,
-    /// Events decoded per second in the first and in the last part of it, and how long these parts are in s.
+    /// Events decoded per second in the first part.
     pub first_per_s: f64,
-    #[allow(missing_docs, reason = "see first_per_s")]
+    /// Events decoded per second in the last part.
     pub last_per_s: f64,
-    #[allow(missing_docs, reason = "see first_per_s")]
+    /// Duration of either part in s.
     pub part_s: f64,
-    /// Memory of the process after the first part, and most of it after that, in bytes; 0 where that is not known.
+    /// Memory of the process after the first part, in bytes; 0 where that is not known.
     pub first_memory: u64,
-    #[allow(missing_docs, reason = "see first_memory")]
+    /// Most memory of the process after that, in bytes; 0 where that is not known.
     pub most_memory: u64,
 }
 

@@ -126,8 +126,9 @@ impl Rate<'_> {
         super::bench::write(svg, &rate_chart::svg(title, rows)?)?;
         rate_chart::picture(title, rows)?.save(png)?;
         let title = "Bits against speed on one thread, lossless, windows of 32,768 us: ours blue, peers brown";
-        super::bench::write(speed_svg, &speed_chart::svg(title, rows)?)?;
-        speed_chart::picture(title, rows)?.save(speed_png)?;
+        let speed = speed_chart::sheet(title, rows)?;
+        super::bench::write(speed_svg, &speed.svg)?;
+        speed.png.save(speed_png)?;
         Ok(files)
     }
 }

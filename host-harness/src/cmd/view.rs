@@ -41,9 +41,9 @@ use crate::view::{Played, Screen, Scrub, play};
 /// FILE. A stretch without events is shortened to one second of playback.
 ///
 /// In a terminal, space pauses and goes on, a full stop shows the next frame and pauses, the arrows go a second (left,
-/// right) or ten seconds (down, up, and the keys for pages) of playback back and on, home goes to the start, and q ends, as
-/// does what is beyond the end. Files of frames have an index, so that this takes no time; other recordings are read again
-/// up to there.
+/// right) or ten seconds (down, up, and the keys for pages) of playback back and on, home goes to the start, and q ends,
+/// as does what is beyond the end. Files of frames have an index, so that this takes no time; other recordings are read
+/// again up to there.
 #[derive(Debug, Args)]
 pub struct View {
     /// Recording of any format, or file of frames
@@ -204,8 +204,7 @@ impl View {
             let decoded = self.decoded.as_deref().map(slices).transpose()?;
             Ok(Frames::new(grid, empty_max, slices(&self.file)?, decoded))
         };
-        let is_seekable = self.inputs().all(|path| !is_stream(path));
-        let scrub = (self.output.is_none() && is_seekable).then_some(Scrub {
+        let scrub = (self.output.is_none() && self.is_seekable()).then_some(Scrub {
             start_us: grid.from_us,
             open: &mut open,
         });
@@ -258,8 +257,10 @@ impl View {
         link
     }
 
-    fn inputs(&self) -> impl Iterator<Item = &PathBuf> {
-        iter::once(&self.file).chain(&self.decoded)
+    /// Returns whether the inputs can be read again; stdin and pipes cannot.
+    fn is_seekable(&self) -> bool {
+        let mut inputs = iter::once(&self.file).chain(&self.decoded);
+        inputs.all(|path| !is_stream(path))
     }
 
     /// Refuses an output that would replace an existing file or an input.
@@ -334,8 +335,11 @@ impl View {
             }
             let room = Box::new(move || room(columns));
             // Stdin may be the recording.
-            let is_seekable = self.inputs().all(|path| !is_stream(path));
-            let keys = if is_seekable { Keys::open() } else { None };
+            let keys = if self.is_seekable() {
+                Keys::open()
+            } else {
+                None
+            };
             return Ok(Box::new(Terminal::new(
                 stdout(),
                 self.fps,
@@ -379,9 +383,6 @@ impl View {
 
     /// Adds what was not shown of the inputs.
     fn add_missing(&self, frames: &Frames, all: &mut Vec<Error>) {
-        let mut missing = |error: Error| {
-            all.push(error);
-        };
         let inputs = [
             (Some(&self.file), Some(frames.original())),
             (self.decoded.as_ref(), frames.decoded()),
@@ -394,14 +395,14 @@ impl View {
             tell_confidences(&name, &slices.input().confidences());
             let report = slices.input().report();
             if let Some(Err(error)) = report.map(|report| tell_link(&name, report)) {
-                missing(error);
+                all.push(error);
             }
             let counts = [
                 (slices.late(), "are too far out of time order to be shown"),
                 (slices.outside(), "lie outside the sensor"),
             ];
             for (count, what) in counts.into_iter().filter(|(count, _)| *count > 0) {
-                missing(anyhow!("{name}: {count} events {what}"));
+                all.push(anyhow!("{name}: {count} events {what}"));
             }
         }
     }

@@ -9,7 +9,7 @@ use event_files::evt::evt2::Evt2Writer;
 use event_files::evt::evt3::Evt3Writer;
 use event_files::{Aedat4Writer, Compression, EventWriter};
 
-use super::lossless::Stored;
+use super::lossless::RoundTrip;
 
 /// A format of event files.
 #[derive(Debug, Clone, Copy)]
@@ -27,7 +27,7 @@ impl Format {
     ///
     /// # Errors
     /// Fails on I/O errors, or if the format cannot hold the recording.
-    pub fn round_trip(self, source: &Source) -> Result<Stored> {
+    pub fn round_trip(self, source: &Source) -> Result<RoundTrip> {
         let folder = tempfile::tempdir().context("cannot create a temporary folder")?;
         let path = folder.path().join("recording");
         let started = Instant::now();
@@ -46,7 +46,7 @@ impl Format {
         );
         let mut events = Vec::with_capacity(source.events.len());
         while reader.read(&mut events)? > 0 {}
-        Ok(Stored {
+        Ok(RoundTrip {
             bytes: usize::try_from(bytes)?,
             seconds,
             decode_seconds: started.elapsed().as_secs_f64(),

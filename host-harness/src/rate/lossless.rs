@@ -29,7 +29,7 @@ pub enum Peer {
 
 /// A recording that was stored and restored.
 #[derive(Debug)]
-pub struct Stored {
+pub struct RoundTrip {
     /// Bytes of the file.
     pub bytes: usize,
     /// Time spent making it, in seconds.
@@ -89,7 +89,7 @@ impl Peer {
     ///
     /// # Errors
     /// Fails on I/O errors, or if the peer cannot hold the recording.
-    pub fn round_trip(self, source: &Source) -> Result<Stored> {
+    pub fn round_trip(self, source: &Source) -> Result<RoundTrip> {
         match self {
             Self::File(_, format) => format.round_trip(source),
             Self::Columns(_, squeeze, open) => {
@@ -98,7 +98,7 @@ impl Peer {
                 let seconds = started.elapsed().as_secs_f64();
                 let started = Instant::now();
                 let (_, events) = columns::read(&open(&bytes)?)?;
-                Ok(Stored {
+                Ok(RoundTrip {
                     bytes: bytes.len(),
                     seconds,
                     decode_seconds: started.elapsed().as_secs_f64(),
@@ -120,7 +120,7 @@ mod tests {
     fn every_peer_gives_the_events_back() {
         let source = scenes(30_000).unwrap().remove(0);
         for peer in peers() {
-            let Stored { bytes, events, .. } = peer.round_trip(&source).unwrap();
+            let RoundTrip { bytes, events, .. } = peer.round_trip(&source).unwrap();
             check(Promise::Lossless, &source.events, &events).unwrap();
             assert!(bytes > source.events.len() / 8, "{}: {bytes}", peer.name());
         }

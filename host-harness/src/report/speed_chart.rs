@@ -2,15 +2,14 @@
 //! encoding and one for decoding. Both axes are logarithmic; the best is on the lower right. Digits stand for codecs, in
 //! the order of the tables.
 
-use anyhow::{Result, anyhow, ensure};
-use event_pictures::picture::Picture;
+use anyhow::{Result, ensure};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-use super::kernel_chart::{Drawn, FRONT, GRID, PNG_SCALE, text};
-use super::picture_backend::PictureBackend;
+use super::kernel_chart::{Drawn, FRONT, GRID, text};
 use super::rate_chart::{COLUMNS, shown, tick};
 use super::rate_table::LOSSLESS;
+use super::sheet::{Chart, Sheet};
 use crate::rate::Row;
 
 const WIDTH: u32 = 1200;
@@ -52,37 +51,20 @@ fn colour(codec: &str) -> RGBColor {
     }
 }
 
-/// Draws the chart as SVG text.
+/// Draws the chart.
 ///
 /// # Errors
 /// Fails if a rate or a time is not above 0.
-pub fn svg(title: &str, rows: &[Row]) -> Result<String> {
-    let panels = panels(rows)?;
-    let mut svg = String::new();
-    {
-        let size = (WIDTH, HEAD + DIRECTIONS.len() as u32 * ROW);
-        let area = SVGBackend::with_string(&mut svg, size).into_drawing_area();
-        draw(&area, title, &panels, 1)
-            .map_err(|error| anyhow!("the chart cannot be drawn: {error}"))?;
-    }
-    Ok(svg)
+pub fn sheet(title: &str, rows: &[Row]) -> Result<Sheet> {
+    Sheet::new(&Speeds {
+        title,
+        panels: panels(rows)?,
+    })
 }
 
-/// Draws the chart as a picture.
-///
-/// # Errors
-/// Fails as [`svg`] does.
-pub fn picture(title: &str, rows: &[Row]) -> Result<Picture> {
-    let panels = panels(rows)?;
-    let side = |side: u32| side as usize * PNG_SCALE as usize;
-    let height = HEAD + DIRECTIONS.len() as u32 * ROW;
-    let mut picture = Picture::new(side(WIDTH), side(height), [255; 3]);
-    {
-        let area = PictureBackend(&mut picture).into_drawing_area();
-        draw(&area, title, &panels, PNG_SCALE)
-            .map_err(|error| anyhow!("the chart cannot be drawn: {error}"))?;
-    }
-    Ok(picture)
+struct Speeds<'r> {
+    title: &'r str,
+    panels: Vec<Panel<'r>>,
 }
 
 /// A panel: recording, name of the direction, points.
@@ -123,34 +105,35 @@ fn panels(rows: &[Row]) -> Result<Vec<Panel<'_>>> {
     Ok(panels)
 }
 
-fn draw<B: DrawingBackend>(
-    area: &DrawingArea<B, Shift>,
-    title: &str,
-    panels: &[Panel<'_>],
-    scale: i32,
-) -> Drawn<B>
-where
-    B::ErrorType: 'static,
-{
-    area.fill(&WHITE)?;
-    let (head, rest) = area.split_vertically(HEAD as i32 * scale);
-    head.draw_text(title, &text(14, scale), (14 * scale, 10 * scale))?;
-    for (line, codecs) in (0..).zip(LOSSLESS.chunks(LOSSLESS.len().div_ceil(2))) {
-        let mut x = 14;
-        let before = line as usize * LOSSLESS.len().div_ceil(2);
-        for (digit, (codec, name)) in (before + 1..).zip(codecs) {
-            let label = format!("{digit} {name}");
-            let at = (x * scale, (34 + 18 * line) * scale);
-            head.draw_text(&label, &text(12, scale).color(&colour(codec)), at)?;
-            x += 22 + 9 * label.len() as i32;
+impl Chart for Speeds<'_> {
+    fn size(&self) -> (u32, u32) {
+        (WIDTH, HEAD + DIRECTIONS.len() as u32 * ROW)
+    }
+
+    fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, scale: i32) -> Drawn<B>
+    where
+        B::ErrorType: 'static,
+    {
+        area.fill(&WHITE)?;
+        let (head, rest) = area.split_vertically(HEAD as i32 * scale);
+        head.draw_text(self.title, &text(14, scale), (14 * scale, 10 * scale))?;
+        let half = LOSSLESS.len().div_ceil(2);
+        for (line, codecs) in LOSSLESS.chunks(half).enumerate() {
+            let mut x = 14;
+            for (digit, (codec, name)) in (half * line + 1..).zip(codecs) {
+                let label = format!("{digit} {name}");
+                let at = (x * scale, (34 + 18 * line as i32) * scale);
+                head.draw_text(&label, &text(12, scale).color(&colour(codec)), at)?;
+                x += 22 + 9 * label.len() as i32;
+            }
         }
+        let columns = (self.panels.len() / DIRECTIONS.len()).clamp(1, COLUMNS);
+        let areas = rest.split_evenly((DIRECTIONS.len(), columns));
+        for (panel, area) in self.panels.iter().zip(&areas) {
+            draw_panel(area, panel, scale)?;
+        }
+        area.present()
     }
-    let columns = (panels.len() / DIRECTIONS.len()).clamp(1, COLUMNS);
-    let areas = rest.split_evenly((DIRECTIONS.len(), columns));
-    for (panel, area) in panels.iter().zip(&areas) {
-        draw_panel(area, panel, scale)?;
-    }
-    area.present()
 }
 
 fn draw_panel<B: DrawingBackend>(
@@ -255,7 +238,7 @@ mod tests {
             speeds,
             [vec![10.0, 100.0, 0.5, 100.0], vec![10.0, 50.0, 10.0]]
         );
-        let svg = svg("title", &rows).unwrap();
+        let Sheet { svg, png } = sheet("title", &rows).unwrap();
         let circles = |colour: &str| {
             svg.lines()
                 .filter(|line| line.starts_with("<circle") && line.contains(colour))
@@ -263,15 +246,14 @@ mod tests {
         };
         assert_eq!((circles("#0072B2"), circles("#965A1E")), (4, 3));
         assert!(svg.contains("xz -9") && !svg.contains("NaN"));
-        let picture = picture("title", &rows).unwrap();
-        assert_eq!((picture.width(), picture.height()), (2400, 2 * 876));
+        assert_eq!((png.width(), png.height()), (2400, 2 * 876));
     }
 
     #[test]
     fn extremes_are_drawn_or_refused() {
-        assert!(svg("no point", &[]).unwrap().contains("</svg>"));
+        assert!(sheet("no point", &[]).unwrap().svg.contains("</svg>"));
         for (bits, seconds) in [(0.0, 1.0), (f64::NAN, 1.0), (1.0, 0.0), (1.0, -1.0)] {
-            assert!(svg("wrong", &[row("evt2", bits, seconds, None)]).is_err());
+            assert!(sheet("wrong", &[row("evt2", bits, seconds, None)]).is_err());
         }
     }
 }

@@ -8,7 +8,6 @@ pub mod input;
 pub mod keys;
 pub mod pace;
 pub mod palette;
-
 pub mod picture;
 pub mod png;
 pub mod slices;

@@ -16,26 +16,27 @@ struct Terminal {
 }
 
 impl Terminal {
-    /// `None` where there is no `script`.
-    fn new(folder: &Folder, line: &str) -> Option<Self> {
-        let command = format!("{} {line}", env!("CARGO_BIN_EXE_eecvs"));
+    /// Runs `eecvs view` with these arguments.
+    fn new(folder: &Folder, line: &str) -> Self {
+        Self::of_shell(folder, &view(line))
+    }
+
+    /// Runs a line of a shell.
+    fn of_shell(folder: &Folder, line: &str) -> Self {
         let mut script = Command::new("script");
         script.args([
             "--quiet",
             "--flush",
             "--return",
             "--command",
-            &command,
+            line,
             "/dev/null",
         ]);
         script
             .current_dir(folder.path(""))
             .env("TERM", "xterm-256color");
-        let mut child = script
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .ok()?;
+        script.stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut child = script.spawn().expect("script");
         let keys = child.stdin.take().expect("a pipe");
         let mut output = child.stdout.take().expect("a pipe");
         let shown = Arc::new(Mutex::new(String::new()));
@@ -47,7 +48,7 @@ impl Terminal {
                 sink.lock().expect("no panic").push_str(&text);
             }
         });
-        Some(Self { child, keys, shown })
+        Self { child, keys, shown }
     }
 
     fn press(&mut self, keys: &str) {
@@ -89,6 +90,12 @@ impl Drop for Terminal {
     }
 }
 
+/// A line of a shell that runs `eecvs view`, without colours.
+fn view(line: &str) -> String {
+    let eecvs = env!("CARGO_BIN_EXE_eecvs");
+    format!("{eecvs} view {line} --colours none --terminal-columns 200")
+}
+
 /// Whether there is the `script` whose options are used here.
 fn has_script() -> bool {
     let version = Command::new("script").arg("--version").output();
@@ -111,9 +118,8 @@ fn keys_pause_step_and_go_to_another_time() {
         .ok();
     folder.eecvs("encode a.raw -o a.eecvs").ok();
     for files in ["a.raw", "a.eecvs", "a.eecvs a.raw"] {
-        let line =
-            format!("view {files} --slice-us 5000 --fps 10 --colours none --terminal-columns 200");
-        let mut terminal = Terminal::new(&folder, &line).expect("script");
+        let line = format!("{files} --slice-us 5000 --fps 10");
+        let mut terminal = Terminal::new(&folder, &line);
         terminal.until(|time, _| time > 5.0);
         terminal.press(" ");
         let paused = |_: f64, line: &str| line.contains("paused: space");
@@ -157,8 +163,8 @@ fn a_way_back_crosses_a_stretch_without_events() {
     folder
         .eecvs("convert a.csv a.raw --width 20 --height 2")
         .ok();
-    let line = "view a.raw --slice-us 5000 --fps 1 --colours none --terminal-columns 200";
-    let mut terminal = Terminal::new(&folder, line).expect("script");
+    let line = "a.raw --slice-us 5000 --fps 1";
+    let mut terminal = Terminal::new(&folder, line);
     terminal.until(|time, _| time >= 0.0);
     terminal.press(" \x1b[A");
     for _ in 0..2_000 / 10 {
@@ -182,41 +188,23 @@ fn the_terminal_is_as_before_at_the_end() {
     }
     let folder = Folder::new();
     folder.scene("a.raw");
-    let view = format!(
-        "{} view a.raw --slice-us 1000 --fps 10",
-        env!("CARGO_BIN_EXE_eecvs")
-    );
-    let eight = format!(
-        "{} view a.raw --slice-us 50000 --fps 30",
-        env!("CARGO_BIN_EXE_eecvs")
+    let (slow, quick) = (
+        view("a.raw --slice-us 1000 --fps 10"),
+        view("a.raw --slice-us 50000 --fps 30"),
     );
     // To its own end; by a key; by Ctrl-C, which is a signal.
-    for (command, keys) in [(&eight, ""), (&view, "q"), (&view, "\x03")] {
+    for (command, keys) in [(&quick, ""), (&slow, "q"), (&slow, "\x03")] {
         let shell = format!("stty -a > before; {command}; echo $? > status; stty -a > after");
-        let mut script = Command::new("script");
-        script.args(["--quiet", "--command", &shell, "/dev/null"]);
-        script
-            .current_dir(folder.path(""))
-            .stdin(Stdio::piped())
-            .stdout(Stdio::null());
-        let mut child = script
-            .env("TERM", "xterm-256color")
-            .spawn()
-            .expect("script");
-        let mut stdin = child.stdin.take().expect("a pipe");
-        sleep(Duration::from_millis(500));
-        stdin.write_all(keys.as_bytes()).expect("a pipe");
-        // A pipe's end ends nothing.
-        drop(stdin);
-        let status = child.wait().expect("a child");
+        let mut terminal = Terminal::of_shell(&folder, &shell);
+        if !keys.is_empty() {
+            terminal.until(|time, _| time >= 0.0);
+            terminal.press(keys);
+        }
+        let status = terminal.end();
         assert!(status.success(), "{status}");
         assert_eq!(folder.bytes("status"), b"0\n", "{keys:?}");
         let before = folder.bytes("before");
-        assert!(
-            before.starts_with(b"speed"),
-            "{}",
-            String::from_utf8_lossy(&before)
-        );
+        assert!(before.starts_with(b"speed"), "{before:?}");
         assert!(before == folder.bytes("after"), "{keys:?}");
     }
 }
