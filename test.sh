@@ -24,7 +24,8 @@
 #             it is named
 #   fuzz      every fuzz target for FUZZ_SECONDS (default 2), minutes, and only when it is named (the unit stage
 #             runs them on their seeds and on random bytes)
-#   demo      the first command of the README
+#   demo      the first command of the README: when it is named, as it stands there; beside the unit stage, by that
+#             build
 #
 # What is missing is installed where that is possible; where it is not, the stage says so.
 set -euo pipefail
@@ -93,6 +94,12 @@ emulator() {
     echo "installing qemu-system-arm"
     packages qemu-system-arm
 }
+
+# Waits until the unit stage's build is there, or makes it: tests, commands, examples.
+built() { cargo test --workspace "${FEATURES[@]}" --no-run --quiet; }
+
+# A command of that build.
+program() { echo "${CARGO_TARGET_DIR:-target}/debug/$1"; }
 
 # The programs of the workspace's tests: name, folder of the package, path.
 programs() {
@@ -246,7 +253,7 @@ qemu() {
 }
 
 firmware() {
-    local machine status
+    local machine features status
     if ! emulator; then
         skip "firmware: there is no qemu-system-arm and apt-get cannot install it"
         return
@@ -255,13 +262,15 @@ firmware() {
         skip "firmware: there is no core library for the target"
         return
     fi
-    # For boards alone: QEMU has no such USB controller. What is in the image is checked below.
+    # For boards alone: QEMU has no such USB controller. What is in the images is checked below.
     firmware/build.sh usb
+    firmware/build.sh small
     if target thumbv7em-none-eabihf && component clippy clippy; then
-        for machine in stm32f405 stm32f405,{sensor,kernels,usb} stm32f405,usb,sensor mps2,kernels; do
-            CARGO_BUILD_BUILD_DIR=firmware/target/build \
-                cargo clippy --manifest-path firmware/Cargo.toml --release --locked --features "$machine" \
-                --target thumbv7em-none-eabihf --target-dir firmware/target/clippy -- -D warnings
+        for features in full,{stm32f405,mps2\,kernels} full,stm32f405,{sensor,kernels,usb,usb\,sensor} stm32f405; do
+            # In the environment of firmware/build.sh, so that what runs on the host is built once for both.
+            env -u CARGO_PROFILE_RELEASE_DEBUG RUSTFLAGS= DEFMT_LOG=info CARGO_BUILD_BUILD_DIR=firmware/target/build \
+                cargo clippy --manifest-path firmware/Cargo.toml --release --locked --no-default-features \
+                --features "$features" --target thumbv7em-none-eabihf --target-dir firmware/target/clippy -- -D warnings
         done
     fi
     for machine in netduinoplus2 mps2-an386 mps2-an500 microbit; do
@@ -270,22 +279,23 @@ firmware() {
     done
     cargo xtask instructions --check
     cargo xtask kernels --check
-    # The first events of every recording; without a number, all of them.
-    cargo xtask image-recordings --events "${RECORDING_EVENTS:-2500}"
     # Its only good end is the report of a fault.
     status=0
     qemu netduinoplus2 overflow >/dev/null || status=$?
     [ "$status" = 1 ] || { echo "the stack overflow ended with status $status, not 1"; return 1; }
-    # Last: until the unit stage is built, it waits.
+    # The rest is last: until the unit stage is built, it waits.
     ran unit || cargo test "${TESTS[@]}" -- mcu::
+    # The first events of every recording; without a number, all of them.
+    built
+    cargo xtask image-recordings --events "${RECORDING_EVENTS:-2500}" --eecvs "$(program eecvs)"
     cargo test "${TESTS[@]}" -- --nocapture firmware_image::
 }
 
 usb() {
     local status=0
     if ran unit; then
-        # The guest runs programs of its build, which is waited for.
-        cargo test --workspace "${FEATURES[@]}" --no-run
+        # The guest runs programs of its build.
+        built
     else
         umockdev
         cargo test -p usb-bridge
@@ -344,7 +354,13 @@ demo() {
     local folder
     folder=$(mktemp -d)
     cp README.md "$folder/"
-    cargo run --release --quiet -- demo -o "$folder/demo" --save "$folder/README.md"
+    if ran unit; then
+        # The command of the tests' build, which checks arithmetic too: a release build of it alone would take minutes.
+        built
+        "$(program eecvs)" demo -o "$folder/demo" --save "$folder/README.md"
+    else
+        cargo run --release --quiet -- demo -o "$folder/demo" --save "$folder/README.md"
+    fi
     test -s "$folder/demo/report.html" -a -s "$folder/demo/dense.png"
     if ! diff <(demo_table README.md) <(demo_table "$folder/README.md"); then
         echo "the table in README.md differs from that of the demo: run 'eecvs demo --save README.md'"

@@ -30,9 +30,11 @@ fn memory(out: &Path) -> Result<(), Box<dyn Error>> {
     let (Some((_, script)), None) = (chosen.next(), chosen.next()) else {
         return Err("choose one machine: build with firmware/build.sh MACHINE".into());
     };
-    let script = match env::var_os("CARGO_FEATURE_CUTS") {
-        Some(_) => &"memory/instructions.x",
-        None => script,
+    let has = |feature: &str| env::var_os(format!("CARGO_FEATURE_{feature}")).is_some();
+    let script = match *script {
+        _ if has("CUTS") => "memory/instructions.x",
+        "../memory.x" if !has("FULL") => "memory/small.x",
+        script => script,
     };
     fs::copy(script, out.join("memory.x"))?;
     println!("cargo:rustc-link-search={}", out.display());

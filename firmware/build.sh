@@ -2,6 +2,8 @@
 # Builds the images of a machine: firmware/build.sh [MACHINE [BINARY [portable]]]
 #
 #   netduinoplus2   STM32F405, Cortex-M4F: boards, and QEMU's machine of that name (the default)
+#   small           STM32F405 with 64 KiB of flash and 48 KiB of RAM used: the fast coder and one window; `encoder`
+#                   alone, on boards and in QEMU's netduinoplus2
 #   usb             STM32F405 with USB as its link, on boards only; `encoder` alone. EECVS_CRYSTAL_MHZ
 #                   is the board's crystal: 12 unless set
 #   mps2-an386      Cortex-M4 in QEMU
@@ -19,11 +21,12 @@ machine=${1:-netduinoplus2}
 flags=()
 case $machine in
     netduinoplus2) target=thumbv7em-none-eabihf feature=stm32f405 ;;
+    small) target=thumbv7em-none-eabihf feature=stm32f405 ;;
     usb) target=thumbv7em-none-eabihf feature=stm32f405,usb ;;
     mps2-an386) target=thumbv7em-none-eabihf feature=mps2 ;;
     mps2-an500) target=thumbv7em-none-eabihf feature=mps2 flags=(-C target-cpu=cortex-m7) ;;
     microbit) target=thumbv6m-none-eabi feature=microbit ;;
-    *) sed -n '2,14s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
+    *) sed -n '2,16s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
 esac
 
 case ${2:-} in
@@ -36,9 +39,10 @@ if [ -n "${2:-}" ]; then
     command+=(--bin "$2")
 elif [ "$machine" = microbit ]; then
     command+=(--bin golden)
-elif [ "$machine" = usb ]; then
+elif [ "$machine" = usb ] || [ "$machine" = small ]; then
     command+=(--bin encoder)
 fi
+[ "$machine" != small ] || command+=(--no-default-features)
 # Its 256 KiB of flash, of which tables take a third, want small code.
 [ "$machine" != microbit ] || export CARGO_PROFILE_RELEASE_OPT_LEVEL=s
 # The log tells places by the image's debug information, whatever the host's programs are built with.

@@ -15,9 +15,11 @@
 //! Cargo features:
 //!
 //! - `coefficients` (default): the encoder can use the adaptive coefficient coders ([`coder::coefficients`]).
+//! - `dense` (default): the encoder can use the dense coder ([`coder::dense`]).
 //! - `keys` (default): the encoder can use the keys coder ([`coder::keys`]).
 //! - `order` (default): the encoder supports [`Config::keep_order`].
 //! - `quick` (default): the encoder can use the quick coder ([`coder::quick`]).
+//! - `transform` (default): the encoder has mode `transform`, without which it codes events only.
 //! - `tree` (default): the encoder can use the tree coder ([`coder::tree`]).
 //! - `defmt`: derives `defmt::Format` on the public types.
 //! - `float`: adds two f32 kernels for comparison ([`kernel`]).

@@ -4,8 +4,8 @@ use eecvs_nostd::event_link::{FIELDS_BYTES_MAX, Kind, Packet, Refusal, Setup, St
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Counts, Work};
 use eecvs_nostd::{
-    Config, Filter, HotError, KEY_WINDOWS, Mode, Quantiser, Scratch, Sensor, Thresholds, Window,
-    WindowBuffers, WindowConfig, WindowEncoder,
+    Coder, Config, Fidelity, Filter, HotError, Hybrid, KEY_WINDOWS, Mode, Quantiser, Scratch,
+    Sensor, Thresholds, Window, WindowBuffers, WindowConfig, WindowEncoder,
 };
 
 use static_cell::ConstStaticCell;
@@ -16,12 +16,14 @@ use crate::memory::{self, Shares};
 use crate::receiving;
 use crate::stack;
 
-/// Number of windows that take turns.
-const WINDOWS: usize = 2;
+/// Whether the image has all that a microcontroller can encode; a small one has the fast coder alone.
+const IS_FULL: bool = cfg!(feature = "full");
+/// Number of windows that take turns. Where there is one, events wait in the link's ring while it is encoded.
+const WINDOWS: usize = if IS_FULL { 2 } else { 1 };
 /// Numbers for the largest grid: any M up to 64 at its default grid.
-const NUMBERS: usize = 256;
+const NUMBERS: usize = if IS_FULL { 256 } else { 0 };
 /// Most hot pixels.
-const HOT_PIXELS: usize = 512;
+const HOT_PIXELS: usize = if IS_FULL { 512 } else { 128 };
 
 /// Configuration before the first setup; never used on events.
 const IDLE: Config = Config {
@@ -37,7 +39,10 @@ const IDLE: Config = Config {
     m: 1,
     grid: None,
     quantiser: Quantiser::DEFAULT,
-    mode: Mode::Transform,
+    mode: Mode::Hybrid(Hybrid {
+        coder: Coder::Fast,
+        fidelity: Fidelity::Lossless,
+    }),
     key_windows: KEY_WINDOWS,
     readout: None,
     filter: Filter::NONE,

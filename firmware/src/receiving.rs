@@ -23,8 +23,20 @@ use crate::queue::{Queue, Ring};
 #[cfg(feature = "sensor")]
 use crate::sensor;
 
-/// Bytes between the link's interrupt and PendSV: two of the longest packets.
-const RING_BYTES: usize = 1024;
+/// Bytes between the link's interrupt and PendSV: two of the longest packets, or where there is one window, the words
+/// of as many events as it holds.
+const RING_BYTES: usize = if cfg!(feature = "full") {
+    1024
+} else {
+    8192
+};
+/// With more bytes in the ring, events for which there is no window are dropped, if the setup says so: the rest of the
+/// ring takes requests.
+const WAITING_BYTES: usize = if cfg!(feature = "full") {
+    0
+} else {
+    RING_BYTES / 4 * 3
+};
 /// Number of bytes in the ring from which on PendSV is triggered.
 const MANY_BYTES: usize = 128;
 /// The lowest priority.
@@ -54,6 +66,10 @@ impl Exchange<'static> for Queues {
 
     fn hand_over(&mut self, work: Work<'static>) {
         WORK.put(work);
+    }
+
+    fn may_wait(&self) -> bool {
+        BYTES.len() < WAITING_BYTES
     }
 }
 

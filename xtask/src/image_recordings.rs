@@ -1,5 +1,5 @@
-//! The encoder's image against the host's encoder, frame by frame, on an emulated scene and on recordings, in every
-//! mode.
+//! The encoder's images against the host's encoder, frame by frame, on an emulated scene and on recordings, in every
+//! mode that they have.
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -32,7 +32,7 @@ const AT_ONCE: usize = 2;
 /// The events; the same by the dense coder without some pixels; the same filtered and under a budget that does not take
 /// them all; the regime's transform; each transform at both M.
 const MODES: [(&str, &[&str]); 10] = [
-    ("fast", &["--mode", "hybrid", "--coder", "fast"]),
+    (FAST, &["--mode", "hybrid", "--coder", "fast"]),
     (
         DENSE,
         &[
@@ -45,7 +45,7 @@ const MODES: [(&str, &[&str]); 10] = [
         ],
     ),
     (
-        "budget",
+        BUDGET,
         &[
             "--mode",
             "hybrid",
@@ -82,15 +82,23 @@ const MODES: [(&str, &[&str]); 10] = [
 ];
 const DENSE: &str = "dense";
 
-/// An input in a mode.
+/// Those of them that the small image has.
+const OF_SMALL: [&str; 2] = [FAST, BUDGET];
+const FAST: &str = "fast";
+const BUDGET: &str = "budget";
+
+/// An input in a mode on a machine.
 struct Job<'a> {
     name: String,
+    machine: Machine,
+    image: &'a Path,
     recording: Option<&'a Path>,
     mode: &'a [&'a str],
 }
 
-/// Runs every input in every mode, of each recording its first `events` events.
-pub fn run(events: Option<u64>) -> Result<ExitCode> {
+/// Runs every input in every mode, of each recording its first `events` events, by a command `eecvs`, which is built
+/// unless it is given.
+pub fn run(events: Option<u64>, eecvs: Option<PathBuf>) -> Result<ExitCode> {
     let data = tree::shared_data();
     let mut recordings: Vec<PathBuf> = Vec::new();
     for name in RECORDINGS.into_iter().chain([SCANS]) {
@@ -104,24 +112,44 @@ pub fn run(events: Option<u64>) -> Result<ExitCode> {
     let inputs = [None]
         .into_iter()
         .chain(recordings.iter().map(|recording| Some(recording.as_path())));
+    let images = [Machine::NetduinoPlus2, Machine::Small]
+        .map(|machine| Ok((machine, image::build(machine, "encoder")?)))
+        .into_iter()
+        .collect::<Result<Vec<_>>>()?;
     let mut jobs = Vec::new();
     for recording in inputs {
-        for (name, mode) in MODES {
+        for ((name, mode), (machine, image)) in MODES
+            .into_iter()
+            .flat_map(|mode| images.iter().map(move |image| (mode, image)))
+        {
+            let (machine, image) = (*machine, image.as_path());
+            if machine == Machine::Small && !OF_SMALL.contains(&name) {
+                continue;
+            }
             if recording.is_some_and(|recording| recording.ends_with(SCANS)) && name != DENSE {
                 continue;
             }
             let folder = recording.and_then(Path::parent).and_then(Path::file_name);
             let input = folder.map_or("scene".into(), |folder| folder.to_string_lossy());
-            let name = format!("{input} {name}");
+            let name = match machine {
+                Machine::Small => format!("{input} {name}, small"),
+                _ => format!("{input} {name}"),
+            };
             jobs.push(Job {
                 name,
+                machine,
+                image,
                 recording,
                 mode,
             });
         }
     }
-    let image = image::build(Machine::NetduinoPlus2, "encoder")?;
-    let eecvs = tree::eecvs(&[])?;
+    let eecvs = match eecvs {
+        Some(eecvs) => eecvs
+            .canonicalize()
+            .with_context(|| eecvs.display().to_string())?,
+        None => tree::eecvs(&[])?,
+    };
     let folder =
         tempfile::tempdir().context("cannot create a folder for the list of hot pixels")?;
     fs::write(folder.path().join("hot.txt"), HOT).context("hot.txt")?;
@@ -130,7 +158,7 @@ pub fn run(events: Option<u64>) -> Result<ExitCode> {
         for _ in 0..AT_ONCE {
             scope.spawn(|| {
                 while let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
-                    let result = compare(job, &eecvs, &image, folder.path(), events);
+                    let result = compare(job, &eecvs, folder.path(), events);
                     let _line = line.lock();
                     match result {
                         Ok(json) => println!("{:32} {json}", job.name),
@@ -151,13 +179,7 @@ pub fn run(events: Option<u64>) -> Result<ExitCode> {
 }
 
 /// What `eecvs mcu --json` prints.
-fn compare(
-    job: &Job<'_>,
-    eecvs: &Path,
-    image: &Path,
-    folder: &Path,
-    events: Option<u64>,
-) -> Result<String> {
+fn compare(job: &Job<'_>, eecvs: &Path, folder: &Path, events: Option<u64>) -> Result<String> {
     let mut command = tree::command(eecvs);
     command.current_dir(folder).arg("mcu").args(job.mode);
     if let Some(recording) = job.recording {
@@ -166,7 +188,12 @@ fn compare(
             command.args(["--events", &events.to_string()]);
         }
     }
-    let output = command.arg("--image").arg(image).arg("--json").output()?;
+    command.args(["--machine", job.machine.name()]);
+    let output = command
+        .arg("--image")
+        .arg(job.image)
+        .arg("--json")
+        .output()?;
     let said = String::from_utf8_lossy(&output.stdout);
     let json: String = said.split_whitespace().collect();
     anyhow::ensure!(

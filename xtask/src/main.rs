@@ -8,6 +8,7 @@ mod kernels;
 mod read_speed;
 mod record;
 mod saved;
+mod seek;
 mod stream;
 mod tests;
 mod tree;
@@ -74,11 +75,14 @@ enum Task {
         /// Folder of the inputs
         folder: PathBuf,
     },
-    /// Compare the encoder's image with the host's encoder, on a scene and recordings, in every mode
+    /// Compare the encoder's images with the host's encoder, on a scene and recordings, in every mode
     ImageRecordings {
         /// Take only this many events from the start of each recording; all of them take 20 minutes
         #[arg(long)]
         events: Option<u64>,
+        /// The eecvs command to use [default: it is built]
+        #[arg(long)]
+        eecvs: Option<PathBuf>,
     },
     /// Measure how fast recordings are read, here and by other libraries
     ReadSpeed {
@@ -93,6 +97,12 @@ enum Task {
     Stream {
         /// Number of events; the quicker coders take five times as many
         #[arg(default_value_t = stream::EVENTS, value_parser = clap::value_parser!(u64).range(1..))]
+        events: u64,
+    },
+    /// Read single milliseconds of a long file of each coder: how many bytes and how much time does it take?
+    Seek {
+        /// Number of events; the slower coder takes a tenth of them
+        #[arg(default_value_t = seek::EVENTS, value_parser = clap::value_parser!(u64).range(1..))]
         events: u64,
     },
     /// Run fuzz targets, and fail on a crash
@@ -164,9 +174,10 @@ fn main() -> Result<ExitCode> {
         Task::Kernels { action } => kernels::run(action),
         Task::HostInstructions { action } => host_instructions::run(action),
         Task::HostCases { folder } => host_instructions::run_cases(&folder),
-        Task::ImageRecordings { events } => image_recordings::run(events),
+        Task::ImageRecordings { events, eecvs } => image_recordings::run(events, eecvs),
         Task::ReadSpeed { record, rounds } => read_speed::run(record.as_deref(), rounds),
         Task::Stream { events } => stream::run(events, None),
+        Task::Seek { events } => seek::run(events, None),
         Task::Fuzz { list: true, .. } => fuzz::list(),
         Task::Fuzz {
             seconds, targets, ..

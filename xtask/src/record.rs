@@ -1,7 +1,7 @@
 //! The records of measurements, and the tables of documents that are made from them.
 //!
-//! All but the demo and the streams is measured on the recordings in `../shared/data`, beside the project. Times of a
-//! clock (demo, kernels, skips, read-speed, ros-delay, hub-load, stream, report) need a machine that does nothing else;
+//! All but the demo, the streams and the long files is measured on the recordings in `../shared/data`, beside the project. Times of a
+//! clock (demo, kernels, skips, read-speed, ros-delay, hub-load, stream, seek, report) need a machine that does nothing else;
 //! all other figures are the same in every run.
 
 use std::path::Path;
@@ -11,7 +11,7 @@ use anyhow::Result;
 use clap::ValueEnum;
 
 use crate::saved::Action;
-use crate::{instructions, kernels, read_speed, stream, tree};
+use crate::{instructions, kernels, read_speed, seek, stream, tree};
 
 /// Where records are.
 const RECORD: &str = "host-harness/record";
@@ -43,6 +43,8 @@ pub enum Part {
     Report,
     /// docs/results.md: long streams of events; ten minutes
     Stream,
+    /// docs/results.md: single milliseconds of long files; a minute, and 4 GB in target
+    Seek,
     /// docs/results.md: instructions of every stage on a Cortex-M4
     Instructions,
     /// docs/results.md: instructions of every kernel on microcontrollers
@@ -112,6 +114,10 @@ fn measure(part: Part) -> Result<()> {
         ]),
         Part::Stream => {
             stream::run(stream::EVENTS, Some(Path::new(RECORD)))?;
+            sections()
+        }
+        Part::Seek => {
+            seek::run(seek::EVENTS, Some(Path::new(RECORD)))?;
             sections()
         }
         Part::Instructions => instructions::run(save).map(drop),

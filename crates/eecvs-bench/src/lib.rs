@@ -9,8 +9,8 @@
 //! timed: on one thread, over all pixels of a window, from impulses grouped by pixel in memory to coefficients.
 //!
 //! The crate also holds the other studies: [`errors`] (error curves of the kernels), [`scaling`] (time over the
-//! sensor's area and the number of events), [`skips`] (what skipping saves) and [`stream`] (a long one, encoded and
-//! decoded at once); and what all records of measurements share: [`record_file`] (JSON files of rows) and [`marks`]
+//! sensor's area and the number of events), [`skips`] (what skipping saves), [`stream`] (a long one, encoded and
+//! decoded at once) and [`seek`] (single milliseconds of a long file); and what all records of measurements share: [`record_file`] (JSON files of rows) and [`marks`]
 //! (tables in documents).
 
 pub mod cut;
@@ -26,6 +26,7 @@ pub mod peers;
 pub mod record_file;
 pub mod repeated;
 pub mod scaling;
+pub mod seek;
 pub mod skips;
 pub mod source;
 pub mod stream;

@@ -55,16 +55,7 @@ pub struct Row {
 /// # Errors
 /// Fails if events are missing at the end or are not those that were encoded, by the sum of a hash of each.
 pub fn measure(name: &str, coder: Coder, events: u64) -> Result<Row> {
-    let scene = Source::scene(PRESET, SEED, SCENE_US)?;
-    let config = Config::new(
-        WindowConfig::new(scene.sensor, WINDOW_US),
-        // Unused: no transform is chosen.
-        Thresholds::new(0, 0).context("thresholds of 0")?,
-        Mode::Hybrid(Hybrid {
-            coder,
-            fidelity: Fidelity::Lossless,
-        }),
-    );
+    let (scene, config) = scene(coder)?;
     let (output, input) = pipe().context("cannot open a pipe")?;
     let started = Instant::now();
     thread::scope(|scope| {
@@ -118,8 +109,23 @@ pub fn measure(name: &str, coder: Coder, events: u64) -> Result<Row> {
     })
 }
 
+/// Returns the scene whose events are repeated, and the configuration of a coder for it.
+pub(crate) fn scene(coder: Coder) -> Result<(Source, Config)> {
+    let scene = Source::scene(PRESET, SEED, SCENE_US)?;
+    let config = Config::new(
+        WindowConfig::new(scene.sensor, WINDOW_US),
+        // Unused: no transform is chosen.
+        Thresholds::new(0, 0).context("thresholds of 0")?,
+        Mode::Hybrid(Hybrid {
+            coder,
+            fidelity: Fidelity::Lossless,
+        }),
+    );
+    Ok((scene, config))
+}
+
 /// Adds a hash of each event to a sum, which does not depend on their order.
-fn add(sum: u64, events: &[Event]) -> u64 {
+pub(crate) fn add(sum: u64, events: &[Event]) -> u64 {
     events.iter().fold(sum, |sum, event| {
         let place = u64::from(event.x) << 17 | u64::from(event.y) << 1;
         let on = u64::from(event.polarity.sign() > 0);

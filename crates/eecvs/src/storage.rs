@@ -275,10 +275,11 @@ fn reason(error: ConfigError, config: &Config) -> String {
         ConfigError::Tree if config.mode.is_transform() => {
             "the tree coder codes events, in mode hybrid".to_owned()
         }
-        // These cannot occur, because the memory is allocated for the configuration.
+        // These cannot occur, because the memory is allocated for the configuration, and the core has all features.
         ConfigError::Scratch
         | ConfigError::Dense
         | ConfigError::Coefficients
+        | ConfigError::Transform
         | ConfigError::Tree => {
             format!("the encoder's memory is too small ({error:?}): please report this")
         }

@@ -47,11 +47,13 @@ fn end_with_this_thread(command: &mut Command) {
 #[cfg(not(target_os = "linux"))]
 fn end_with_this_thread(_: &mut Command) {}
 
-/// A machine that QEMU emulates and for which images exist.
+/// A machine for which images exist and that QEMU emulates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Machine {
     /// An STM32F405: Cortex-M4F, 168 MHz.
     NetduinoPlus2,
+    /// The same, of which the image takes at most 64 KiB of flash and 48 KiB of RAM: it has the fast coder alone.
+    Small,
     /// The MPS2+ board with a Cortex-M4.
     Mps2An386,
     /// The MPS2+ board with a Cortex-M7.
@@ -60,7 +62,12 @@ pub enum Machine {
 
 impl Machine {
     /// Every machine.
-    pub const ALL: [Self; 3] = [Self::NetduinoPlus2, Self::Mps2An386, Self::Mps2An500];
+    pub const ALL: [Self; 4] = [
+        Self::NetduinoPlus2,
+        Self::Small,
+        Self::Mps2An386,
+        Self::Mps2An500,
+    ];
 
     /// Returns the machine with the given name, or `None` if the name is unknown.
     #[must_use]
@@ -73,18 +80,30 @@ impl Machine {
     pub const fn about(self) -> &'static str {
         match self {
             Self::NetduinoPlus2 => "STM32F405, Cortex-M4F, 168 MHz",
+            Self::Small => {
+                "the same with an image of 64 KiB of flash and 48 KiB of RAM: the fast coder alone"
+            }
             Self::Mps2An386 => "MPS2+ board with a Cortex-M4",
             Self::Mps2An500 => "MPS2+ board with a Cortex-M7",
         }
     }
 
-    /// Returns the machine's name, which is also its name in QEMU.
+    /// Returns the machine's name, as `firmware/build.sh` has it.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::NetduinoPlus2 => "netduinoplus2",
+            Self::Small => "small",
             Self::Mps2An386 => "mps2-an386",
             Self::Mps2An500 => "mps2-an500",
+        }
+    }
+
+    /// Returns the machine's name in QEMU.
+    const fn emulated(self) -> &'static str {
+        match self {
+            Self::Small => Self::NetduinoPlus2.name(),
+            _ => self.name(),
         }
     }
 }
@@ -124,7 +143,7 @@ pub fn run(machine: Machine, image: &Path, folder: &Path, patience: Duration) ->
         .canonicalize()
         .with_context(|| format!("{name}: no such image"))?;
     let started = Command::new(PROGRAM)
-        .args(["-M", machine.name()])
+        .args(["-M", machine.emulated()])
         .args(["-display", "none", "-monitor", "none", "-serial", "null"])
         .args(["-icount", "shift=0"])
         .args(["-semihosting-config", "enable=on,target=native"])
@@ -211,7 +230,7 @@ impl Qemu {
             tempfile::tempdir().context("cannot create a folder for the emulator's socket")?;
         let mut command = Command::new(PROGRAM);
         command
-            .args(["-M", machine.name()])
+            .args(["-M", machine.emulated()])
             .args(["-display", "none", "-monitor", "none"])
             // A path relative to the current folder is neither too long for a socket nor needs quoting in an
             // option.

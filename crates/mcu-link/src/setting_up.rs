@@ -150,7 +150,7 @@ const fn reason(refusal: Refusal) -> &'static str {
         Refusal::M => "M must be 1 to 64",
         Refusal::Grid => "the grid must be 1 to 1024",
         Refusal::Numbers => "it has no memory for this M and grid",
-        Refusal::Dense => "it has no memory for the dense coder on this sensor",
+        Refusal::Dense => "it has no dense coder, or no memory for it on this sensor",
         Refusal::Bins => "bins must be 1 or more",
         Refusal::Rate => "the budget is too small, or the mode is not hybrid",
         Refusal::Windows => {

@@ -20,6 +20,12 @@ use crate::window::{HAS_QUICK, WindowConfig};
 /// Whether windows can keep the order of their events; without the feature none of its code is compiled.
 pub(crate) const HAS_ORDER: bool = cfg!(feature = "order");
 
+/// Whether the encoder has mode `transform`; without the feature none of its code is compiled.
+pub(crate) const HAS_TRANSFORM: bool = cfg!(feature = "transform");
+
+/// Whether events can be coded by the dense coder; without the feature none of its code is compiled.
+pub(crate) const HAS_DENSE: bool = cfg!(feature = "dense");
+
 /// Whether events can be coded by the tree coder; without the feature none of its code is compiled.
 pub(crate) const HAS_TREE: bool = cfg!(feature = "tree");
 
@@ -71,7 +77,7 @@ pub enum ConfigError {
     Grid,
     /// [`Scratch`] is smaller than the largest grid needs.
     Scratch,
-    /// [`Scratch::dense`] is missing or too small for the sensor.
+    /// [`Scratch::dense`] is missing or too small for the sensor, or the feature `dense` is missing.
     Dense,
     /// [`Scratch::coefficients`] or the feature `coefficients` is missing.
     Coefficients,
@@ -89,6 +95,8 @@ pub enum ConfigError {
     Bins,
     /// A budget in mode `transform`, or one of fewer than some 146 bytes per window.
     Rate,
+    /// Mode `transform`, or coefficients, without the feature `transform`.
+    Transform,
     /// The order of events in mode `transform`, or without memory for it, or without the feature `order`.
     Order,
 }
@@ -223,6 +231,9 @@ impl Config {
             return Err(ConfigError::Order);
         }
         match self.mode {
+            Mode::Transform | Mode::Coefficients(_) if !HAS_TRANSFORM => {
+                Err(ConfigError::Transform)
+            }
             Mode::Coefficients(Coder::Tree(_)) => Err(ConfigError::Tree),
             Mode::Transform | Mode::Coefficients(_) if scratch.numbers() < 2 * self.grid_max() => {
                 Err(ConfigError::Scratch)
@@ -241,7 +252,7 @@ impl Config {
                 ..
             }) if !scratch.has_tree(self, effort) => Err(ConfigError::Tree),
             mode if mode.is_dense() => match &scratch.dense {
-                Some(memory) if memory.serves(self.window.sensor) => Ok(()),
+                Some(memory) if HAS_DENSE && memory.serves(self.window.sensor) => Ok(()),
                 _ => Err(ConfigError::Dense),
             },
             _ => Ok(()),

@@ -16,7 +16,7 @@ use crate::coder::window_coefficients::{CoefficientEncoder, Numbers, TakenCoeffi
 use crate::coder::window_events::{EventEncoder, dense_gathered};
 use crate::coder::{Cells, Coder, Effort, Fidelity, Hybrid, Scans, Times};
 use crate::encoder::config::{
-    Config, ConfigError, HAS_KEYS, HAS_ORDER, HAS_TREE, HotError, Scratch,
+    Config, ConfigError, HAS_DENSE, HAS_KEYS, HAS_ORDER, HAS_TRANSFORM, HAS_TREE, HotError, Scratch,
 };
 use crate::encoder::keys::encode_keys;
 use crate::encoder::rate::Rate;
@@ -405,7 +405,9 @@ impl<'b> WindowEncoder<'b> {
                 0
             }
             Mode::Hybrid(hybrid) => self.encode_events(window, hybrid, task, payload, trace),
-            _ => self.encode_plain::<C, F, T>(window, task, payload, trace),
+            _ if HAS_TRANSFORM => self.encode_plain::<C, F, T>(window, task, payload, trace),
+            // Never reached, as the configuration is refused: were it, all would be counted.
+            _ => self.leave_out(window, task),
         }
     }
 
@@ -474,7 +476,8 @@ impl<'b> WindowEncoder<'b> {
         let transform = self.config.transform.unwrap_or(regime.transform());
         self.group.restart();
         let memory = &self.scratch.dense;
-        let is_dense_here = memory.as_ref().is_some_and(|memory| memory.serves(sensor));
+        let is_dense_here =
+            HAS_DENSE && memory.as_ref().is_some_and(|memory| memory.serves(sensor));
         let mut mode = self.config.mode;
         let mut thinned = 0;
         if let (Some(rate), Mode::Hybrid(hybrid)) = (&mut self.rate, &mut mode) {
@@ -679,7 +682,7 @@ impl<'b> WindowEncoder<'b> {
         let header = &mut task.header;
         let times = Times::new(hybrid.fidelity, header.scans, header.duration_us);
         let memory = self.scratch.dense.as_mut();
-        let is_dense = hybrid.coder != Coder::Fast;
+        let is_dense = HAS_DENSE && hybrid.coder != Coder::Fast;
         let has_previous = memory
             .as_ref()
             .is_some_and(|memory| memory.has_previous(header.sensor));

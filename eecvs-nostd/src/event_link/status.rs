@@ -17,7 +17,7 @@ pub enum Refusal {
     Transform,
     /// The quantiser's step is out of range.
     Step,
-    /// The mode is unknown, or its fidelity is out of range.
+    /// The mode is unknown or not in this image, or its fidelity is out of range.
     Mode,
     /// The period, slope or axis of the readout is out of range.
     Readout,
@@ -29,7 +29,7 @@ pub enum Refusal {
     Grid,
     /// There is no memory for so many coefficients.
     Numbers,
-    /// There is no memory for the dense coder on this sensor.
+    /// There is no memory for the dense coder on this sensor, or the coder is not in this image.
     Dense,
     /// The volume has no bins.
     Bins,
@@ -60,8 +60,10 @@ impl From<ConfigError> for Refusal {
             ConfigError::Rate => Self::Rate,
             ConfigError::Order => Self::Order,
             ConfigError::Coefficients => Self::Coefficients,
-            // No image has it.
-            ConfigError::Keys | ConfigError::Quick | ConfigError::Tree => Self::Mode,
+            // Not every image has it.
+            ConfigError::Keys | ConfigError::Quick | ConfigError::Transform | ConfigError::Tree => {
+                Self::Mode
+            }
         }
     }
 }

@@ -1,4 +1,5 @@
-//! Turns an event source into closed windows. Two windows alternate: one is filled while the other is encoded.
+//! Turns an event source into closed windows. Two windows alternate: one is filled while the other is encoded. With one
+//! window, events stay in the source meanwhile ([`Exchange::may_wait`]).
 //!
 //! Runs in an interrupt: every step is short, and if no window is free, [`Ingest::poll`] returns and a later call
 //! continues there.
@@ -73,6 +74,12 @@ pub trait Exchange<'b> {
 
     /// Hands over a piece of work. Called only if [`Self::has_room`].
     fn hand_over(&mut self, work: Work<'b>);
+
+    /// Returns whether events for which no window is free can stay in the source for a while. If not, a setup that
+    /// drops events drops them.
+    fn may_wait(&self) -> bool {
+        false
+    }
 }
 
 /// What was received since the start. All counts wrap.
@@ -295,7 +302,7 @@ impl<'b> Ingest<'b> {
                     continue;
                 }
             }
-            if self.windows == 0 || self.drops_when_full {
+            if self.windows == 0 || (self.drops_when_full && !exchange.may_wait()) {
                 self.counts.dropped = self.counts.dropped.wrapping_add(1);
                 self.miss(1);
                 break;

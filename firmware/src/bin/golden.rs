@@ -14,7 +14,6 @@ use cortex_m_rt::entry;
 use cortex_m_semihosting::{debug, hprintln};
 use critical_section::Mutex;
 use eecvs_firmware as _;
-#[cfg(not(feature = "microbit"))]
 use eecvs_nostd::Slot;
 use eecvs_nostd::coder::dense::DenseMemory;
 #[cfg(not(feature = "microbit"))]
@@ -104,7 +103,6 @@ fn main() -> ! {
                 failed += 1;
             }
         }
-        #[cfg(not(feature = "microbit"))]
         for seed in 0..LISTS {
             if !sums_hold::<Dct>(seed, 8) || !sums_hold::<Dct>(seed, 16) {
                 hprintln!("golden: sums of list {} of the DCT differ", seed);
@@ -300,12 +298,14 @@ fn runs_hold(seed: u32, storage: &mut Small) -> bool {
     in_runs == one_by_one && in_runs.events > 0
 }
 
-/// Number of lists, each with one impulse more than the one before.
-#[cfg(not(feature = "microbit"))]
-const LISTS: u32 = 2 * CHUNK_EVENTS as u32 + 3;
+/// Number of lists, each with one impulse more than the one before; none where sums of lists have no code of their own.
+const LISTS: u32 = if cfg!(feature = "microbit") {
+    0
+} else {
+    2 * CHUNK_EVENTS as u32 + 3
+};
 
 /// Returns whether the first chunk has the same sums as a list and as impulses that are not in a list.
-#[cfg(not(feature = "microbit"))]
 #[inline(never)]
 fn sums_hold<B: Basis>(seed: u32, grid: usize) -> bool {
     let mut random = Words::new(seed);

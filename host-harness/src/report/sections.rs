@@ -9,8 +9,8 @@ use eecvs_bench::table::{exact_times, keep_order, rate_control};
 
 use super::study::tables;
 use super::{
-    demo, hub_load_table, kernel_table, rate_table, read_speed_table, ros_delay_table, skip_table,
-    stream_table,
+    demo, hub_load_table, kernel_table, rate_table, read_speed_table, ros_delay_table, seek_table,
+    skip_table, stream_table,
 };
 use crate::cmd::report;
 use crate::study::Results;
@@ -102,6 +102,11 @@ pub fn of_records(folder: &Path) -> Result<Vec<Section>> {
             measured,
             stream_table::MARKS,
             stream_table::document(&read(folder, "stream")?.rows),
+        ),
+        section(
+            measured,
+            seek_table::MARKS,
+            seek_table::document(&read(folder, "seek")?.rows),
         ),
         section(
             paper,

@@ -39,6 +39,11 @@ const SCENE: SceneConfig = SceneConfig {
     seed: 3,
 };
 
+const FAST: Mode = Mode::Hybrid(Hybrid {
+    coder: Coder::Fast,
+    fidelity: Fidelity::Lossless,
+});
+
 fn config() -> Config {
     Config {
         m: 8,
@@ -590,6 +595,60 @@ fn every_machines_frames_are_the_hosts() {
             dense(&link);
         });
     }
+}
+
+/// While its one window is encoded, events wait in its ring.
+#[test]
+fn the_small_image_codes_events_and_names_what_it_lacks() {
+    on(Machine::Small, |connect| {
+        let fast = Config {
+            mode: FAST,
+            ..config()
+        };
+        let identical = |link: &UnixStream, config: Config, drop_when_full: bool| {
+            let job = Job {
+                open: &open,
+                config,
+                hot: &[(3, 4)],
+                drop_when_full,
+            };
+            let mut connection = Connection::new(link, mcu_link::PATIENCE)?;
+            mcu_link::run(&mut connection, &job, &|_| ())
+        };
+        let link = connect();
+        let outcome = identical(&link, fast, false).expect("a run");
+        outcome.verdict().expect("identical frames");
+        assert_eq!(outcome.events, events().len() as u64);
+        assert_eq!(
+            outcome.events_encoded + outcome.events_filtered,
+            outcome.events
+        );
+        assert_eq!(outcome.windows, 7);
+        assert!(outcome.frames_identical >= outcome.windows);
+        assert_eq!(outcome.status.hot_pixels, 1);
+        assert!(outcome.status.stack_bytes > 0);
+        // Its ring is long enough for a link that is faster than the encoder for a while.
+        let dropping = identical(&link, fast, true).expect("a run");
+        assert_eq!(dropping.events_lost, 0);
+        for (config, part) in [
+            (config(), "no such mode"),
+            (
+                Config {
+                    mode: Mode::Hybrid(Hybrid {
+                        coder: Coder::Dense,
+                        fidelity: Fidelity::Lossless,
+                    }),
+                    ..config()
+                },
+                "no dense coder",
+            ),
+        ] {
+            let error = identical(&link, config, false).expect_err("not in the image");
+            assert!(format!("{error:#}").contains(part), "{error:#}");
+        }
+        let outcome = identical(&link, fast, false).expect("a run");
+        outcome.verdict().expect("identical frames");
+    });
 }
 
 #[test]

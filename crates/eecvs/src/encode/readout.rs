@@ -7,6 +7,7 @@
 //! shorter, and uses it only then.
 
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 use eecvs_nostd::{Axis, Coder, Config, Event, Fidelity, Hybrid, Mode, Readout, Sensor};
 use event_types::stream::{Ahead, EventReader};
@@ -19,6 +20,8 @@ pub const EVENTS: usize = 1 << 17;
 const EVENTS_MIN: usize = 1 << 10;
 /// Length of the spectrum in microseconds.
 const SPECTRUM_US: usize = 1 << 14;
+/// Length of the coarse spectrum in microseconds: half a step between its frequencies takes a tenth of a peak's height.
+const COARSE_US: usize = 1 << 12;
 /// Longest difference in microseconds used in the spectrum; up to it the error of the period has not accumulated.
 const SHORT_US: usize = 1 << 11;
 /// Shortest and longest period that is detected, in microseconds.
@@ -30,6 +33,8 @@ const COMB_MIN: f64 = PEAK_MIN / 2.0;
 const SETTLED_US: f64 = 1.0 / 16_777_216.0;
 /// Smallest share of the differences that must contribute to a peak.
 const PEAK_MIN: f64 = 0.4;
+/// The same for the coarse spectrum.
+const COARSE_PEAK_MIN: f64 = PEAK_MIN * 0.8;
 
 /// Examines a recording's first events, if the mode can use a readout, and returns the reader with a configuration
 /// that has the readout found.
@@ -76,9 +81,51 @@ pub fn find(events: &[Event], sensor: Sensor) -> Option<Readout> {
     }
     [Axis::Columns, Axis::Rows]
         .into_iter()
+        .filter(|axis| may_scan_along(*axis, events, sensor))
         .filter_map(|axis| find_along(axis, events, sensor))
         .max_by(|(a, _), (b, _)| a.total_cmp(b))
         .map(|(_, readout)| readout)
+}
+
+/// Returns whether the sensor may scan along an axis: whether the spectrum has any high peak.
+///
+/// It is a tenth of the work of [`find_along`], and most sensors do not scan.
+fn may_scan_along(axis: Axis, events: &[Event], sensor: Sensor) -> bool {
+    // No event is so late.
+    const NEVER_US: u64 = u64::MAX / 2;
+    let mut latest = vec![NEVER_US; line_count(axis, sensor)];
+    let mut counts = vec![0_u32; SHORT_US];
+    for event in events {
+        if let Some(latest) = latest.get_mut(line_of(axis, event)) {
+            let difference = event.t_us.wrapping_sub(*latest);
+            *latest = event.t_us;
+            if let Ok(difference) = usize::try_from(difference)
+                && let Some(count) = counts.get_mut(difference)
+            {
+                *count += 1;
+            }
+        }
+    }
+    // Events at one time are one.
+    counts[0] = 0;
+    Spectrum::new::<COARSE_US>(&counts)
+        .is_some_and(|spectrum| spectrum.highest() >= COARSE_PEAK_MIN)
+}
+
+/// Returns the number of lines that a sensor reads out along an axis.
+fn line_count(axis: Axis, sensor: Sensor) -> usize {
+    usize::from(match axis {
+        Axis::Columns => sensor.width,
+        Axis::Rows => sensor.height,
+    })
+}
+
+/// Returns the line of an event.
+fn line_of(axis: Axis, event: &Event) -> usize {
+    usize::from(match axis {
+        Axis::Columns => event.x,
+        Axis::Rows => event.y,
+    })
 }
 
 /// Returns the readout along an axis with its score from 0 to 1, which says how well the times fit.
@@ -98,18 +145,10 @@ fn find_along(axis: Axis, events: &[Event], sensor: Sensor) -> Option<(f64, Read
 
 /// Returns the times of each line's events relative to the first event, ascending and without repetitions.
 fn times_of_lines(axis: Axis, events: &[Event], sensor: Sensor) -> Vec<Vec<u64>> {
-    let count = match axis {
-        Axis::Columns => sensor.width,
-        Axis::Rows => sensor.height,
-    };
-    let mut lines = vec![Vec::new(); usize::from(count)];
+    let mut lines = vec![Vec::new(); line_count(axis, sensor)];
     let start = events.iter().map(|event| event.t_us).min().unwrap_or(0);
     for event in events {
-        let line = match axis {
-            Axis::Columns => event.x,
-            Axis::Rows => event.y,
-        };
-        if let Some(times) = lines.get_mut(usize::from(line)) {
+        if let Some(times) = lines.get_mut(line_of(axis, event)) {
             times.push(event.t_us - start);
         }
     }
@@ -128,32 +167,62 @@ fn differences(lines: &[Vec<u64>], most_us: u64) -> impl Iterator<Item = u64> {
         .filter(move |difference| *difference <= most_us)
 }
 
+/// Heights of the differences' spectrum at its frequencies, shares of the differences.
+struct Spectrum {
+    heights: Vec<f64>,
+    /// The frequencies of the periods that are detected.
+    range: Range<usize>,
+}
+
+impl Spectrum {
+    /// Returns the spectrum of so many differences of each length, padded to `LENGTH_US`; `None` for too few.
+    fn new<const LENGTH_US: usize>(counts: &[u32]) -> Option<Self> {
+        let total: f64 = counts.iter().copied().map(f64::from).sum();
+        if total < EVENTS_MIN as f64 / 8.0 {
+            return None;
+        }
+        let mut values = vec![Complex::new(0.0, 0.0); LENGTH_US];
+        for (value, count) in values.iter_mut().zip(counts) {
+            value.re = f64::from(*count);
+        }
+        FftPlanner::new()
+            .plan_fft_forward(LENGTH_US)
+            .process(&mut values);
+        let range = frequencies(LENGTH_US);
+        let heights = values[..=range.end].iter();
+        Some(Self {
+            heights: heights.map(|value| value.norm() / total).collect(),
+            range,
+        })
+    }
+
+    fn highest(&self) -> f64 {
+        let heights = self.heights[self.range.clone()].iter();
+        heights.copied().fold(0.0, f64::max)
+    }
+}
+
+/// Returns the frequencies of the periods that are detected, in a spectrum of this length.
+fn frequencies(length_us: usize) -> Range<usize> {
+    let (least, most) = PERIOD_US;
+    let frequency = |period: f64| (length_us as f64 / period) as usize;
+    frequency(most)..frequency(least)
+}
+
 /// Returns the period in microseconds at the first high peak of the spectrum.
 fn first_peak(lines: &[Vec<u64>]) -> Option<f64> {
     let mut counts = vec![0_u32; SHORT_US];
     for difference in differences(lines, SHORT_US as u64 - 1) {
         counts[difference as usize] += 1;
     }
-    let total: f64 = counts.iter().copied().map(f64::from).sum();
-    if total < EVENTS_MIN as f64 / 8.0 {
-        return None;
-    }
-    let mut spectrum = vec![Complex::new(0.0, 0.0); SPECTRUM_US];
-    for (value, count) in spectrum.iter_mut().zip(&counts) {
-        value.re = f64::from(*count);
-    }
-    FftPlanner::new()
-        .plan_fft_forward(SPECTRUM_US)
-        .process(&mut spectrum);
-    let (least, most) = PERIOD_US;
-    let frequency = |period: f64| (SPECTRUM_US as f64 / period) as usize;
-    let range = frequency(most)..frequency(least);
-    let height = |at: usize| spectrum[at].norm() / total;
-    let highest = range.clone().map(height).fold(0.0, f64::max);
+    let spectrum = Spectrum::new::<SPECTRUM_US>(&counts)?;
+    let highest = spectrum.highest();
     if highest < PEAK_MIN {
         return None;
     }
     // Takes the first frequency that is nearly as high, and climbs to its top.
+    let range = &spectrum.range;
+    let height = |at: usize| spectrum.heights[at];
     let mut at = range.clone().find(|at| height(*at) > 0.9 * highest)?;
     while range.contains(&(at + 1)) && height(at + 1) > height(at) {
         at += 1;

@@ -66,6 +66,8 @@ pub struct FrameReader<R> {
     joins: bool,
     /// Number of bytes left until the reader stops before the end of the source.
     left: Option<u64>,
+    /// The source's index, once it was asked for, and the length of the source then.
+    index: Option<(u64, Index)>,
     report: LinkReport,
 }
 
@@ -125,6 +127,7 @@ impl<R: Read> FrameReader<R> {
             whole: Vec::new(),
             joins: false,
             left: None,
+            index: None,
             report: LinkReport::default(),
         }
     }
@@ -382,11 +385,18 @@ impl<R: Read + Seek> FrameReader<R> {
         let Ok(at) = self.source.stream_position() else {
             return Ok(false);
         };
-        let Some(index) = Index::read(&mut self.source).ok().flatten() else {
+        let length = self.source.seek(SeekFrom::End(0)).unwrap_or(0);
+        let known = self.index.take().filter(|(of, _)| *of == length);
+        let index = match known {
+            Some((_, index)) => Some(index),
+            None => Index::read(&mut self.source).ok().flatten(),
+        };
+        let Some(index) = index else {
             self.source.seek(SeekFrom::Start(at))?;
             return Ok(false);
         };
         let wanted = index.between(times);
+        self.index = Some((length, index));
         self.go_to(wanted.start, Some(wanted.end))?;
         Ok(true)
     }
