@@ -14,7 +14,7 @@
 # cannot be installed.
 set -euo pipefail
 
-GUEST_SECONDS=${GUEST_SECONDS:-300}
+GUEST_SECONDS=${GUEST_SECONDS:-900}
 cache=$(realpath -m "${CARGO_TARGET_DIR:-$(dirname "$0")/../../target}")/guest
 
 missing() { echo "guest: $1" >&2; exit 77; }

@@ -16,6 +16,8 @@ use rustfft::FftPlanner;
 
 /// Largest number of events examined.
 pub const EVENTS: usize = 1 << 17;
+/// Largest number of events of the coarse spectrum.
+const COARSE_EVENTS: usize = 1 << 16;
 /// Smallest number of events from which a readout can be detected.
 const EVENTS_MIN: usize = 1 << 10;
 /// Length of the spectrum in microseconds.
@@ -33,8 +35,10 @@ const COMB_MIN: f64 = PEAK_MIN / 2.0;
 const SETTLED_US: f64 = 1.0 / 16_777_216.0;
 /// Smallest share of the differences that must contribute to a peak.
 const PEAK_MIN: f64 = 0.4;
-/// The same for the coarse spectrum.
-const COARSE_PEAK_MIN: f64 = PEAK_MIN * 0.8;
+/// Share of the smallest peak and fit that suffices in the coarse spectrum.
+const COARSE_SHARE: f64 = 0.8;
+/// Periods up to which differences are compared with a peak of the coarse spectrum, before the error of its period shows.
+const COARSE_PERIODS: f64 = 3.0;
 
 /// Examines a recording's first events, if the mode can use a readout, and returns the reader with a configuration
 /// that has the readout found.
@@ -79,23 +83,30 @@ pub fn find(events: &[Event], sensor: Sensor) -> Option<Readout> {
     if events.len() < EVENTS_MIN {
         return None;
     }
+    // One for both axes: what it plans takes longer than a spectrum.
+    let mut planner = FftPlanner::new();
     [Axis::Columns, Axis::Rows]
         .into_iter()
-        .filter(|axis| may_scan_along(*axis, events, sensor))
+        .filter(|axis| may_scan_along(*axis, events, sensor, &mut planner))
         .filter_map(|axis| find_along(axis, events, sensor))
         .max_by(|(a, _), (b, _)| a.total_cmp(b))
         .map(|(_, readout)| readout)
 }
 
-/// Returns whether the sensor may scan along an axis: whether the spectrum has any high peak.
+/// Returns whether the sensor may scan along an axis: whether a coarse spectrum has a high peak that fits.
 ///
 /// It is a tenth of the work of [`find_along`], and most sensors do not scan.
-fn may_scan_along(axis: Axis, events: &[Event], sensor: Sensor) -> bool {
+fn may_scan_along(
+    axis: Axis,
+    events: &[Event],
+    sensor: Sensor,
+    planner: &mut FftPlanner<f64>,
+) -> bool {
     // No event is so late.
     const NEVER_US: u64 = u64::MAX / 2;
     let mut latest = vec![NEVER_US; line_count(axis, sensor)];
     let mut counts = vec![0_u32; SHORT_US];
-    for event in events {
+    for event in events.iter().take(COARSE_EVENTS) {
         if let Some(latest) = latest.get_mut(line_of(axis, event)) {
             let difference = event.t_us.wrapping_sub(*latest);
             *latest = event.t_us;
@@ -108,8 +119,17 @@ fn may_scan_along(axis: Axis, events: &[Event], sensor: Sensor) -> bool {
     }
     // Events at one time are one.
     counts[0] = 0;
-    Spectrum::new::<COARSE_US>(&counts)
-        .is_some_and(|spectrum| spectrum.highest() >= COARSE_PEAK_MIN)
+    let Some(spectrum) = Spectrum::new::<COARSE_US>(&counts, planner) else {
+        return false;
+    };
+    let height = |at: usize| spectrum.heights[at];
+    spectrum.range.clone().any(|at| {
+        let is_top = height(at) >= height(at - 1) && height(at) >= height(at + 1);
+        let period = COARSE_US as f64 / at as f64;
+        is_top
+            && height(at) >= COARSE_SHARE * PEAK_MIN
+            && comb(&counts, period, COARSE_PERIODS) > COARSE_SHARE * COMB_MIN
+    })
 }
 
 /// Returns the number of lines that a sensor reads out along an axis.
@@ -176,7 +196,7 @@ struct Spectrum {
 
 impl Spectrum {
     /// Returns the spectrum of so many differences of each length, padded to `LENGTH_US`; `None` for too few.
-    fn new<const LENGTH_US: usize>(counts: &[u32]) -> Option<Self> {
+    fn new<const LENGTH_US: usize>(counts: &[u32], planner: &mut FftPlanner<f64>) -> Option<Self> {
         let total: f64 = counts.iter().copied().map(f64::from).sum();
         if total < EVENTS_MIN as f64 / 8.0 {
             return None;
@@ -185,9 +205,7 @@ impl Spectrum {
         for (value, count) in values.iter_mut().zip(counts) {
             value.re = f64::from(*count);
         }
-        FftPlanner::new()
-            .plan_fft_forward(LENGTH_US)
-            .process(&mut values);
+        planner.plan_fft_forward(LENGTH_US).process(&mut values);
         let range = frequencies(LENGTH_US);
         let heights = values[..=range.end].iter();
         Some(Self {
@@ -215,7 +233,7 @@ fn first_peak(lines: &[Vec<u64>]) -> Option<f64> {
     for difference in differences(lines, SHORT_US as u64 - 1) {
         counts[difference as usize] += 1;
     }
-    let spectrum = Spectrum::new::<SPECTRUM_US>(&counts)?;
+    let spectrum = Spectrum::new::<SPECTRUM_US>(&counts, &mut FftPlanner::new())?;
     let highest = spectrum.highest();
     if highest < PEAK_MIN {
         return None;
@@ -228,13 +246,15 @@ fn first_peak(lines: &[Vec<u64>]) -> Option<f64> {
         at += 1;
     }
     let period = SPECTRUM_US as f64 / at as f64;
-    (comb(&counts, period) > COMB_MIN).then_some(period)
+    (comb(&counts, period, f64::INFINITY) > COMB_MIN).then_some(period)
 }
 
-/// Returns how well the differences of more than half a period fit its multiples: the mean of their cosines, from -1
-/// to 1. Where events follow each other closely, shorter differences fit any long period.
-fn comb(counts: &[u32], period: f64) -> f64 {
+/// Returns how well the differences of more than half a period, and at most so many periods, fit its multiples: the mean
+/// of their cosines, from -1 to 1. Where events follow each other closely, shorter differences fit any long period.
+fn comb(counts: &[u32], period: f64, periods: f64) -> f64 {
     let (mut total, mut fit) = (0.0, 0.0);
+    let end = (period * (periods + 0.5)) as usize;
+    let counts = counts.get(..end).unwrap_or(counts);
     for (difference, count) in counts.iter().enumerate().skip((period / 2.0) as usize + 1) {
         let count = f64::from(*count);
         total += count;
@@ -389,7 +409,14 @@ mod tests {
     #[test]
     fn a_grid_is_found_along_its_axis() {
         for axis in [Axis::Columns, Axis::Rows] {
-            for (period, slope) in [(197.283, -0.6), (101.4, 0.85), (31.25, 0.0)] {
+            for (period, slope) in [
+                (197.283, -0.6),
+                (101.4, 0.85),
+                (31.25, 0.0),
+                (17.77, 0.05),
+                (143.7, 0.3),
+                (248.9, 1.1),
+            ] {
                 let (events, sensor) = events(axis, Some((period, slope)));
                 let readout = find(&events, sensor).expect("a grid");
                 // With slope 0 all lines are read at once, so columns fit as well as rows.
