@@ -8,12 +8,12 @@
 
 use core::mem::ManuallyDrop;
 
+use eecvs_nostd::Config;
+use eecvs_nostd::coder::dense::DenseMemory;
 #[cfg(feature = "full")]
 use eecvs_nostd::coder::dense::model::Model;
 #[cfg(feature = "full")]
 use eecvs_nostd::coder::dense::words;
-use eecvs_nostd::coder::dense::DenseMemory;
-use eecvs_nostd::Config;
 #[cfg(feature = "full")]
 use eecvs_nostd::{Coder, Hybrid, Mode};
 

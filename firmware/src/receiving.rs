@@ -25,11 +25,7 @@ use crate::sensor;
 
 /// Bytes between the link's interrupt and PendSV: two of the longest packets, or where there is one window, the words
 /// of as many events as it holds.
-const RING_BYTES: usize = if cfg!(feature = "full") {
-    1024
-} else {
-    8192
-};
+const RING_BYTES: usize = if cfg!(feature = "full") { 1024 } else { 8192 };
 /// With more bytes in the ring, events for which there is no window are dropped, if the setup says so: the rest of the
 /// ring takes requests.
 const WAITING_BYTES: usize = if cfg!(feature = "full") {
