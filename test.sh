@@ -112,7 +112,10 @@ programs() {
 each() {
     local name folder program
     while IFS=$'\t' read -r name folder program; do
-        mkdir "$STATE/taken-$(basename "$program")" 2>/dev/null || continue
+        if ! mkdir "$STATE/taken-$(basename "$program")" 2>/dev/null; then
+            [ -d "$STATE/taken-$(basename "$program")" ] || { echo "$STATE cannot be written"; return 1; }
+            continue
+        fi
         echo "     Running $name"
         (cd "$folder" && "$program") </dev/null
     done
@@ -123,6 +126,7 @@ LINKS='^(hubs|nodes)'$'\t'
 
 links() {
     local list
+    umockdev
     list=$(programs)
     [ "$(grep -cE "$LINKS" <<<"$list")" = 2 ] || { echo "there are no tests of hubs or of nodes"; return 1; }
     each < <(grep -E "$LINKS" <<<"$list")

@@ -13,7 +13,7 @@ use eecvs_nostd::event_link::Setup;
 use eecvs_nostd::ingest::from_link::Link;
 #[cfg(feature = "sensor")]
 use eecvs_nostd::ingest::from_sensor::SensorSource;
-use eecvs_nostd::ingest::{Exchange, Ingest, Work};
+use eecvs_nostd::ingest::{Exchange, Ingest, Poll, Work};
 
 use crate::board;
 #[cfg(not(feature = "usb"))]
@@ -23,22 +23,23 @@ use crate::queue::{Queue, Ring};
 #[cfg(feature = "sensor")]
 use crate::sensor;
 
-/// Bytes between the link's interrupt and PendSV: two of the longest packets, or where there is one window, the words
-/// of as many events as it holds.
-const RING_BYTES: usize = if cfg!(feature = "full") { 1024 } else { 8192 };
+/// Bytes between the link's interrupt and PendSV: two of the longest packets, or where there is one window, 2,048
+/// words, nearly as many as it holds events at 320 x 320.
+const RING_BYTES: usize = if HAS_TWO_WINDOWS { 1024 } else { 8192 };
+/// Whether one window is filled while another is encoded.
+const HAS_TWO_WINDOWS: bool = cfg!(feature = "full");
 /// With more bytes in the ring, events for which there is no window are dropped, if the setup says so: the rest of the
 /// ring takes requests.
-const WAITING_BYTES: usize = if cfg!(feature = "full") {
-    0
-} else {
-    RING_BYTES / 4 * 3
-};
-/// Number of bytes in the ring from which on PendSV is triggered.
+const WAITING_BYTES: usize = RING_BYTES / 4 * 3;
+/// Number of bytes in the ring from which on PendSV is triggered, and of those that come then while it cannot go on.
 const MANY_BYTES: usize = 128;
 /// The lowest priority.
 const LOWEST: u8 = 0xff;
 
 static BYTES: Ring<RING_BYTES> = Ring::new();
+/// Number of bytes in the ring from which on PendSV is triggered next. Without a free window it would run with each byte
+/// and leave no time to encode the one that it waits for.
+static PEND_AT_BYTES: AtomicU32 = AtomicU32::new(MANY_BYTES as u32);
 /// Windows that wait to be filled.
 static FREE: Queue<Window<'static>, 2> = Queue::new();
 /// Work that waits for `main`.
@@ -65,7 +66,7 @@ impl Exchange<'static> for Queues {
     }
 
     fn may_wait(&self) -> bool {
-        BYTES.len() < WAITING_BYTES
+        !HAS_TWO_WINDOWS && BYTES.len() < WAITING_BYTES
     }
 }
 
@@ -133,13 +134,19 @@ pub fn on_receive() {
     {
         BYTES.put(byte);
     }
-    if BYTES.len() >= MANY_BYTES {
-        SCB::set_pendsv();
-        if BYTES.is_full() {
-            board::hold_receiving();
-        }
+    pend_if_many();
+    if BYTES.is_full() {
+        board::hold_receiving();
     }
     stopwatch.stop_interrupt();
+}
+
+/// Triggers PendSV where there are many bytes.
+#[inline]
+fn pend_if_many() {
+    if BYTES.len() >= PEND_AT_BYTES.load(Ordering::Relaxed) as usize {
+        SCB::set_pendsv();
+    }
 }
 
 /// Whether the USB link has begun a session that PendSV has not seen yet.
@@ -164,9 +171,7 @@ pub fn put(bytes: &[u8]) {
             BYTES.put(*byte);
         }
     }
-    if BYTES.len() >= MANY_BYTES {
-        SCB::set_pendsv();
-    }
+    pend_if_many();
 }
 
 /// Marks everything put so far as part of a session that is over; called from the USB link's interrupt.
@@ -231,7 +236,11 @@ impl Receiving {
         }
         #[cfg(feature = "usb")]
         self.restart();
-        self.poll();
+        let from = match self.poll() {
+            Poll::Idle => 0,
+            Poll::Stalled => BYTES.len().min(RING_BYTES - MANY_BYTES),
+        };
+        PEND_AT_BYTES.store((from + MANY_BYTES) as u32, Ordering::Relaxed);
         // Also while the ring is full: requests have to be answered however long the encoder is busy.
         #[cfg(feature = "usb")]
         board::resume_receiving();
@@ -239,19 +248,20 @@ impl Receiving {
     }
 
     #[cfg(feature = "sensor")]
-    fn poll(&mut self) {
+    fn poll(&mut self) -> Poll {
         if self.sensor.is_none() {
             self.sensor = sensor::start();
         }
         let Some(sensor) = &mut self.sensor else {
-            return;
+            return Poll::Idle;
         };
         // On USB a host may set up how the sensor's events are encoded.
         #[cfg(feature = "usb")]
         let sensor = &mut sensor.with_host(self.link.source(next_byte));
-        self.ingest.poll(sensor, &mut Queues);
+        let polled = self.ingest.poll(sensor, &mut Queues);
         #[cfg(feature = "usb")]
         self.count();
+        polled
     }
 
     /// Skips what is left of a session that is over.
@@ -264,14 +274,15 @@ impl Receiving {
     }
 
     #[cfg(not(feature = "sensor"))]
-    fn poll(&mut self) {
+    fn poll(&mut self) -> Poll {
         let mut source = self.link.source(next_byte);
-        self.ingest.poll(&mut source, &mut Queues);
+        let polled = self.ingest.poll(&mut source, &mut Queues);
         self.count();
         #[cfg(not(feature = "usb"))]
         if BYTES.len() < RING_BYTES / 2 {
             board::resume_receiving();
         }
+        polled
     }
 
     #[cfg(any(feature = "usb", not(feature = "sensor")))]

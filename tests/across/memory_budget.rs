@@ -117,7 +117,7 @@ fn the_budget_of_the_small_image_is_true() {
         "WINDOW_WORDS: usize = 2 * 2048 + 1700;",
         " FRAME_BYTES: usize = 4096;",
         "HOT_PIXELS: usize = if IS_FULL { 512 } else { 128 };",
-        "    8192\n",
+        "RING_BYTES: usize = if HAS_TWO_WINDOWS { 1024 } else { 8192 };",
     ] {
         assert!(source.contains(constant), "{constant}");
     }

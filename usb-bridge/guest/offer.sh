@@ -48,7 +48,7 @@ guest() {
         shift
     done
     for socket in "${sockets[@]}"; do
-        for _ in $(seq 100); do
+        for _ in $(seq 1200); do
             [ "$socket" != -s ] && [ ! -S "$socket" ] || break
             sleep 0.1
         done

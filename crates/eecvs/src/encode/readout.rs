@@ -16,8 +16,6 @@ use rustfft::FftPlanner;
 
 /// Largest number of events examined.
 pub const EVENTS: usize = 1 << 17;
-/// Largest number of events of the coarse spectrum.
-const COARSE_EVENTS: usize = 1 << 16;
 /// Smallest number of events from which a readout can be detected.
 const EVENTS_MIN: usize = 1 << 10;
 /// Length of the spectrum in microseconds.
@@ -83,47 +81,52 @@ pub fn find(events: &[Event], sensor: Sensor) -> Option<Readout> {
     if events.len() < EVENTS_MIN {
         return None;
     }
-    // One for both axes: what it plans takes longer than a spectrum.
-    let mut planner = FftPlanner::new();
-    [Axis::Columns, Axis::Rows]
-        .into_iter()
-        .filter(|axis| may_scan_along(*axis, events, sensor, &mut planner))
+    axes_that_may_scan(events, sensor)
         .filter_map(|axis| find_along(axis, events, sensor))
         .max_by(|(a, _), (b, _)| a.total_cmp(b))
         .map(|(_, readout)| readout)
 }
 
-/// Returns whether the sensor may scan along an axis: whether a coarse spectrum has a high peak that fits.
+/// Returns the axes along which the sensor may scan: those for which a coarse spectrum has a high peak that fits.
 ///
-/// It is a tenth of the work of [`find_along`], and most sensors do not scan.
-fn may_scan_along(
-    axis: Axis,
-    events: &[Event],
-    sensor: Sensor,
-    planner: &mut FftPlanner<f64>,
-) -> bool {
+/// It is a fraction of the work of [`find_along`], and most sensors do not scan.
+fn axes_that_may_scan(events: &[Event], sensor: Sensor) -> impl Iterator<Item = Axis> {
     // No event is so late.
     const NEVER_US: u64 = u64::MAX / 2;
-    let mut latest = vec![NEVER_US; line_count(axis, sensor)];
-    let mut counts = vec![0_u32; SHORT_US];
-    for event in events.iter().take(COARSE_EVENTS) {
-        if let Some(latest) = latest.get_mut(line_of(axis, event)) {
-            let difference = event.t_us.wrapping_sub(*latest);
-            *latest = event.t_us;
-            if let Ok(difference) = usize::try_from(difference)
-                && let Some(count) = counts.get_mut(difference)
-            {
-                *count += 1;
+    const AXES: [Axis; 2] = [Axis::Columns, Axis::Rows];
+    let mut latest = AXES.map(|axis| vec![NEVER_US; line_count(axis, sensor)]);
+    let mut counts = AXES.map(|_| vec![0_u32; SHORT_US]);
+    for event in events {
+        for ((axis, latest), counts) in AXES.into_iter().zip(&mut latest).zip(&mut counts) {
+            if let Some(latest) = latest.get_mut(line_of(axis, event)) {
+                // Of either sign: packets of a recording may have their last event first.
+                let difference = event.t_us.abs_diff(*latest);
+                *latest = event.t_us;
+                if let Ok(difference) = usize::try_from(difference)
+                    && let Some(count) = counts.get_mut(difference)
+                {
+                    *count += 1;
+                }
             }
         }
     }
+    // One for both axes: what it plans takes longer than a spectrum.
+    let mut planner = FftPlanner::new();
+    AXES.into_iter()
+        .zip(counts)
+        .filter_map(move |(axis, counts)| has_peak(counts, &mut planner).then_some(axis))
+}
+
+/// Returns whether the coarse spectrum of so many differences of each length has a high peak that fits.
+fn has_peak(mut counts: Vec<u32>, planner: &mut FftPlanner<f64>) -> bool {
     // Events at one time are one.
     counts[0] = 0;
     let Some(spectrum) = Spectrum::new::<COARSE_US>(&counts, planner) else {
         return false;
     };
     let height = |at: usize| spectrum.heights[at];
-    spectrum.range.clone().any(|at| {
+    let Range { start, end } = spectrum.range;
+    (start..=end).any(|at| {
         let is_top = height(at) >= height(at - 1) && height(at) >= height(at + 1);
         let period = COARSE_US as f64 / at as f64;
         is_top
@@ -189,6 +192,7 @@ fn differences(lines: &[Vec<u64>], most_us: u64) -> impl Iterator<Item = u64> {
 
 /// Heights of the differences' spectrum at its frequencies, shares of the differences.
 struct Spectrum {
+    /// Up to one beyond the end of the range.
     heights: Vec<f64>,
     /// The frequencies of the periods that are detected.
     range: Range<usize>,
@@ -207,7 +211,7 @@ impl Spectrum {
         }
         planner.plan_fft_forward(LENGTH_US).process(&mut values);
         let range = frequencies(LENGTH_US);
-        let heights = values[..=range.end].iter();
+        let heights = values[..range.end + 2].iter();
         Some(Self {
             heights: heights.map(|value| value.norm() / total).collect(),
             range,
@@ -413,6 +417,7 @@ mod tests {
                 (197.283, -0.6),
                 (101.4, 0.85),
                 (31.25, 0.0),
+                (16.02, 0.02),
                 (17.77, 0.05),
                 (143.7, 0.3),
                 (248.9, 1.1),
@@ -427,6 +432,30 @@ mod tests {
                 assert!((found - slope).abs() < 0.005, "{found} {slope}");
             }
         }
+    }
+
+    /// Events come late in the recording, after noise, and in packets of which the last event is first.
+    #[test]
+    fn a_grid_is_found_after_noise_and_in_any_order() {
+        let (mut scanned, sensor) = events(Axis::Columns, Some((197.283, -0.6)));
+        for packet in scanned.chunk_by_mut(|a, b| a.t_us / 10_000 == b.t_us / 10_000) {
+            packet.reverse();
+        }
+        let (noise, _) = events(Axis::Columns, None);
+        let noise = noise.iter().cycle().take(40_000).enumerate();
+        let mut events: Vec<_> = noise
+            .map(|(i, event)| Event {
+                t_us: 700 * i as u64 + event.t_us % 700,
+                ..*event
+            })
+            .collect();
+        let end_us = 700 * 40_000;
+        events.extend(scanned.iter().map(|event| Event {
+            t_us: event.t_us + end_us,
+            ..*event
+        }));
+        let readout = find(&events, sensor).expect("a grid");
+        assert_eq!(readout.axis(), Axis::Columns);
     }
 
     /// Differences that are short beside every period fit all of them.
