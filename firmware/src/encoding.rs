@@ -12,14 +12,12 @@ use static_cell::ConstStaticCell;
 
 use crate::board::{self, Sender};
 use crate::clock::{Stopwatch, interrupt_ticks, nanoseconds};
-use crate::memory::{self, Shares};
+use crate::memory::{self, Shares, WINDOWS};
 use crate::receiving;
 use crate::stack;
 
 /// Whether the image has all that a microcontroller can encode; a small one has the fast coder alone.
 const IS_FULL: bool = cfg!(feature = "full");
-/// Number of windows that take turns. Where there is one, events wait in the link's ring while it is encoded.
-const WINDOWS: usize = if IS_FULL { 2 } else { 1 };
 /// Numbers for the largest grid: any M up to 64 at its default grid.
 const NUMBERS: usize = if IS_FULL { 256 } else { 0 };
 /// Most hot pixels.

@@ -19,6 +19,7 @@ use crate::board;
 #[cfg(not(feature = "usb"))]
 use crate::clock::ShortStopwatch;
 use crate::clock::Stopwatch;
+use crate::memory::WINDOWS;
 use crate::queue::{Queue, Ring};
 #[cfg(feature = "sensor")]
 use crate::sensor;
@@ -27,7 +28,7 @@ use crate::sensor;
 /// words, nearly as many as it holds events at 320 x 320.
 const RING_BYTES: usize = if HAS_TWO_WINDOWS { 1024 } else { 8192 };
 /// Whether one window is filled while another is encoded.
-const HAS_TWO_WINDOWS: bool = cfg!(feature = "full");
+const HAS_TWO_WINDOWS: bool = WINDOWS > 1;
 /// With more bytes in the ring, events for which there is no window are dropped, if the setup says so: the rest of the
 /// ring takes requests.
 const WAITING_BYTES: usize = RING_BYTES / 4 * 3;
