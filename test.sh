@@ -22,6 +22,7 @@
 #             when it is named
 #   usb-recordings   every shared recording by every model that it fits, both ways: minutes, and only when
 #             it is named
+#   neon      the vectors of ARM's larger cores, the core's tests of them in an emulator: only when it is named
 #   fuzz      every fuzz target for FUZZ_SECONDS (default 2), minutes, and only when it is named (the unit stage
 #             runs them on their seeds and on random bytes)
 #   demo      the first command of the README: when it is named, as it stands there; beside the unit stage, by that
@@ -256,6 +257,26 @@ nostd() {
     fi
 }
 
+# The coders' vectors of ARM are tested where they run, beside plain Rust and with the frozen bits. The linker comes with
+# Rust; nothing else of that machine is needed.
+neon() {
+    local target=aarch64-unknown-linux-musl
+    if ! have qemu-aarch64; then
+        echo "installing qemu-user"
+        if ! packages qemu-user; then
+            skip "neon: there is no qemu-aarch64 and apt-get cannot install it"
+            return
+        fi
+    fi
+    if ! target "$target"; then
+        skip "neon: rustup cannot add the target $target"
+        return
+    fi
+    CARGO_TARGET_DIR=target/neon CARGO_TARGET_AARCH64_UNKNOWN_LINUX_MUSL_LINKER=rust-lld \
+        CARGO_TARGET_AARCH64_UNKNOWN_LINUX_MUSL_RUNNER=qemu-aarch64 \
+        cargo test -p eecvs-nostd --target "$target" --lib
+}
+
 # Runs an image of a machine: `qemu MACHINE BINARY`. Its exit status is the image's.
 qemu() {
     timeout 120 qemu-system-arm -M "$1" -display none -monitor none -serial null -icount shift=0 \
@@ -394,7 +415,7 @@ if [ ${#stages[@]} = 0 ]; then
 fi
 for stage in "${stages[@]}"; do
     case $stage in
-        lint | unit | links | metrics | peers | page | ros | nostd | firmware | usb | usb-recordings | fuzz | demo) ;;
+        lint | unit | links | metrics | peers | page | ros | nostd | neon | firmware | usb | usb-recordings | fuzz | demo) ;;
         *) echo "test.sh: unknown stage '$stage'; the head of this file lists the stages" >&2; exit 2 ;;
     esac
 done

@@ -8,6 +8,7 @@ use eecvs_nostd::Event;
 use event_files::Compression;
 
 use super::files::Format;
+use super::programs::Program;
 use super::{columns, squeeze};
 
 /// Zstandard for AEDAT 4.0, at its default level.
@@ -25,6 +26,8 @@ pub enum Peer {
     File(&'static str, Format),
     /// The structure of arrays of [`columns`], with a general compressor and its decompressor.
     Columns(&'static str, Way, Way),
+    /// A program of others.
+    Program(Program),
 }
 
 /// A recording that was stored and restored.
@@ -60,20 +63,30 @@ const WITH_ZSTD: [Peer; 2] = [
 #[cfg(not(feature = "zstd"))]
 const WITH_ZSTD: [Peer; 0] = [];
 
-/// Returns every peer of this build.
-pub fn peers() -> impl ExactSizeIterator<Item = Peer> {
-    let all: Vec<Peer> = ALWAYS.into_iter().chain(WITH_ZSTD).collect();
-    all.into_iter()
+/// Returns every peer of this build and machine.
+#[must_use]
+pub fn peers() -> Vec<Peer> {
+    let programs = Program::ALL
+        .into_iter()
+        .filter(|program| program.is_there());
+    let built = ALWAYS.into_iter().chain(WITH_ZSTD);
+    built.chain(programs.map(Peer::Program)).collect()
 }
 
-/// Says what this build lacks; `None` if it has all peers.
+/// Says what this build and machine lack; `None` if they have all peers.
 #[must_use]
-pub const fn missing() -> Option<&'static str> {
-    if cfg!(feature = "zstd") {
-        None
-    } else {
-        Some("no rows for zstd-19 and aedat4-zstd: build with --features zstd")
+pub fn missing() -> Option<String> {
+    let mut missing = Vec::new();
+    if !cfg!(feature = "zstd") {
+        missing.push("zstd-19 and aedat4-zstd: build with --features zstd".to_owned());
     }
+    for program in Program::ALL
+        .into_iter()
+        .filter(|program| !program.is_there())
+    {
+        missing.push(format!("{}: install {}", program.name(), program.needs()));
+    }
+    (!missing.is_empty()).then(|| format!("no rows for {}", missing.join("; for ")))
 }
 
 impl Peer {
@@ -82,6 +95,7 @@ impl Peer {
     pub const fn name(self) -> &'static str {
         match self {
             Self::File(name, _) | Self::Columns(name, ..) => name,
+            Self::Program(program) => program.name(),
         }
     }
 
@@ -92,6 +106,7 @@ impl Peer {
     pub fn round_trip(self, source: &Source) -> Result<RoundTrip> {
         match self {
             Self::File(_, format) => format.round_trip(source),
+            Self::Program(program) => program.round_trip(source),
             Self::Columns(_, squeeze, open) => {
                 let started = Instant::now();
                 let bytes = squeeze(&columns::write(source.sensor, &source.events)?)?;

@@ -10,6 +10,7 @@ pub mod columns;
 pub mod files;
 pub mod lossless;
 pub mod ours;
+pub mod programs;
 pub mod squeeze;
 pub mod volume;
 
@@ -57,7 +58,7 @@ impl Effort {
     };
     /// The effort for a check that everything works.
     pub const QUICK: Self = Self {
-        scene_us: 100_000,
+        scene_us: 50_000,
         tolerances_us: &[40, 640],
         bins: &[8],
         m: &[8, 32],
@@ -71,7 +72,7 @@ impl Effort {
         // Plain, and with each of the two coders.
         let transform = 3 * Transform::ALL.len() * self.m.len();
         let arrays = Stored::ALL.len() * (1 + self.voxel_bins.len());
-        hybrid + LOSSLESS.len() + transform + lossless::peers().len() + arrays
+        hybrid + LOSSLESS.len() + OWN_WINDOWS.len() + transform + lossless::peers().len() + arrays
     }
 }
 
@@ -86,6 +87,14 @@ const LOSSLESS: [Coder; 4] = [
     Coder::Tree(eecvs_nostd::Effort::Three),
 ];
 
+/// Coders of events that are measured with windows of the recording's own duration too.
+const OWN_WINDOWS: [Coder; 2] = [
+    Coder::Tree(eecvs_nostd::Effort::One),
+    Coder::Tree(eecvs_nostd::Effort::Three),
+];
+/// Their setting.
+pub const OWN_WINDOWS_SETTING: &str = "lossless, own windows";
+
 /// One point of a curve; the fields are its JSON keys. `None` if a metric does not apply.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
@@ -95,7 +104,7 @@ pub struct Row {
     /// `transform-dct-fast`, `transform-dct-dense`, ..., or a peer's name.
     #[serde(deserialize_with = "name")]
     pub codec: Name,
-    /// `lossless`, `50 us`, `8 bins`, `M = 16`; for an array, its type and bins.
+    /// `lossless`, [`OWN_WINDOWS_SETTING`], `50 us`, `8 bins`, `M = 16`; for an array, its type and bins.
     pub setting: String,
     /// Number of events.
     #[serde(default)]
@@ -180,6 +189,9 @@ pub fn measure(source: &Source, effort: Effort, progress: &mut dyn FnMut()) -> R
     for coder in LOSSLESS {
         subject.hybrid(coder, Fidelity::Lossless)?;
     }
+    for coder in OWN_WINDOWS {
+        subject.own_windows(coder)?;
+    }
     for transform in Transform::ALL {
         for m in effort.m {
             subject.transform(transform, *m)?;
@@ -247,6 +259,22 @@ impl Subject<'_> {
             Promise::Within(_) | Promise::Counts => once(),
         };
         let row = row.with_context(|| self.name(codec, &setting))?;
+        self.push(row);
+        Ok(())
+    }
+
+    fn own_windows(&mut self, coder: Coder) -> Result<()> {
+        let (codec, setting) = (coder_name(coder), OWN_WINDOWS_SETTING);
+        let measured = || -> Result<Row> {
+            let decoded = ours::own_windows(self.source, coder)?;
+            let row = self.row(codec, setting, decoded.file.len(), decoded.seconds);
+            let row = self.promised(row, Promise::Lossless, &decoded.events)?;
+            Ok(Row {
+                decode_seconds: Some(decoded.decode_seconds),
+                ..row
+            })
+        };
+        let row = measured().with_context(|| self.name(codec, setting))?;
         self.push(row);
         Ok(())
     }

@@ -1,17 +1,22 @@
 //! Encodes a recording with the codec to a file in memory, and decodes it.
 
+use std::num::NonZeroUsize;
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
 use eecvs::decode::WindowReader;
+use eecvs::encode::{Limits, duration, readout};
 use eecvs::frame_file::FrameReader;
 use eecvs::reconstruct::events::Finder;
 use eecvs::reconstruct::volume::inverse::Inverse;
 use eecvs_bench::source::{Source, WINDOW_US};
-use eecvs_nostd::{Coder, Event, Hybrid, Mode, Thresholds, Transform};
+use eecvs_nostd::{Coder, Config, Event, Fidelity, Hybrid, Mode, Thresholds, Transform};
 
 use super::volume::{BINS, Grid, Volume};
 use crate::round_trip::{Encoded, config, decode};
+
+/// Windows from key frame to key frame in [`own_windows`].
+pub const KEY_WINDOWS: u16 = 256;
 
 /// Result of encoding and decoding a recording.
 pub struct Decoded {
@@ -34,6 +39,37 @@ pub struct Decoded {
 /// Fails if a frame does not decode, or an event is in no frame.
 pub fn hybrid(source: &Source, hybrid: Hybrid) -> Result<Decoded> {
     round_trip(source, Mode::Hybrid(hybrid), None, 16)
+}
+
+/// Encodes and decodes, lossless, in windows of the duration that suits the recording, with a key frame every
+/// [`KEY_WINDOWS`] of them: as `eecvs encode --auto-window` does. The choice is not part of the time.
+///
+/// # Errors
+/// Fails if a frame does not decode, or an event is in no frame.
+pub fn own_windows(source: &Source, coder: Coder) -> Result<Decoded> {
+    let fidelity = Fidelity::Lossless;
+    let mode = Mode::Hybrid(Hybrid { coder, fidelity });
+    let config = Config {
+        key_windows: KEY_WINDOWS,
+        ..config(source, thresholds()?, mode, None, 16)
+    };
+    let config = readout::look_at(&source.events, config);
+    let (_, config) = duration::look(
+        Box::new(source.reader()),
+        config.into(),
+        Limits::default(),
+        NonZeroUsize::MIN,
+    )?;
+    let Encoded { file, seconds, .. } = Encoded::new(source, config)?;
+    let started = Instant::now();
+    let events = decode(&file, Finder::Peaks, &mut |_| Ok(()))?;
+    Ok(Decoded {
+        file,
+        seconds,
+        decode_seconds: started.elapsed().as_secs_f64(),
+        events,
+        coefficients: None,
+    })
 }
 
 /// Encodes and decodes in mode `transform`, with the default grid and quantiser.
@@ -115,8 +151,11 @@ fn round_trip(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) 
 
 /// Encodes on one thread.
 fn encoded(source: &Source, mode: Mode, transform: Option<Transform>, m: u8) -> Result<Encoded> {
-    let thresholds = Thresholds::new(0, 0).context("thresholds of 0")?;
-    Encoded::new(source, config(source, thresholds, mode, transform, m))
+    Encoded::new(source, config(source, thresholds()?, mode, transform, m))
+}
+
+fn thresholds() -> Result<Thresholds> {
+    Thresholds::new(0, 0).context("thresholds of 0")
 }
 
 /// Returns the grid on which the recording's volumes are computed.

@@ -13,7 +13,7 @@ use plotters::prelude::*;
 use super::kernel_chart::{Drawn, FRONT, GRID, INK, PNG_SCALE, power, text};
 use super::picture_backend::PictureBackend;
 use super::rate_table::{figure, of_times, of_volume, recordings};
-use crate::rate::Row;
+use crate::rate::{OWN_WINDOWS_SETTING, Row};
 
 const WIDTH: u32 = 1200;
 /// Height of title and legends.
@@ -173,7 +173,7 @@ where
         for (recording, panel) in shown.iter().zip(&panels) {
             let here: Vec<&Row> = rows
                 .iter()
-                .filter(|row| row.recording == *recording)
+                .filter(|row| row.recording == *recording && row.setting != OWN_WINDOWS_SETTING)
                 .collect();
             Panel {
                 measure,

@@ -402,16 +402,14 @@ impl<'d> Pursuit<'d> {
 fn dot(a: &[f32], b: &[f32]) -> f32 {
     // Eight lanes, so that the compiler may use vector registers.
     let mut lanes = [0.0_f32; 8];
-    let (a_blocks, b_blocks) = (a.chunks_exact(8), b.chunks_exact(8));
-    let tail: f32 = a_blocks
-        .remainder()
-        .iter()
-        .zip(b_blocks.remainder())
-        .map(|(a, b)| a * b)
-        .sum();
-    for (a, b) in a_blocks.zip(b_blocks) {
-        for (lane, (a, b)) in lanes.iter_mut().zip(a.iter().zip(b)) {
-            *lane += a * b;
+    let (a_blocks, a_rest) = a.as_chunks::<8>();
+    let (b_blocks, b_rest) = b.as_chunks::<8>();
+    let tail: f32 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
+    let b_blocks = &b_blocks[..a_blocks.len()];
+    for (i, a) in a_blocks.iter().enumerate() {
+        let b = &b_blocks[i];
+        for (lane, sum) in lanes.iter_mut().enumerate() {
+            *sum += a[lane] * b[lane];
         }
     }
     lanes.iter().sum::<f32>() + tail

@@ -164,6 +164,43 @@ pub(super) fn set_word(bytes: &mut [u8], at: usize, word: u64) {
     }
 }
 
+/// The columns that are set in a row, whose bytes are whole words.
+#[derive(Debug)]
+pub(super) struct Columns<'r> {
+    row: &'r [u8],
+    /// Those of the word before [`Self::next_word`] that are left.
+    todo: u64,
+    next_word: u32,
+}
+
+impl<'r> Columns<'r> {
+    #[inline(always)]
+    pub(super) const fn of(row: &'r [u8]) -> Self {
+        Self {
+            row,
+            todo: 0,
+            next_word: 0,
+        }
+    }
+}
+
+impl Iterator for Columns<'_> {
+    type Item = u32;
+
+    #[inline(always)]
+    fn next(&mut self) -> Option<u32> {
+        while self.todo == 0 {
+            let (word, rest) = self.row.split_first_chunk()?;
+            self.todo = u64::from_le_bytes(*word);
+            self.row = rest;
+            self.next_word += 1;
+        }
+        let i = self.todo.trailing_zeros();
+        self.todo &= self.todo - 1;
+        Some(64 * (self.next_word - 1) + i)
+    }
+}
+
 /// Returns the bits around column `x` of the row that begins at `row`: bit 0 is column x - 2, bit 3 is x + 1; bits
 /// above are further columns.
 #[inline(always)]

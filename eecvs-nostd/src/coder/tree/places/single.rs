@@ -2,6 +2,7 @@
 
 use super::word_of;
 use crate::coder::tree::counter::{Counter, LIMIT};
+use crate::coder::tree::memory::fetch;
 use crate::coder::tree::pyramid::{Level, MARGIN_BYTES, Pyramid, set_word, word_at};
 use crate::coder::tree::range::BitCoder;
 
@@ -141,13 +142,16 @@ fn code_row<C: BitCoder>(
         return;
     };
     let is_odd = y & 1;
+    let parents_of = |j: usize| match parents.get(4 * j..).and_then(|rest| rest.first_chunk()) {
+        Some(word) => u32::from_le_bytes(*word),
+        None => 0,
+    };
+    // The next word with parents.
+    let mut ahead = 0;
     // The last two nodes of the word to the west.
     let mut carry = 0_u64;
     for j in 0..level.words() {
-        let parents = match parents.get(4 * j..).and_then(|rest| rest.first_chunk()) {
-            Some(word) => u32::from_le_bytes(*word),
-            None => 0,
-        };
+        let parents = parents_of(j);
         if parents == 0 {
             if !C::ENCODES {
                 // What an earlier window left.
@@ -156,6 +160,11 @@ fn code_row<C: BitCoder>(
             carry = 0;
             continue;
         }
+        ahead = ahead.max(j + 1);
+        while ahead < level.words() && parents_of(ahead) == 0 {
+            ahead += 1;
+        }
+        fetch(activities, 64 * ahead);
         let word = word_of(level, y, j, parents, north, 0);
         let mut todo = word.todo;
         let target = if C::ENCODES {

@@ -2,7 +2,8 @@
 
 use super::{Clock, Low, Nodes, Pixel, empty, leaves_within, lowest};
 use crate::coder::tree::counter::Counter;
-use crate::coder::tree::pyramid::{Level, MARGIN_BYTES, word_at};
+use crate::coder::tree::memory::fetch;
+use crate::coder::tree::pyramid::{Columns, Level, MARGIN_BYTES};
 use crate::coder::tree::range::{BitCoder, EVEN_P16};
 use crate::coder::tree::{Shape, TreeEvent};
 
@@ -298,7 +299,9 @@ pub(crate) fn code<C: BitCoder>(
         let row = now
             .get(begin..begin + 8 * level.words())
             .unwrap_or_default();
-        let is_any = row.iter().any(|byte| *byte != 0);
+        let mut columns = Columns::of(row);
+        let mut next = columns.next();
+        let is_any = next.is_some();
         let (ours, above) = ((y & 1) as usize, (y & 1 ^ 1) as usize);
         if is_any {
             let (here, north) = two(&mut kept.pixels, ours);
@@ -306,27 +309,26 @@ pub(crate) fn code<C: BitCoder>(
             walk.row = Nodes::NONE;
             walk.row_is_set = 0;
             walk.seconds = 0;
-            for j in 0..level.words() {
-                let mut todo = word_at(row, 8 * j);
-                while todo != 0 {
-                    let x = 64 * j as u32 + todo.trailing_zeros();
-                    todo &= todo - 1;
-                    let area = ((y >> 3) * area_stride + (x >> 3)) as usize;
-                    let rest = events.get_mut(done..).unwrap_or_default();
-                    let (Some(area), false) = (kept.areas.get_mut(area), rest.is_empty()) else {
-                        break;
-                    };
-                    let mut none = 0;
-                    let last = kept.lasts.get_mut((y * level.width + x) as usize);
-                    let own = (last.unwrap_or(&mut none), area);
-                    let rows = Rows {
-                        here: &mut *here,
-                        north,
-                        seconds: &mut *seconds,
-                        north_seconds,
-                    };
-                    done += walk.pixel((x, y), rows, own, rest);
+            while let Some(x) = next {
+                next = columns.next();
+                if let Some(x) = next {
+                    fetch(kept.lasts, (y * level.width + x) as usize);
                 }
+                let area = ((y >> 3) * area_stride + (x >> 3)) as usize;
+                let rest = events.get_mut(done..).unwrap_or_default();
+                let (Some(area), false) = (kept.areas.get_mut(area), rest.is_empty()) else {
+                    break;
+                };
+                let mut none = 0;
+                let last = kept.lasts.get_mut((y * level.width + x) as usize);
+                let own = (last.unwrap_or(&mut none), area);
+                let rows = Rows {
+                    here: &mut *here,
+                    north,
+                    seconds: &mut *seconds,
+                    north_seconds,
+                };
+                done += walk.pixel((x, y), rows, own, rest);
             }
         }
         // The row above becomes the next one.
