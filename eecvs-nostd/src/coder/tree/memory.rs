@@ -145,13 +145,10 @@ impl TreeMemory<'_> {
 }
 
 /// Loads an element that is needed soon, so that its cache line is near by then: what is kept of a large sensor's pixels
-/// does not fit in the caches of a core, and the decisions before hide how long it takes. Microcontrollers have no
-/// caches.
+/// does not fit in the caches of a core, and the decisions before hide how long it takes.
 #[inline(always)]
 pub(super) fn fetch<T: Copy>(from: &[T], at: usize) {
-    if cfg!(not(target_os = "none"))
-        && let Some(element) = from.get(at)
-    {
+    if let Some(element) = from.get(at) {
         core::hint::black_box(*element);
     }
 }
