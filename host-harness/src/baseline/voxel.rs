@@ -229,7 +229,7 @@ mod tests {
 
     #[test]
     fn times_of_one_event_come_back() {
-        for t_us in (0..u64::from(WINDOW_US)).step_by(101) {
+        for t_us in (0..u64::from(WINDOW_US)).step_by(509) {
             let events = [event(0, 0, 0, true), event(t_us, 4, 3, false)];
             for bins in [2, 5, 16, 64] {
                 assert_eq!(frames(&source(&events), bins, Stored::F32), events);

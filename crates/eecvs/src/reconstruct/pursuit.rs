@@ -79,11 +79,11 @@ impl Peaks {
             let u = (point as f64 + 0.5) / points as f64;
             let mut energy = 0.0;
             for k in 0..grid {
-                let angle = peaks.omega(k) * u;
-                peaks.atoms_re.push(angle.cos() as f32);
-                peaks.atoms_im.push(-angle.sin() as f32);
+                let (sin, cos) = (peaks.omega(k) * u).sin_cos();
+                peaks.atoms_re.push(cos as f32);
+                peaks.atoms_im.push(-sin as f32);
                 if k > 0 && k < kept {
-                    energy += angle.cos().powi(2);
+                    energy += cos * cos;
                 }
             }
             peaks.half_energy.push((energy / 2.0) as f32);
