@@ -190,6 +190,7 @@ peers() {
         return
     fi
     umockdev
+    have zpaq || packages zpaq || skip "peers: apt-get cannot install zpaq"
     for package in numpy faery expelliarmus evt3 evlib aedat dv-processing neuromorphic-drivers event-stream rosbags mcap \
         mcap-ros2-support h5py hdf5plugin pyarrow polars pandas fastparquet scipy python-pcapng scapy; do
         "$folder/bin/pip" install -q "$package" || skip "peers: pip cannot install $package"
@@ -199,7 +200,7 @@ peers() {
         "$folder/bin/pip" install -q --no-deps "$package" || skip "peers: pip cannot install $package"
     done
     EECVS_PYTHON=$PWD/$folder/bin/python \
-        cargo test "${TESTS[@]}" -- --nocapture formats_peers:: clients::
+        cargo test "${TESTS[@]}" -- --nocapture formats_peers:: clients:: rate::lossless::
 }
 
 # The name of a browser that pages are opened in, as host-harness/tests/browser/mod.rs has them.

@@ -31,14 +31,7 @@ pub fn write(sensor: Sensor, events: &[Event]) -> Result<Vec<u8>> {
     bytes.extend_from_slice(&first_us.to_le_bytes());
     bytes.extend_from_slice(&sensor.width.to_le_bytes());
     bytes.extend_from_slice(&sensor.height.to_le_bytes());
-    let mut before_us = first_us;
-    let mut steps = Vec::with_capacity(events.len());
-    for event in events {
-        let step = event.t_us.checked_sub(before_us);
-        let step = step.and_then(|step| u32::try_from(step).ok());
-        steps.push(step.context("a time step that does not fit into 32 bits")?);
-        before_us = event.t_us;
-    }
+    let steps = steps(events)?;
     shuffle(&mut bytes, &steps.iter().map(|step| step.to_le_bytes()));
     shuffle(
         &mut bytes,
@@ -54,6 +47,21 @@ pub fn write(sensor: Sensor, events: &[Event]) -> Result<Vec<u8>> {
             .map(|event| u8::from(event.polarity == Polarity::On)),
     );
     Ok(bytes)
+}
+
+/// Returns us since the event before, 0 for the first.
+///
+/// # Errors
+/// Fails if an event is earlier than the one before it, or 2^32 us or more later.
+pub(super) fn steps(events: &[Event]) -> Result<Vec<u32>> {
+    let mut before_us = events.first().map_or(0, |event| event.t_us);
+    let step = |event: &Event| {
+        let step = event.t_us.checked_sub(before_us);
+        before_us = event.t_us;
+        let step = step.and_then(|step| u32::try_from(step).ok());
+        step.context("a time step that does not fit into 32 bits")
+    };
+    events.iter().map(step).collect()
 }
 
 /// Reads the sensor and the events that [`write()`] wrote.

@@ -4,12 +4,14 @@ use std::ffi::OsString;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::sync::LazyLock;
 use std::time::Instant;
 
 use anyhow::{Context, Result, ensure};
 use eecvs_bench::source::Source;
 use eecvs_nostd::{Event, Polarity};
 
+use super::columns;
 use super::lossless::RoundTrip;
 
 /// Writes the columns of its folder to an HDF5 file, or those of the file to its folder, and prints how long that took.
@@ -28,8 +30,18 @@ pub enum Program {
 }
 
 impl Program {
-    /// All of them.
-    pub const ALL: [Self; 2] = [Self::Zpaq, Self::Blosc];
+    const ALL: [Self; 2] = [Self::Zpaq, Self::Blosc];
+
+    /// Returns those that are installed, and those that are not. They are looked for once.
+    #[must_use]
+    pub fn installed() -> &'static (Vec<Self>, Vec<Self>) {
+        static INSTALLED: LazyLock<(Vec<Program>, Vec<Program>)> = LazyLock::new(|| {
+            Program::ALL
+                .into_iter()
+                .partition(|program| program.is_there())
+        });
+        &INSTALLED
+    }
 
     /// Returns the name used in the rows of results.
     #[must_use]
@@ -49,14 +61,14 @@ impl Program {
         }
     }
 
-    /// Returns whether it is installed.
-    #[must_use]
-    pub fn is_there(self) -> bool {
+    fn is_there(self) -> bool {
         let mut command = match self {
             Self::Zpaq => Command::new("zpaq"),
             Self::Blosc => {
                 let mut command = Command::new(python());
-                command.args(["-c", "import h5py, hdf5plugin, numpy"]);
+                // Not from the folder in which the command happens to run.
+                let script = "import sys; sys.path.remove(''); import h5py, hdf5plugin, numpy";
+                command.args(["-c", script]).env_remove("PYTHONSAFEPATH");
                 command
             }
         };
@@ -102,13 +114,9 @@ fn zpaq(source: &Source, folder: &Path) -> Result<RoundTrip> {
 /// Returns records, little-endian: y (u16), x with the polarity as bit 15 (u16), us since the event before (u32). The
 /// first one's time stands before them (u64).
 fn records(events: &[Event]) -> Result<Vec<u8>> {
-    let mut before_us = events.first().map_or(0, |event| event.t_us);
-    let mut bytes = before_us.to_le_bytes().to_vec();
-    for event in events {
-        let step = event.t_us.checked_sub(before_us);
-        let step = step.and_then(|step| u32::try_from(step).ok());
-        let step = step.context("a time step that does not fit into 32 bits")?;
-        before_us = event.t_us;
+    let first_us = events.first().map_or(0, |event| event.t_us);
+    let mut bytes = first_us.to_le_bytes().to_vec();
+    for (event, step) in events.iter().zip(columns::steps(events)?) {
         let on = u16::from(event.polarity == Polarity::On) << 15;
         bytes.extend(event.y.to_le_bytes());
         bytes.extend((event.x | on).to_le_bytes());
@@ -216,4 +224,29 @@ fn read(path: &Path) -> Result<Vec<u8>> {
 
 fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     fs::write(path, bytes).with_context(|| path.display().to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use event_types::test_events::event;
+
+    use super::*;
+
+    #[test]
+    fn records_are_the_events() {
+        let events = [
+            event(7, 4095, 3, true),
+            event(7, 0, 4095, false),
+            event(7 + u64::from(u32::MAX), 5, 0, true),
+        ];
+        for events in [&events[..], &[]] {
+            let bytes = records(events).unwrap();
+            assert_eq!(bytes.len(), 8 + 8 * events.len());
+            assert_eq!(events_of(&bytes).unwrap(), events);
+        }
+        assert!(records(&[events[2], events[0]]).is_err());
+        let bytes = records(&events).unwrap();
+        assert!(events_of(&bytes[..7]).is_err());
+        assert!(events_of(&bytes[..bytes.len() - 1]).is_err());
+    }
 }

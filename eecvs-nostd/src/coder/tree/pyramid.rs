@@ -164,20 +164,25 @@ pub(super) fn set_word(bytes: &mut [u8], at: usize, word: u64) {
     }
 }
 
-/// The columns that are set in a row, whose bytes are whole words.
+/// The columns that are set in a row.
 #[derive(Debug)]
 pub(super) struct Columns<'r> {
+    /// The words that are left.
     row: &'r [u8],
-    /// Those of the word before [`Self::next_word`] that are left.
+    /// Columns that are left of the word before [`Self::next_word`].
     todo: u64,
     next_word: u32,
 }
 
 impl<'r> Columns<'r> {
+    /// Those of row `y` of a level.
     #[inline(always)]
-    pub(super) const fn of(row: &'r [u8]) -> Self {
+    pub(super) fn of(level: &Level, bytes: &'r [u8], y: u32) -> Self {
+        let begin = level.row(y as i32) + MARGIN_BYTES;
         Self {
-            row,
+            row: bytes
+                .get(begin..begin + 8 * level.words())
+                .unwrap_or_default(),
             todo: 0,
             next_word: 0,
         }

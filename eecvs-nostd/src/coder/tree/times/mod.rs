@@ -15,7 +15,7 @@ use zerocopy::FromZeros;
 use self::beside::Beside;
 use super::counter::{Counter, code_value};
 use super::places::MixedSizes;
-use super::pyramid::{Level, MARGIN_BYTES, halved, word_at};
+use super::pyramid::{Columns, Level, halved};
 use super::range::BitCoder;
 use super::{Shape, TreeEvent};
 use crate::coder::scan::{FINE_BITS, Scans};
@@ -148,15 +148,9 @@ fn empty<T: Copy>(level: &Level, now: &[u8], y: u32, pixels: &mut [T], none: T) 
     if y >= level.height {
         return;
     }
-    let row = level.row(y as i32) + MARGIN_BYTES;
-    for j in 0..level.words() {
-        let mut todo = word_at(now, row + 8 * j);
-        while todo != 0 {
-            let x = 64 * j + todo.trailing_zeros() as usize;
-            todo &= todo - 1;
-            if let Some(pixel) = pixels.get_mut(x + 2) {
-                *pixel = none;
-            }
+    for x in Columns::of(level, now, y) {
+        if let Some(pixel) = pixels.get_mut(x as usize + 2) {
+            *pixel = none;
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::{Clock, Low, Nodes, Pixel, empty, leaves_within, lowest};
 use crate::coder::tree::counter::Counter;
 use crate::coder::tree::memory::fetch;
-use crate::coder::tree::pyramid::{Columns, Level, MARGIN_BYTES};
+use crate::coder::tree::pyramid::{Columns, Level};
 use crate::coder::tree::range::{BitCoder, EVEN_P16};
 use crate::coder::tree::{Shape, TreeEvent};
 
@@ -295,11 +295,7 @@ pub(crate) fn code<C: BitCoder>(
     let mut done = 0;
     let mut is_empty = [true; 2];
     for y in 0..level.height {
-        let begin = level.row(y as i32) + MARGIN_BYTES;
-        let row = now
-            .get(begin..begin + 8 * level.words())
-            .unwrap_or_default();
-        let mut columns = Columns::of(row);
+        let mut columns = Columns::of(level, now, y);
         let mut next = columns.next();
         let is_any = next.is_some();
         let (ours, above) = ((y & 1) as usize, (y & 1 ^ 1) as usize);

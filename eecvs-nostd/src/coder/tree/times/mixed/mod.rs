@@ -9,7 +9,7 @@ use self::leaf::Leaf;
 use super::{Clock, Low, Marks, Nodes, Pixel, empty, leaves_within};
 use crate::coder::tree::TreeEvent;
 use crate::coder::tree::mix::{Mixer, MixerMemory, MixerSizes};
-use crate::coder::tree::pyramid::{Level, MARGIN_BYTES, word_at};
+use crate::coder::tree::pyramid::{Columns, Level};
 use crate::coder::tree::range::BitCoder;
 
 /// Bits of a context of a tree's node, and of its level and half above.
@@ -155,18 +155,12 @@ pub(crate) fn code<C: BitCoder, const FULL: bool>(
     let mut done = 0;
     for y in 0..level.height {
         let rows = [0, 2, 1].map(|by| ((y + by) % 3) as usize);
-        let begin = level.row(y as i32) + MARGIN_BYTES;
-        for j in 0..level.words() {
-            let mut todo = word_at(now, begin + 8 * j);
-            while todo != 0 {
-                let x = 64 * j as u32 + todo.trailing_zeros();
-                todo &= todo - 1;
-                let rest = events.get_mut(done..).unwrap_or_default();
-                if rest.is_empty() {
-                    break;
-                }
-                done += walk.pixel::<FULL>((x, y), rows, kept, level.width, rest);
+        for x in Columns::of(level, now, y) {
+            let rest = events.get_mut(done..).unwrap_or_default();
+            if rest.is_empty() {
+                break;
             }
+            done += walk.pixel::<FULL>((x, y), rows, kept, level.width, rest);
         }
         walk.end_row();
         // The row two above becomes the next one.
