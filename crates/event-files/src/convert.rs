@@ -6,7 +6,7 @@ use event_types::stream::{Context, Result};
 use event_types::{Event, Sensor, bail, ensure};
 
 use crate::findings::Findings;
-use crate::fit::{Fit, Lost, beyond};
+use crate::fit::{Fit, Lost, beyond, fits};
 use crate::input::growing::{Follow, open_growing};
 use crate::output::is_same;
 use crate::sort::Sorted;
@@ -216,7 +216,7 @@ fn copy(
     let end_us = filter.to_us.filter(|_| has_index && !ends);
     let end_us = end_us.map(|to| to.saturating_add(STEP_BACK_MAX_US));
     let mut events = Vec::with_capacity(crate::BATCH_EVENTS);
-    let mut kept = Vec::with_capacity(crate::BATCH_EVENTS);
+    let (mut kept, mut fitted) = (Vec::new(), Vec::new());
     let mut fit = Fit::new(format.limits);
     let mut last_us = None;
     let mut converted = Converted::default();
@@ -226,25 +226,22 @@ fn copy(
         if reader.read(&mut events)? == 0 {
             break;
         }
-        for event in events.iter().filter_map(|event| filter.apply(*event)) {
-            if conversion.allow_loss {
-                kept.extend(fit.apply(event));
-                continue;
-            }
-            let index = converted.events_out + kept.len() as u64;
-            if let Some(what) = beyond(format.limits, index, event, last_us) {
-                bail!(
-                    CannotHold,
-                    "{} cannot hold {what} (--allow-loss leaves out or changes what it cannot hold)",
-                    format.title
-                );
-            }
-            last_us = Some(event.t_us);
-            kept.push(event);
+        let mut passing = events.as_slice();
+        if filter != Filter::default() {
+            kept.extend(events.iter().filter_map(|event| filter.apply(*event)));
+            passing = &kept;
         }
-        writer.write(&kept)?;
+        if conversion.allow_loss {
+            fitted.clear();
+            fitted.extend(passing.iter().filter_map(|event| fit.apply(*event)));
+            passing = &fitted;
+        } else if !fits(format.limits, passing, last_us) {
+            refuse(format, passing, converted.events_out, last_us)?;
+        }
+        last_us = passing.last().map(|event| event.t_us).or(last_us);
+        writer.write(passing)?;
         converted.events_in += events.len() as u64;
-        converted.events_out += kept.len() as u64;
+        converted.events_out += passing.len() as u64;
         let past = |end| events.iter().all(|event| event.t_us >= end);
         if end_us.is_some_and(past) {
             break;
@@ -252,4 +249,20 @@ fn copy(
     }
     converted.lost = fit.lost();
     Ok(converted)
+}
+
+/// Returns an error that says which of `events`, the first of which has number `index`, is the first that the format
+/// cannot hold, and why.
+fn refuse(format: &Format, events: &[Event], index: u64, mut last_us: Option<u64>) -> Result<()> {
+    for (index, event) in (index..).zip(events) {
+        if let Some(what) = beyond(format.limits, index, *event, last_us) {
+            bail!(
+                CannotHold,
+                "{} cannot hold {what} (--allow-loss leaves out or changes what it cannot hold)",
+                format.title
+            );
+        }
+        last_us = Some(event.t_us);
+    }
+    Ok(())
 }

@@ -95,6 +95,23 @@ impl Fit {
     }
 }
 
+/// Returns whether nothing of `events` is beyond `limits`; `last_us` is the time of the event before them.
+#[must_use]
+pub fn fits(limits: Limits, events: &[Event], last_us: Option<u64>) -> bool {
+    // Without a branch per event, several are compared at once.
+    let is_within = events.iter().fold(true, |all, event| {
+        all & (event.x <= limits.x_max)
+            & (event.y <= limits.y_max)
+            & (event.t_us <= limits.t_max_us)
+    });
+    let steps_back = || {
+        let first = events.first().zip(last_us);
+        first.is_some_and(|(first, last_us)| first.t_us < last_us)
+            || !events.is_sorted_by_key(|event| event.t_us)
+    };
+    is_within && (limits.steps_back || !steps_back())
+}
+
 /// Describes what of `event`, event number `index`, is beyond `limits`, if anything; `last_us` is the previous
 /// event's time.
 #[must_use]

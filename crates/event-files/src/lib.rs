@@ -173,6 +173,17 @@ fn check_inside(name: &str, index: u64, event: &Event, sensor: Sensor) -> Result
     Ok(())
 }
 
+/// Returns an error if one of `events`, the first of which has number `index`, lies outside the sensor.
+fn check_all_inside(name: &str, index: u64, events: &[Event], sensor: Sensor) -> Result<()> {
+    // Without a branch per event, several are compared at once.
+    let outside = |event: &Event| !sensor.contains(event.x, event.y);
+    if events.iter().fold(false, |any, event| any | outside(event)) {
+        let mut numbered = (index..).zip(events);
+        return numbered.try_for_each(|(index, event)| check_inside(name, index, event, sensor));
+    }
+    Ok(())
+}
+
 /// Converts an event's time for a format with signed times; fails above 2^63 - 1 us.
 fn signed_us(name: &str, index: u64, t_us: u64) -> Result<i64> {
     i64::try_from(t_us).map_err(|_| {

@@ -25,6 +25,19 @@ pub struct DatWriter {
     /// Counter of the times; `None` until the first event, whose time the header needs.
     time: Option<Wrapping>,
     events: u64,
+    /// Records that are being made.
+    records: Vec<[u8; RECORD_BYTES as usize]>,
+}
+
+/// Records that are made before they are written.
+const RECORDS: usize = 512;
+
+/// Returns the record of an event whose time has these 32 bits.
+fn record(event: &Event, low: u64) -> [u8; RECORD_BYTES as usize] {
+    let address = u64::from(event.polarity == Polarity::On) << 28
+        | u64::from(event.y) << 14
+        | u64::from(event.x);
+    (address << 32 | low).to_le_bytes()
 }
 
 impl DatWriter {
@@ -40,6 +53,7 @@ impl DatWriter {
             t0_us: 0,
             time: None,
             events: 0,
+            records: Vec::new(),
         })
     }
 
@@ -62,6 +76,50 @@ impl DatWriter {
         Ok(Wrapping::new(32, 0))
     }
 
+    /// Writes up to [`RECORDS`] events, if no time of theirs wraps; returns false if it wrote none.
+    fn run(&mut self, events: &[Event]) -> Result<bool> {
+        let (Some(time), Some(last)) = (self.time.as_mut(), events.last()) else {
+            return Ok(false);
+        };
+        let zero_us = self.t0_us + time.base();
+        let before = time.last().map_or(0, |last| time.low(last));
+        // If no time is half a period or more from another, none has wrapped.
+        let steps = events.iter().fold(0, |steps, event| {
+            steps | (event.t_us.wrapping_sub(zero_us) ^ before)
+        });
+        if steps >> 31 != 0 {
+            return Ok(false);
+        }
+        self.records.clear();
+        let made = events.iter();
+        self.records
+            .extend(made.map(|event| record(event, event.t_us.wrapping_sub(zero_us))));
+        time.extend(last.t_us - zero_us);
+        self.file.put(self.records.as_flattened())?;
+        self.events += events.len() as u64;
+        Ok(true)
+    }
+
+    /// Writes an event, and before the first one the header.
+    fn put(&mut self, event: &Event) -> Result<()> {
+        let mut time = match self.time.take() {
+            Some(time) => time,
+            None => self.header(event.t_us)?,
+        };
+        let since_t0 = event.t_us.checked_sub(self.t0_us);
+        let low = since_t0.map(|since| time.low(since)).filter(|low| {
+            // The time must be what a reader will decode.
+            since_t0 == Some(time.extend(*low))
+        });
+        let Some(low) = low else {
+            bail!(CannotHold, "{}", self.refused(event.t_us));
+        };
+        self.time = Some(time);
+        self.file.put(&record(event, low))?;
+        self.events += 1;
+        Ok(())
+    }
+
     fn refused(&self, t_us: u64) -> String {
         crate::time_refused(self.file.name(), self.events, t_us, "DAT")
     }
@@ -69,26 +127,13 @@ impl DatWriter {
 
 impl EventWriter for DatWriter {
     fn write(&mut self, events: &[Event]) -> Result<()> {
-        for event in events {
-            crate::check_inside(self.file.name(), self.events, event, self.sensor)?;
-            let mut time = match self.time.take() {
-                Some(time) => time,
-                None => self.header(event.t_us)?,
-            };
-            let since_t0 = event.t_us.checked_sub(self.t0_us);
-            let low = since_t0.map(|since| time.low(since)).filter(|low| {
-                // The time must be what a reader will decode.
-                since_t0 == Some(time.extend(*low))
-            });
-            let Some(low) = low else {
-                bail!(CannotHold, "{}", self.refused(event.t_us));
-            };
-            self.time = Some(time);
-            let address = u64::from(event.polarity == Polarity::On) << 28
-                | u64::from(event.y) << 14
-                | u64::from(event.x);
-            self.file.put(&(address << 32 | low).to_le_bytes())?;
-            self.events += 1;
+        crate::check_all_inside(self.file.name(), self.events, events, self.sensor)?;
+        for events in events.chunks(RECORDS) {
+            if !self.run(events)? {
+                for event in events {
+                    self.put(event)?;
+                }
+            }
         }
         Ok(())
     }
@@ -98,5 +143,80 @@ impl EventWriter for DatWriter {
             self.header(0)?;
         }
         self.file.finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const SENSOR: Sensor = Sensor {
+        width: 640,
+        height: 480,
+    };
+
+    /// Returns the bytes of a file, or the error of its first event that cannot be written.
+    fn written(
+        write: impl FnOnce(&mut DatWriter) -> Result<()>,
+    ) -> std::result::Result<Vec<u8>, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("events.dat");
+        let mut writer = Box::new(DatWriter::create(&path, SENSOR).unwrap());
+        write(&mut writer)
+            .map_err(|error| error.to_string().replace(path.to_str().unwrap(), ""))?;
+        writer.finish().unwrap();
+        Ok(std::fs::read(&path).unwrap())
+    }
+
+    proptest! {
+        /// Events written together are those written one by one, around wraps and over several chunks.
+        #[test]
+        fn runs_are_what_their_events_are(
+            start in prop_oneof![0..5_u64, (1..4_u64).prop_map(|half| (half << 31) - 300), Just(1 << 40)],
+            steps in proptest::collection::vec(
+                prop_oneof![200 => -2..4_i64, 1 => prop_oneof![-40_i64..40, Just(1 << 30), Just(1 << 31), Just(-(1 << 30))]],
+                0..1500,
+            ),
+            batch in 1..1500_usize,
+        ) {
+            let mut t_us = start;
+            let events: Vec<Event> = steps
+                .iter()
+                .enumerate()
+                .map(|(i, step)| {
+                    t_us = t_us.saturating_add_signed(*step);
+                    Event {
+                        t_us,
+                        x: (i % 640) as u16,
+                        y: (i % 479) as u16,
+                        polarity: Polarity::from_bool(i % 3 == 0),
+                    }
+                })
+                .collect();
+            let together = written(|writer| {
+                events.chunks(batch).try_for_each(|events| writer.write(events))
+            });
+            let one_by_one = written(|writer| events.iter().try_for_each(|event| writer.put(event)));
+            prop_assert_eq!(together, one_by_one);
+        }
+    }
+
+    #[test]
+    fn an_event_outside_is_named() {
+        let inside = Event {
+            t_us: 5,
+            x: 639,
+            y: 479,
+            polarity: Polarity::On,
+        };
+        let mut events = vec![inside; 700];
+        events.push(Event { x: 640, ..inside });
+        let error = written(|writer| writer.write(&events)).unwrap_err();
+        assert!(
+            error.contains("event 700 at x = 640, y = 479 is outside"),
+            "{error}"
+        );
     }
 }

@@ -72,7 +72,7 @@ pub const FORMAT: Format = Format {
     grows: true,
     streams: true,
     limits: Limits::NONE,
-    create: Some(|path, sensor| Ok(Box::new(TextWriter::create(path, sensor, ' ')?))),
+    create: Some(|path, sensor| Ok(Box::new(TextWriter::create(path, sensor, b' ')?))),
 };
 
 /// The format with commas and names, which is read like [`FORMAT`].
@@ -80,7 +80,7 @@ pub const CSV_FORMAT: Format = Format {
     name: "csv",
     title: "CSV",
     endings: &[".csv"],
-    create: Some(|path, sensor| Ok(Box::new(TextWriter::create(path, sensor, ',')?))),
+    create: Some(|path, sensor| Ok(Box::new(TextWriter::create(path, sensor, b',')?))),
     ..FORMAT
 };
 

@@ -18,16 +18,21 @@ pub struct TextWriter {
     file: BufWriter<File>,
     name: String,
     sensor: Sensor,
-    separator: char,
+    separator: u8,
     events: u64,
+    /// Lines that are being made.
+    lines: Vec<u8>,
 }
+
+/// Lines that are made before they are written.
+const LINES: usize = 512;
 
 impl TextWriter {
     /// Creates the file; `separator` is a comma or a space.
     ///
     /// # Errors
     /// The file cannot be created.
-    pub(crate) fn create(path: &Path, sensor: Sensor, separator: char) -> Result<Self> {
+    pub(crate) fn create(path: &Path, sensor: Sensor, separator: u8) -> Result<Self> {
         let (file, name) = create_file(path)?;
         Ok(Self {
             file,
@@ -35,6 +40,7 @@ impl TextWriter {
             sensor,
             separator,
             events: 0,
+            lines: Vec::new(),
         })
     }
 }
@@ -44,9 +50,9 @@ impl TextWriter {
     fn begin(&mut self, first: Option<&Event>) -> Result<()> {
         let Sensor { width, height } = self.sensor;
         let names = match (first, self.separator) {
-            (None, ',') => format!("t,x@{width},y@{height},p\n"),
+            (None, b',') => format!("t,x@{width},y@{height},p\n"),
             (None, _) => format!("# t x@{width} y@{height} p\n"),
-            (Some(_), ',') => "t,x,y,p\n".to_owned(),
+            (Some(_), b',') => "t,x,y,p\n".to_owned(),
             // A time below the largest side could be an x or y, an x below 2 a polarity.
             (Some(first), _) if first.t_us < u64::from(Sensor::SIDE_MAX) || first.x < 2 => {
                 "# t x y p\n".to_owned()
@@ -65,19 +71,28 @@ impl EventWriter for TextWriter {
         if self.events == 0 && !events.is_empty() {
             self.begin(events.first())?;
         }
-        for event in events {
-            crate::check_inside(&self.name, self.events, event, self.sensor)?;
-            let Event {
-                t_us,
-                x,
-                y,
-                polarity,
-            } = event;
-            let (name, index) = (&self.name, self.events);
-            crate::signed_us(name, index, *t_us)?;
-            writeln!(self.file, "{t_us}{s}{x}{s}{y}{s}{}", *polarity as u8)
+        let name = &self.name;
+        crate::check_all_inside(name, self.events, events, self.sensor)?;
+        let mut numbers = itoa::Buffer::new();
+        for events in events.chunks(LINES) {
+            self.lines.clear();
+            for (index, event) in (self.events..).zip(events) {
+                let t_us = crate::signed_us(name, index, event.t_us)?;
+                self.lines
+                    .extend_from_slice(numbers.format(t_us).as_bytes());
+                self.lines.push(s);
+                self.lines
+                    .extend_from_slice(numbers.format(event.x).as_bytes());
+                self.lines.push(s);
+                self.lines
+                    .extend_from_slice(numbers.format(event.y).as_bytes());
+                let end = [s, b'0' + event.polarity as u8, b'\n'];
+                self.lines.extend_from_slice(&end);
+            }
+            self.file
+                .write_all(&self.lines)
                 .with_context(|| format!("{name}: cannot be written"))?;
-            self.events += 1;
+            self.events += events.len() as u64;
         }
         Ok(())
     }
