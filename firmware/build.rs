@@ -58,6 +58,8 @@ struct Golden {
     fidelity: u32,
     #[serde(default)]
     scans: Option<(u32, i32)>,
+    #[serde(default)]
+    few_as_times: bool,
     events: Vec<(u64, u16, u16, u8)>,
     frames: Vec<String>,
 }
@@ -80,6 +82,7 @@ fn golden() -> Result<String, Box<dyn Error>> {
             mode,
             fidelity,
             scans,
+            few_as_times,
             events,
             frames,
         } = golden;
@@ -95,7 +98,7 @@ fn golden() -> Result<String, Box<dyn Error>> {
             text,
             "Golden {{ width: {width}, height: {height}, transform: {transform:?}, m: {m}, \
              mode: {mode}, fidelity: {fidelity}, scans: {scans:?}, \
-             events: &{events:?}, frames: &["
+             few_as_times: {few_as_times}, events: &{events:?}, frames: &["
         )?;
         for frame in frames {
             writeln!(text, "&{frame:?},")?;

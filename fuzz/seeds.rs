@@ -244,19 +244,25 @@ fn sealed(folder: &Path) -> anyhow::Result<()> {
             continue;
         }
         seen.push(key);
-        for pixels in [1, 8, 40] {
+        let ways = [(1, false), (8, false), (40, false), (40, true)];
+        let is_transform = kind.is_transform();
+        for (pixels, few_as_times) in ways.into_iter().filter(|(_, few)| is_transform || !few) {
             // A payload but the last has whole words: some number of events makes one.
             let input = (100..250).find_map(|count| {
-                let config = config(
-                    targets::sealed::SENSOR,
-                    targets::sealed::WINDOW_US,
-                    kind,
-                    Some(transform),
-                );
+                let config = Config {
+                    few_as_times,
+                    ..config(
+                        targets::sealed::SENSOR,
+                        targets::sealed::WINDOW_US,
+                        kind,
+                        Some(transform),
+                    )
+                };
                 let frames = encode(config, bursts(count, pixels)).ok()?;
                 to_sealed(mode, &frames)
             });
-            let name = format!("{mode:02x}-{fidelity}-{pixels}");
+            let few = if few_as_times { "-few" } else { "" };
+            let name = format!("{mode:02x}-{fidelity}-{pixels}{few}");
             match input {
                 Some(input) => std::fs::write(folder.join(name), input)?,
                 None => println!("no seed sealed/{name}: an input cannot say such frames"),
@@ -301,6 +307,7 @@ fn to_sealed(mode: u8, frames: &[Vec<u8>]) -> Option<Vec<u8>> {
         let fidelity = (0..=255_u8).find(|fidelity| {
             to_mode(mode, *fidelity) == header.mode
                 && levels.is_none_or(|levels| fidelity & 63 == levels)
+                && (header.timed_max == 0 || targets::sealed::few(*fidelity) == header.timed_max)
         })?;
         let bits = [
             header.begins_run,
@@ -310,6 +317,7 @@ fn to_sealed(mode: u8, frames: &[Vec<u8>]) -> Option<Vec<u8>> {
             false,
             false,
             header.part > 0,
+            header.timed_max > 0,
         ];
         let flags = bits
             .iter()

@@ -80,13 +80,15 @@ pub fn config(sensor: Sensor) -> impl Strategy<Value = Config> {
         proptest::option::weighted(0.3, 1..=128_u16),
         -15..=8_i8,
         (0..2_000_000_000_000_u64, 0..50_000_000_000_000_u64),
+        proptest::bool::weighted(0.3),
     )
         .prop_map(
-            move |(window_us, transform, m, grid, step_log2, (low, more))| Config {
+            move |(window_us, transform, m, grid, step_log2, (low, more), few_as_times)| Config {
                 transform,
                 m,
                 grid,
                 quantiser: Quantiser::new(step_log2).expect("-15 to 8"),
+                few_as_times,
                 ..Config::new(
                     WindowConfig::new(sensor, window_us),
                     Thresholds::new(low, low + more).expect("low is not above high"),
@@ -102,6 +104,7 @@ pub fn hybrid() -> impl Strategy<Value = Hybrid> {
         2 => Just(Fidelity::Lossless),
         1 => (0_u32..3000).prop_map(Fidelity::ToleranceUs),
         1 => (1_u16..300).prop_map(Fidelity::Bins),
+        1 => (1_u32..3000).prop_map(Fidelity::SpreadUs),
     ];
     let effort = prop_oneof![
         4 => Just(Effort::One),

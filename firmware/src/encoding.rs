@@ -37,6 +37,8 @@ const IDLE: Config = Config {
     m: 1,
     grid: None,
     quantiser: Quantiser::DEFAULT,
+    few_as_times: false,
+    max_emd_us: None,
     mode: Mode::Hybrid(Hybrid {
         coder: Coder::Fast,
         fidelity: Fidelity::Lossless,

@@ -28,12 +28,17 @@ pub fn to_mode(mode: u8, fidelity: u8) -> Mode {
         3 => return Mode::Coefficients(Coder::Fast),
         _ => return Mode::Coefficients(Coder::Dense),
     };
-    let fidelity = match fidelity % 3 {
+    let fidelity = match fidelity % 4 {
         0 => Fidelity::Lossless,
         1 => Fidelity::ToleranceUs(u32::from(fidelity)),
+        2 => Fidelity::SpreadUs(u32::from(fidelity) << 4),
         _ => Fidelity::Bins(1 + u16::from(fidelity)),
     };
     Mode::Hybrid(Hybrid { coder, fidelity })
+}
+
+fn is_spread(mode: Mode) -> bool {
+    matches!(mode, Mode::Hybrid(hybrid) if matches!(hybrid.fidelity, Fidelity::SpreadUs(_)))
 }
 
 /// Runs one input.
@@ -70,6 +75,9 @@ pub fn run(data: &[u8]) {
         m: 1 + *m % 64,
         grid: (*grid > 0).then_some(u16::from(*grid)),
         quantiser: Quantiser::new((*step % 24) as i8 - 15).expect("-15 to 8"),
+        few_as_times: *control & 1 == 1,
+        max_emd_us: NonZeroU32::new(u32::from(*fidelity >> 2) << (*step % 8))
+            .filter(|_| mode.is_lossless() && !mode.keeps_arrival()),
         mode,
         key_windows,
         readout: Readout::new(Axis::Columns, 20 << 16, i32::from(*control) << 10),
@@ -84,7 +92,7 @@ pub fn run(data: &[u8]) {
         },
         bytes_per_second: NonZeroU32::new(budget)
             .filter(|_| *control & 2 == 2 && !mode.is_transform() && !mode.takes_arrival()),
-        keep_order: *key & 2 == 2 && !mode.is_transform() && !mode.has_keys(),
+        keep_order: *key & 2 == 2 && !mode.is_transform() && !mode.has_keys() && !is_spread(mode),
     };
     let mut storage = HostStorage::new(sensor, 1 + usize::from(*capacity));
     let mut encoder = storage.encoder(config).expect("a valid configuration");

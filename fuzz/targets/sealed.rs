@@ -16,6 +16,11 @@ pub const SENSOR: Sensor = Sensor {
 /// Duration of their windows.
 pub const WINDOW_US: u32 = 1 << 13;
 
+/// Returns the largest number of events of pixels that are sent as times, as a byte tells it.
+pub const fn few(byte: u8) -> u8 {
+    2 + byte % 62
+}
+
 /// Runs one input.
 pub fn run(data: &[u8]) {
     let (mut rest, mut stream, mut sequence) = (data, Vec::new(), 0);
@@ -36,13 +41,15 @@ pub fn run(data: &[u8]) {
         (payload, rest) = after.split_at(bytes.min(after.len()));
         let has = |bit: u8| flags >> bit & 1 == 1;
         let window_events = u32::from(*window_events);
+        let kind = to_mode(*mode, *fidelity);
+        let has_few = has(7) && kind.is_transform();
         let readout = Readout::new(Axis::Columns, 20 << 16, 1 << 10);
         let header = Header {
             truncated: false,
             begins_run: has(0),
             last: has(1),
             regime: Regime::Moderate,
-            mode: to_mode(*mode, *fidelity),
+            mode: kind,
             is_key: has(2),
             has_previous: has(3),
             // All eight bits are in use: the fidelity's byte has levels too.
@@ -74,6 +81,7 @@ pub fn run(data: &[u8]) {
             m: 8,
             grid: 8,
             quantiser: Quantiser::DEFAULT,
+            timed_max: u8::from(has_few) * few(*fidelity),
         };
         let mut out = vec![0; HEADER_BYTES_MAX + payload.len() + CRC_BYTES];
         out[HEADER_BYTES_MAX..][..payload.len()].copy_from_slice(payload);

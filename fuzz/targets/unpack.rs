@@ -3,6 +3,7 @@
 
 use eecvs_nostd::pack::bits_lsb_first::{BitReader, BitWriter};
 use eecvs_nostd::transform::shape::PIXEL_BYTES_MAX;
+use eecvs_nostd::transform::shape::Timed;
 use eecvs_nostd::{Packing, Quantiser, Sensor, Transform};
 
 /// Runs one input.
@@ -20,9 +21,10 @@ pub fn run(data: &[u8]) {
     else {
         return;
     };
+    let timed_max = *transform / 3;
     let transform = Transform::ALL[usize::from(*transform) % 3];
     let m = 1 + *m % 64;
-    let packing = Packing {
+    let mut packing = Packing {
         sensor: Sensor {
             width: 1 + u16::from(*width) * 8,
             height: 1 + u16::from(*height) * 8,
@@ -34,7 +36,12 @@ pub fn run(data: &[u8]) {
             .grid_size(m, Some(1 + u16::from(*grid) * 4))
             .min(1024),
         quantiser: Quantiser::new((*step % 24) as i8 - 15).expect("-15 to 8"),
+        timed: Timed::NONE,
     };
+    let duration_us = 1 << (1 + *events % 31);
+    if packing.takes_timed(timed_max, duration_us) {
+        packing.timed = Timed::new(timed_max, duration_us);
+    }
     let mut reader = BitReader::new(payload);
     let mut next = 0;
     let mut events_left = packing.window_events;

@@ -7,6 +7,7 @@ pub mod rate;
 pub mod recordings;
 pub mod report;
 pub mod round_trip;
+pub mod selection;
 pub mod split;
 pub mod study;
 pub mod view;

@@ -173,8 +173,10 @@ proptest! {
         m in prop_oneof![Just(8_u8), Just(16), Just(24), Just(64), 1..=64_u8],
         step_log2 in -15..=2_i8,
         impulses in prop_oneof![9 => impulses(1..20), 1 => impulses(200..700)],
+        few_as_times: bool,
     ) {
         let config = Config {
+            few_as_times,
             quantiser: Quantiser::new(step_log2).expect("-15 to 8"),
             ..plain_config(Sensor { width: 2, height: 1 }, transform, m)
         };

@@ -1,7 +1,8 @@
 //! Files of frames: their end marks show what is missing, and their index finds any time.
 
+use std::collections::HashSet;
 use std::io::{Cursor, Read, Seek, SeekFrom};
-use std::num::NonZeroUsize;
+use std::num::{NonZeroU32, NonZeroUsize};
 use std::ops::Range;
 
 use eecvs::decode::WindowReader;
@@ -11,8 +12,8 @@ use eecvs::frame_file::mark::{self, BEGIN, End, Mark, MarkError, Segment, Stretc
 use eecvs::frame_file::{FrameFileWriter, FrameReader, FrameSink, LinkReport};
 use eecvs::reconstruct::events::{EventDecoder, Finder};
 use eecvs_nostd::{
-    Coder, Config, Event, Fidelity, Header, Hybrid, Mode, Scan, Sensor, Thresholds, WindowConfig,
-    scan,
+    Coder, Config, Density, Event, Fidelity, Header, Hybrid, Mode, Scan, Sensor, Thresholds,
+    WindowConfig, scan,
 };
 use event_emulator::{Preset, SceneConfig, emulate};
 use event_files::{EventReader, Skipped};
@@ -61,18 +62,25 @@ fn events(duration_us: u64) -> Vec<Event> {
 }
 
 fn encoded(events: Vec<Event>, coder: Coder, key_windows: u16, out: &mut dyn FrameSink) {
+    encoded_as(events, config(coder, key_windows), out);
+}
+
+fn config(coder: Coder, key_windows: u16) -> Config {
     let mode = Mode::Hybrid(Hybrid {
         coder,
         fidelity: Fidelity::Lossless,
     });
-    let config = Config {
+    Config {
         key_windows,
         ..Config::new(
             WindowConfig::new(SENSOR, 4096),
             Thresholds::new(0, 0).expect("equal thresholds"),
             mode,
         )
-    };
+    }
+}
+
+fn encoded_as(events: Vec<Event>, config: Config, out: &mut dyn FrameSink) {
     let mut reader = Memory(SENSOR, events, Skipped::default());
     let threads = NonZeroUsize::MIN;
     encode(
@@ -193,6 +201,38 @@ fn short_frames_save_most_of_a_header() {
     }
 }
 
+/// Frames whose fidelity changes from window to window are short all the same.
+#[test]
+fn short_frames_say_another_fidelity() {
+    let all = events(2_000_000);
+    let sparse: Vec<Event> = all.into_iter().filter(|event| event.x % 16 == 0).collect();
+    for coder in [Coder::Fast, Coder::Dense] {
+        let config = Config {
+            max_emd_us: NonZeroU32::new(300),
+            ..config(coder, 8)
+        };
+        let (mut file, mut stream) = (FrameFileWriter::new(Vec::new()), Vec::new());
+        encoded_as(sparse.clone(), config, &mut file);
+        encoded_as(sparse.clone(), config, &mut stream);
+        let file = file.finish().expect("memory");
+        let (frames, report) = read(&file);
+        assert_eq!(frames, stream);
+        let mut changes = HashSet::new();
+        let mut reader = FrameReader::new(&file[..]);
+        while let Some(located) = reader.next_frame().expect("memory") {
+            changes.insert(located.frame.header.mode);
+        }
+        assert!(changes.len() > 1, "{changes:?}");
+        let (at, _) = end_mark_of(&file);
+        let saved = (stream.len() - (at - BEGIN.len())) as u64;
+        assert!(
+            saved > 12 * report.frames,
+            "{saved} of {} frames",
+            report.frames
+        );
+    }
+}
+
 /// A reader goes on at the next whole frame.
 #[test]
 fn damage_costs_some_kilobytes_at_most() {
@@ -210,6 +250,80 @@ fn damage_costs_some_kilobytes_at_most() {
             "{place}: {}",
             all - frames.len()
         );
+    }
+}
+
+/// Windows of three densities in turn, in runs of a few windows to some hundred.
+fn of_all_regimes() -> (Vec<Event>, Thresholds) {
+    let kept = |window: u64| match (window / 7 % 3, window / 150 % 3) {
+        (0, _) | (_, 0) => 6,
+        (1, _) | (_, 1) => 3,
+        _ => 1,
+    };
+    let all = events(3_000_000).into_iter();
+    let events = all.filter(|event| u64::from(event.x) * 31 % kept(event.t_us / 4096) == 0);
+    let events: Vec<Event> = events.collect();
+    let windows = 3_000_000 / 4096;
+    // Of the windows' numbers of events, a third and two thirds.
+    let mut counts = vec![0_u32; windows + 1];
+    for event in &events {
+        counts[(event.t_us / 4096) as usize] += 1;
+    }
+    counts.sort_unstable();
+    let tau = |at: usize| {
+        let density = Density {
+            events: counts[at],
+            pixels: SENSOR.pixels(),
+            duration_us: 4096,
+        };
+        (density.per_pixel_s() * 1e12) as u64
+    };
+    let thresholds = Thresholds::new(tau(windows / 3), tau(windows * 2 / 3)).expect("ordered");
+    (events, thresholds)
+}
+
+/// Short frames follow from the latest one of their regime, which a reader that begins at a stretch, or goes on after
+/// damage, may not have read.
+#[test]
+fn frames_of_every_regime_are_found_from_any_stretch() {
+    let (events, thresholds) = of_all_regimes();
+    for coder in [Coder::Fast, Coder::Keys, Coder::Quick, Coder::Dense] {
+        let mut out = FrameFileWriter::new(Vec::new());
+        let config = Config {
+            thresholds,
+            ..config(coder, 8)
+        };
+        encoded_as(events.clone(), config, &mut out);
+        let file = out.finish().expect("memory");
+        let (_, end) = end_mark_of(&file);
+        assert!(
+            end.stretches.len() > 5,
+            "{coder:?}: {}",
+            end.stretches.len()
+        );
+        let mut regimes = HashSet::new();
+        let mut reader = FrameReader::new(&file[..]);
+        while let Some(located) = reader.next_frame().expect("memory") {
+            regimes.insert(located.frame.header.regime);
+        }
+        assert_eq!(regimes.len(), 3);
+        for stretch in &end.stretches {
+            // The whole stretch, and its last millisecond.
+            for from in [stretch.start_us, stretch.end_us - 1000] {
+                let times = from..stretch.end_us;
+                let wanted = events.iter().filter(|event| times.contains(&event.t_us));
+                let found = between(&file, times.clone()).0;
+                assert_eq!(found.len(), wanted.count(), "{coder:?} {times:?}");
+            }
+        }
+        let (at, _) = end_mark_of(&file);
+        let all = read(&file).0.len();
+        for place in (BEGIN.len()..at).step_by(7_919) {
+            let mut damaged = file.clone();
+            damaged[place] ^= 0x10;
+            let lost = all - read(&damaged).0.len();
+            assert!(lost < 24_000, "{coder:?}, {place}: {lost}");
+        }
     }
 }
 

@@ -44,6 +44,7 @@ fn header() -> Header {
         m: 8,
         grid: 16,
         quantiser: Quantiser::DEFAULT,
+        timed_max: 0,
     }
 }
 

@@ -75,14 +75,17 @@ fn is_subsequence(of: &[Told], part: &[Told]) -> bool {
     part.iter().all(|told| rest.any(|other| other == told))
 }
 
-/// Any coder that tells the order of events, and any fidelity.
+/// Any coder that tells the order of events, and any fidelity that has one.
 fn ordered() -> impl Strategy<Value = Hybrid> {
-    hybrid().prop_map(|hybrid| match hybrid.coder {
-        Coder::Keys => Hybrid {
-            coder: Coder::Fast,
-            ..hybrid
+    hybrid().prop_map(|hybrid| Hybrid {
+        coder: match hybrid.coder {
+            Coder::Keys => Coder::Fast,
+            coder => coder,
         },
-        _ => hybrid,
+        fidelity: match hybrid.fidelity {
+            Fidelity::SpreadUs(width_us) => Fidelity::ToleranceUs(width_us),
+            fidelity => fidelity,
+        },
     })
 }
 

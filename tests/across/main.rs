@@ -3,6 +3,7 @@
 mod coefficients;
 mod documents;
 mod exact_times;
+mod few_as_times;
 mod firmware_image;
 mod fixed_vs_float;
 mod frame_files;
@@ -14,6 +15,7 @@ mod keep_order;
 mod kernels;
 mod keys;
 mod link_faults;
+mod max_emd;
 mod memory_budget;
 mod quick;
 mod rate_control;

@@ -175,7 +175,7 @@ fn recordings_come_back_at_the_documented_rates() {
                 Fidelity::ToleranceUs(tolerance_us) => {
                     check_tolerance(&events, &decoded, u64::from(tolerance_us));
                 }
-                Fidelity::Bins(_) => {}
+                Fidelity::Bins(_) | Fidelity::SpreadUs(_) => {}
             }
         }
     }

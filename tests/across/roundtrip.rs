@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 
 use eecvs_nostd::pack::bits_lsb_first::{BitReader, BitWriter};
+use eecvs_nostd::pack::timed::TimedEvent;
+use eecvs_nostd::transform::shape::Timed;
 use eecvs_nostd::{
     Coded, Descriptor, Event, FRAME_BYTES_MAX, Level, OUTPUT_BYTES_MIN, Packing, Polarity,
     Quantiser, Sensor, Transform,
@@ -18,20 +20,30 @@ fn packing() -> impl Strategy<Value = Packing> {
         1..=64_u8,
         1..=200_u16,
         -15..=8_i8,
+        (0..=63_u8, 1..=1_u32 << 25),
     )
         .prop_map(
-            |(sensor, window_events, transform, m, grid, step_log2)| Packing {
-                sensor,
-                window_events,
-                transform,
-                m,
-                grid: transform.grid_size(m, Some(grid)),
-                quantiser: Quantiser::new(step_log2).expect("-15 to 8"),
+            |(sensor, window_events, transform, m, grid, step_log2, (timed_max, duration_us))| {
+                let packing = Packing {
+                    sensor,
+                    window_events,
+                    transform,
+                    m,
+                    grid: transform.grid_size(m, Some(grid)),
+                    quantiser: Quantiser::new(step_log2).expect("-15 to 8"),
+                    timed: Timed::NONE,
+                };
+                let takes = packing.takes_timed(timed_max, duration_us);
+                let timed = Timed::new(timed_max, duration_us);
+                Packing {
+                    timed: if takes { timed } else { Timed::NONE },
+                    ..packing
+                }
             },
         )
 }
 
-/// A descriptor that an encoder may write: a cell, or the right number of coefficients, indices
+/// A descriptor that an encoder may write: a cell, the cells of few events, or the right number of coefficients, indices
 /// ascending, levels that n events can have, c_0 the one that the counts imply.
 fn descriptor(packing: Packing) -> impl Strategy<Value = Descriptor> {
     let kept = packing.kept();
@@ -69,6 +81,19 @@ fn descriptor(packing: Packing) -> impl Strategy<Value = Descriptor> {
             if events == 1 {
                 let cells = 1 << packing.cells_log2();
                 return descriptor(Coded::Cell(values[0].0 as u32 % cells));
+            }
+            if packing.timed.has(events) {
+                let cells = packing.timed_cells(events).count();
+                let signs = (0..events).map(|i| i < on);
+                let mut sent: Vec<_> = signs
+                    .zip(values)
+                    .map(|(is_on, (cell, _))| TimedEvent {
+                        cell: cell as u32 % cells,
+                        is_on,
+                    })
+                    .collect();
+                sent.sort();
+                return descriptor(Coded::Times(sent.into_iter().collect()));
             }
             if packing.transform == Transform::Dct {
                 ks = (0..kept as u16).collect();

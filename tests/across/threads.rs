@@ -2,12 +2,14 @@
 
 use std::collections::VecDeque;
 use std::io::{self, Write};
-use std::num::NonZeroUsize;
+use std::num::{NonZeroU32, NonZeroUsize};
 
 use anyhow::Result;
 use eecvs::encode::{EncodeSummary, Limits, encode};
 use eecvs::frame_file::FrameSink;
-use eecvs_nostd::{Coder, Config, Event, Mode, OUTPUT_BYTES_MIN, Sensor, Thresholds, Transform};
+use eecvs_nostd::{
+    Coder, Config, Event, Fidelity, Hybrid, Mode, OUTPUT_BYTES_MIN, Sensor, Thresholds, Transform,
+};
 use event_emulator::{Preset, SceneConfig, emulate};
 use event_files::{ErrorKind, EventReader, Skipped};
 use proptest::prelude::*;
@@ -149,9 +151,13 @@ proptest! {
         frame_bytes in prop_oneof![Just(OUTPUT_BYTES_MIN), OUTPUT_BYTES_MIN..20_000],
         batches in proptest::collection::vec(1..400_usize, 1..5),
         damaged in proptest::bool::weighted(0.2), keep_order: bool,
+        max_emd_us in proptest::option::of(1_u32..3000),
     ) {
-        let keep_order = keep_order && !mode.is_transform() && !mode.has_keys();
-        let config = Config { mode, key_windows, keep_order, ..config };
+        let is_spread = matches!(mode, Mode::Hybrid(Hybrid { fidelity: Fidelity::SpreadUs(_), .. }));
+        let keep_order = keep_order && !mode.is_transform() && !mode.has_keys() && !is_spread;
+        let max_emd_us = max_emd_us.and_then(NonZeroU32::new);
+        let max_emd_us = max_emd_us.filter(|_| mode.is_lossless() && !mode.keeps_arrival());
+        let config = Config { mode, key_windows, keep_order, max_emd_us, ..config };
         let sensor = config.window.sensor;
         let reorder_us = Some(0);
         let limits = Limits { window_events, frame_bytes, reorder_us, ..Limits::default() };

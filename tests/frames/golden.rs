@@ -4,12 +4,14 @@
 //! raise the wire version where bytes changed.
 
 use std::fmt::Write as _;
+use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 
 use eecvs_nostd::event_link::Setup;
+use eecvs_nostd::pack::timed::TimedEvent;
 use eecvs_nostd::{
-    Axis, Coded, Coder, Effort, Event, Fidelity, Hybrid, Level, Mode, OUTPUT_BYTES_MIN, Polarity,
-    Readout, Sensor, Transform,
+    Axis, Coded, Coder, Config, Effort, Event, Fidelity, Hybrid, Level, Mode, OUTPUT_BYTES_MIN,
+    Polarity, Readout, Sensor, Transform,
 };
 use serde::{Deserialize, Serialize};
 use strategies::{encode, parse, plain_config};
@@ -24,6 +26,8 @@ enum GoldenCoded {
     Cell(u32),
     /// [(k, re, im)], levels as on the link.
     Levels(Vec<(u16, i32, i32)>),
+    /// [(cell, p)] of few events that are sent as times.
+    Times(Vec<(u32, u8)>),
 }
 
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
@@ -40,11 +44,19 @@ struct Golden {
     /// Period and slope of the columns' scans, in 2^-16 us.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     scans: Option<(u32, i32)>,
+    /// Whether pixels of few events are sent as times.
+    #[serde(default, skip_serializing_if = "is_false")]
+    few_as_times: bool,
     /// (t_us, x, y, p)
     events: Vec<(u64, u16, u16, u8)>,
     pixels: Vec<GoldenPixel>,
     /// Frames in hexadecimal.
     frames: Vec<String>,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it")]
+const fn is_false(value: &bool) -> bool {
+    !*value
 }
 
 /// Two windows: single events, a pair, a burst of mixed polarity, a crowded pixel beyond one
@@ -73,22 +85,47 @@ fn events() -> Vec<Event> {
     events
 }
 
-#[test]
-fn hybrid_frames_are_those_of_the_golden_vectors() {
-    let sensor = Sensor {
-        width: 40,
-        height: 3,
-    };
-    // Twice, in a window each: the second frames of the dense and the tree coder go on from the first.
+/// The same twice, in windows of their own: the second frames of the dense and the tree coder go on from the first.
+fn events_twice() -> Vec<Event> {
     let mut events = events();
     let later = events.clone().into_iter().map(|event| Event {
         t_us: event.t_us + 65_536,
         ..event
     });
     events.extend(later);
+    events
+}
+
+/// Describes frames of events.
+fn hybrid_golden(config: &Config, events: &[Event], frames: &[Vec<u8>]) -> Golden {
+    let setup = Setup::new(config, 0);
+    let scans = |readout: Readout| (readout.period_q16(), readout.slope_q16());
+    Golden {
+        width: setup.width,
+        height: setup.height,
+        transform: "dct".into(),
+        m: setup.m,
+        mode: setup.mode,
+        fidelity: setup.fidelity,
+        scans: config.readout.map(scans),
+        few_as_times: false,
+        events: listed(events),
+        pixels: vec![],
+        frames: frames.iter().map(|bytes| hex(bytes)).collect(),
+    }
+}
+
+#[test]
+fn hybrid_frames_are_those_of_the_golden_vectors() {
+    let sensor = Sensor {
+        width: 40,
+        height: 3,
+    };
+    let events = events_twice();
     let lossless = Fidelity::Lossless;
     // The tree coder's windows are whole, or they are the dense coder's.
     let whole = 1 << 14;
+    let spread = Fidelity::SpreadUs(1500);
     for (name, coder, fidelity, frame_bytes) in [
         ("v2_hybrid_fast", Coder::Fast, lossless, OUTPUT_BYTES_MIN),
         ("v2_hybrid_dense", Coder::Dense, lossless, OUTPUT_BYTES_MIN),
@@ -104,6 +141,20 @@ fn hybrid_frames_are_those_of_the_golden_vectors() {
             Fidelity::Bins(8),
             OUTPUT_BYTES_MIN,
         ),
+        (
+            "v2_hybrid_fast_spread",
+            Coder::Fast,
+            spread,
+            OUTPUT_BYTES_MIN,
+        ),
+        (
+            "v2_hybrid_dense_spread",
+            Coder::Dense,
+            spread,
+            OUTPUT_BYTES_MIN,
+        ),
+        ("v4_keys_spread", Coder::Keys, spread, whole),
+        ("v4_tree_1_spread", Coder::Tree(Effort::One), spread, whole),
         ("v4_keys", Coder::Keys, lossless, OUTPUT_BYTES_MIN),
         (
             "v4_keys_tolerance",
@@ -124,26 +175,47 @@ fn hybrid_frames_are_those_of_the_golden_vectors() {
     ] {
         let mut config = plain_config(sensor, Transform::Dct, 16);
         config.mode = Mode::Hybrid(Hybrid { coder, fidelity });
-        let setup = Setup::new(&config, 0);
         let frames = encode(config, &events, 1000, frame_bytes);
         for frame in &frames {
             assert_eq!(parse(frame).header.mode, config.mode, "{name}");
         }
-        let golden = Golden {
-            width: sensor.width,
-            height: sensor.height,
-            transform: "dct".into(),
-            m: 16,
-            mode: setup.mode,
-            fidelity: setup.fidelity,
-            scans: None,
-            events: listed(&events),
-            pixels: vec![],
-            frames: frames.iter().map(|bytes| hex(bytes)).collect(),
-        };
+        let golden = hybrid_golden(&config, &events, &frames);
         let frozen = frozen(&format!("{name}.json"), &golden);
         assert_eq!(golden.events, frozen.events, "{name}: events");
         assert_eq!(golden.frames, frozen.frames, "{name}: bytes");
+    }
+}
+
+/// Windows whose times are as coarse as a mean error allows: the second one's is found from what the first one left.
+#[test]
+fn frames_of_a_mean_error_are_those_of_the_golden_vectors() {
+    let sensor = Sensor {
+        width: 40,
+        height: 3,
+    };
+    let events = events_twice();
+    let whole = 1 << 14;
+    for (name, coder, max_emd_us, frame_bytes) in [
+        ("v2_hybrid_fast_emd", Coder::Fast, 20, OUTPUT_BYTES_MIN),
+        ("v2_hybrid_fast_emd_ms", Coder::Fast, 2000, OUTPUT_BYTES_MIN),
+        (
+            "v2_hybrid_dense_emd_ms",
+            Coder::Dense,
+            2000,
+            OUTPUT_BYTES_MIN,
+        ),
+        ("v4_keys_emd_ms", Coder::Keys, 2000, whole),
+    ] {
+        let mut config = plain_config(sensor, Transform::Dct, 16);
+        config.mode = Mode::Hybrid(Hybrid {
+            coder,
+            fidelity: Fidelity::Lossless,
+        });
+        config.max_emd_us = NonZeroU32::new(max_emd_us);
+        let frames = encode(config, &events, 1000, frame_bytes);
+        let golden = hybrid_golden(&config, &events, &frames);
+        let frozen = frozen(&format!("{name}.json"), &golden);
+        assert_eq!(golden, frozen, "{name}");
     }
 }
 
@@ -184,7 +256,6 @@ fn frames_with_scans_are_those_of_the_golden_vectors() {
         let mut config = plain_config(sensor, Transform::Dct, 16);
         config.mode = Mode::Hybrid(Hybrid { coder, fidelity });
         config.readout = Some(readout);
-        let setup = Setup::new(&config, 0);
         let frames = encode(config, &events, 1000, frame_bytes);
         for frame in &frames {
             let header = parse(frame).header;
@@ -193,18 +264,7 @@ fn frames_with_scans_are_those_of_the_golden_vectors() {
                 "{name}"
             );
         }
-        let golden = Golden {
-            width: sensor.width,
-            height: sensor.height,
-            transform: "dct".into(),
-            m: 16,
-            mode: setup.mode,
-            fidelity: setup.fidelity,
-            scans: Some((readout.period_q16(), readout.slope_q16())),
-            events: listed(&events),
-            pixels: vec![],
-            frames: frames.iter().map(|bytes| hex(bytes)).collect(),
-        };
+        let golden = hybrid_golden(&config, &events, &frames);
         let frozen = frozen(&format!("{name}.json"), &golden);
         assert_eq!(golden, frozen, "{name}");
     }
@@ -236,14 +296,16 @@ fn frames_are_those_of_the_golden_vectors() {
         height: 3,
     };
     let events = events();
-    for transform in Transform::ALL {
+    for (transform, few_as_times) in Transform::ALL
+        .into_iter()
+        .flat_map(|transform| [(transform, false), (transform, true)])
+    {
         for m in [8, 16] {
-            let frames = encode(
-                plain_config(sensor, transform, m),
-                &events,
-                1000,
-                OUTPUT_BYTES_MIN,
-            );
+            let config = Config {
+                few_as_times,
+                ..plain_config(sensor, transform, m)
+            };
+            let frames = encode(config, &events, 1000, OUTPUT_BYTES_MIN);
             let golden = Golden {
                 width: sensor.width,
                 height: sensor.height,
@@ -252,11 +314,15 @@ fn frames_are_those_of_the_golden_vectors() {
                 mode: 0,
                 fidelity: 0,
                 scans: None,
+                few_as_times,
                 events: listed(&events),
                 pixels: frames.iter().flat_map(|bytes| pixels(bytes)).collect(),
                 frames: frames.iter().map(|bytes| hex(bytes)).collect(),
             };
-            let name = format!("v2_{}_{m}.json", transform.name());
+            let name = match few_as_times {
+                false => format!("v2_{}_{m}.json", transform.name()),
+                true => format!("v3_{}_{m}_few.json", transform.name()),
+            };
             let frozen = frozen(&name, &golden);
             assert_eq!(golden.events, frozen.events, "{transform:?} {m}: events");
             assert_eq!(golden.pixels, frozen.pixels, "{transform:?} {m}: levels");
@@ -272,6 +338,10 @@ fn pixels(bytes: &[u8]) -> Vec<GoldenPixel> {
             let d = descriptor.expect("the encoder's own payload");
             let coded = match d.coded {
                 Coded::Cell(cell) => GoldenCoded::Cell(cell),
+                Coded::Times(events) => {
+                    let time = |event: &TimedEvent| (event.cell, u8::from(event.is_on));
+                    GoldenCoded::Times(events.iter().map(time).collect())
+                }
                 Coded::Levels(levels) => {
                     let level = |level: &Level| (level.k, level.re, level.im);
                     GoldenCoded::Levels(levels.iter().map(level).collect())

@@ -27,6 +27,8 @@ pub enum Part {
     Rates,
     /// METHODOLOGY.md: what skipping saves
     Skips,
+    /// METHODOLOGY.md: what transforms and events take at equal error; a quarter of an hour
+    Selection,
     /// docs/results.md: a flood on limited links
     RateControl,
     /// docs/results.md: what the order of events costs
@@ -86,6 +88,10 @@ fn measure(part: Part) -> Result<()> {
         Part::Skips => {
             let document = ["--save", "METHODOLOGY.md", "--record", RECORD];
             eecvs(&[&["bench", "--skips"], &document[..]].concat())
+        }
+        Part::Selection => {
+            let document = ["--save", "METHODOLOGY.md", "--record", RECORD];
+            eecvs(&[&["bench", "--selection"], &document[..]].concat())
         }
         Part::RateControl => bless("rate_control::a_flood_fits_its_link"),
         Part::KeepOrder => bless("keep_order::recordings_come_back_in_order"),

@@ -251,7 +251,9 @@ mod tests {
         for coder in [Coder::Keys, Coder::Quick, Coder::Tree(Effort::One)] {
             let row = measure("a coder", coder, 100_001).unwrap();
             assert_eq!(row.events, 100_001);
-            assert!(row.first_per_s > 0.0 && row.last_per_s > 0.0, "{row:?}");
+            assert!(row.bytes > 100_001 && row.seconds > 0.0, "{row:?}");
+            // A part of so short a stream may have seen no event.
+            assert!((row.first_per_s + row.last_per_s).is_finite(), "{row:?}");
         }
     }
 

@@ -16,6 +16,7 @@ use event_files::EventReader;
 
 use crate::options::ThresholdOptions;
 use crate::order::OrderOptions;
+use crate::output::usage;
 
 /// Flags that control how windows are encoded.
 #[derive(Debug, Clone, Args)]
@@ -31,6 +32,12 @@ pub struct CodecOptions {
     /// hybrid: keep only the volume of B time bins exact
     #[arg(long, value_name = "B", value_parser = clap::value_parser!(u16).range(1..))]
     bins: Option<u16>,
+
+    /// hybrid: largest mean error of decoded times in microseconds, in every window, or with --coder dense in the
+    /// windows from one key frame to the next: the coarsest times within it are chosen for each window, and where it
+    /// helps, events of a pixel are spread over the time in which they came. It also holds over whole files
+    #[arg(long, value_name = "E", conflicts_with_all = ["time_tolerance_us", "bins"])]
+    max_emd_us: Option<NonZeroU32>,
 
     /// Entropy coder of events or coefficients [default: fast in mode hybrid, plain in mode transform]
     #[arg(long, value_enum)]
@@ -68,8 +75,9 @@ pub struct CodecOptions {
     #[arg(long)]
     isolated: bool,
 
-    /// hybrid: keep the input order of events of equal time, for 0.01 to 1.5 bits per event more. With a tolerance or
-    /// bins, times that decode as equal count as equal; with a budget, the order is kept where there is room
+    /// hybrid: keep the input order of events of equal time, for 0.01 to 1.5 bits per event more. With a tolerance, a mean
+    /// error or bins, times that decode as equal count as equal, so that coarse times make the order dearer, beyond what they
+    /// save; with a budget, the order is kept where there is room
     #[arg(long)]
     keep_order: bool,
 
@@ -79,9 +87,14 @@ pub struct CodecOptions {
     #[arg(long, value_name = "B")]
     bytes_per_second: Option<NonZeroU32>,
 
-    /// Transform of every window; auto selects it by the regime of the window's density
+    /// Transform of every window; auto selects it by the regime of the window's density; best is dct with --few-as-times
     #[arg(long, value_enum, default_value = "auto")]
     transform: TransformName,
+
+    /// transform: send a pixel of few events as the times of these, where they take fewer bits: every coefficient that a
+    /// decoder computes is as close as by levels
+    #[arg(long)]
+    few_as_times: bool,
 
     /// Coefficients kept per pixel
     #[arg(short, value_name = "M", default_value = "16",
@@ -179,6 +192,9 @@ enum ScanName {
 enum TransformName {
     /// Selected by the window's density
     Auto,
+    /// transform: the cosine transform, and the times of events in pixels of few; hybrid: with --max-emd-us, the
+    /// events
+    Best,
     /// Cosine transform
     Dct,
     /// Fourier transform
@@ -248,7 +264,7 @@ impl CodecOptions {
         ensure!(
             self.effort == 0
                 || (self.mode == ModeName::Hybrid && self.coder == Some(CoderName::Dense)),
-            "--effort is for --coder dense in --mode hybrid"
+            usage("--effort is for --coder dense in --mode hybrid")
         );
         let mode = match self.mode {
             ModeName::Hybrid => Mode::Hybrid(Hybrid {
@@ -257,10 +273,13 @@ impl CodecOptions {
                     Some(CoderName::Quick) => {
                         ensure!(
                             fidelity == Fidelity::Lossless
+                                && self.max_emd_us.is_none()
                                 && !self.isolated
                                 && self.bytes_per_second.is_none(),
-                            "--coder quick is lossless: it excludes --time-tolerance-us, --bins, --isolated and \
-                             --bytes-per-second"
+                            usage(
+                                "--coder quick is lossless: it excludes --time-tolerance-us, --bins, --max-emd-us, \
+                             --isolated and --bytes-per-second"
+                            )
                         );
                         Coder::Quick
                     }
@@ -268,7 +287,7 @@ impl CodecOptions {
                         Effort::from_number(self.effort).map_or(Coder::Dense, Coder::Tree)
                     }
                     Some(CoderName::Plain) => {
-                        bail!("--coder plain is for --mode transform")
+                        bail!(usage("--coder plain is for --mode transform"))
                     }
                 },
                 fidelity,
@@ -276,20 +295,38 @@ impl CodecOptions {
             ModeName::Transform => {
                 ensure!(
                     !self.keep_order,
-                    "--keep-order is for --mode hybrid: coefficients have no order of events"
+                    usage(
+                        "--keep-order is for --mode hybrid: coefficients have no order of events"
+                    )
                 );
                 ensure!(
-                    fidelity == Fidelity::Lossless && self.bytes_per_second.is_none(),
-                    "--time-tolerance-us, --bins and --bytes-per-second are for --mode hybrid"
+                    fidelity == Fidelity::Lossless
+                        && self.max_emd_us.is_none()
+                        && self.bytes_per_second.is_none(),
+                    usage(
+                        "--time-tolerance-us, --bins, --max-emd-us and --bytes-per-second are for --mode hybrid"
+                    )
                 );
                 match self.coder {
                     None | Some(CoderName::Plain) => Mode::Transform,
                     Some(CoderName::Fast) => Mode::Coefficients(Coder::Fast),
-                    Some(CoderName::Quick) => bail!("--coder quick is for --mode hybrid"),
+                    Some(CoderName::Quick) => bail!(usage("--coder quick is for --mode hybrid")),
                     Some(CoderName::Dense) => Mode::Coefficients(Coder::Dense),
                 }
             }
         };
+        let is_best = self.transform == TransformName::Best;
+        ensure!(
+            mode.is_transform() || !is_best || self.max_emd_us.is_some(),
+            usage(
+                "--transform best is for --mode transform, or with --max-emd-us for --mode hybrid"
+            )
+        );
+        ensure!(
+            mode.is_transform() || !self.few_as_times,
+            usage("--few-as-times is for --mode transform")
+        );
+        let few_as_times = mode.is_transform() && (self.few_as_times || is_best);
         if let Some(Region {
             x,
             y,
@@ -315,7 +352,8 @@ impl CodecOptions {
             thresholds: self.thresholds.load()?,
             transform: match self.transform {
                 TransformName::Auto => None,
-                TransformName::Dct => Some(Transform::Dct),
+                TransformName::Best if !mode.is_transform() => None,
+                TransformName::Dct | TransformName::Best => Some(Transform::Dct),
                 TransformName::Dtft => Some(Transform::Dtft),
                 TransformName::Dwt => Some(Transform::Dwt),
             },
@@ -329,6 +367,8 @@ impl CodecOptions {
                     )
                 })?,
             },
+            few_as_times,
+            max_emd_us: self.max_emd_us,
             mode,
             key_windows: self.key_windows(self.window_us.get()),
             readout: None,
@@ -375,20 +415,22 @@ impl CodecOptions {
         let config = self.config(sensor)?;
         ensure!(
             self.effort == 0,
-            "--effort is for eecvs encode: the image has no memory for it"
+            usage("--effort is for eecvs encode: the image has no memory for it")
         );
         ensure!(
             !config.mode.keeps_arrival(),
-            "--coder quick is for eecvs encode: the image does not have it"
+            usage("--coder quick is for eecvs encode: the image does not have it")
         );
         ensure!(
             !config.keep_order,
-            "--keep-order is for eecvs encode: the image has no memory for it"
+            usage("--keep-order is for eecvs encode: the image has no memory for it")
         );
         ensure!(
             config.window.origin_us.is_none() && !config.window.every_window,
-            "--origin-us and --every-window are for eecvs encode, eecvs-usb capture and forward: the image's windows \
+            usage(
+                "--origin-us and --every-window are for eecvs encode, eecvs-usb capture and forward: the image's windows \
              begin with the first event"
+            )
         );
         Ok(config)
     }

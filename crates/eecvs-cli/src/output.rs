@@ -10,14 +10,37 @@ use event_files::output::{Output, OutputFile, is_stdout};
 use event_types::plain;
 use serde::Serialize;
 
-/// Ends a program: an error is printed as one line on stderr and gives exit status 1; a closed pipe is a success.
+/// An error of the command line that only its flags together show.
+#[derive(Debug)]
+pub struct Usage(String);
+
+impl std::fmt::Display for Usage {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for Usage {}
+
+/// Returns the error of a wrong command line, for which [`end`] gives exit status 2.
+#[must_use]
+pub fn usage(what: &str) -> Usage {
+    Usage(what.to_owned())
+}
+
+/// Ends a program: an error is printed as one line on stderr and gives exit status 1, or 2 if it is one of the command
+/// line ([`usage`]); a closed pipe is a success.
 pub fn end(program: &str, result: Result<()>) -> ExitCode {
     match result {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if is_closed_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
             say(&format!("{program}: {error:#}"));
-            ExitCode::FAILURE
+            if error.is::<Usage>() {
+                ExitCode::from(2)
+            } else {
+                ExitCode::FAILURE
+            }
         }
     }
 }

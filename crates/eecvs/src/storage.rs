@@ -1,5 +1,6 @@
 //! Memory of an encoder on the host.
 
+use std::alloc::{Layout, handle_alloc_error};
 use std::num::NonZeroU32;
 
 use eecvs_nostd::coder::arrival_order as arrival;
@@ -17,7 +18,7 @@ use eecvs_nostd::{
 };
 use event_types::stream::{Context, Result};
 use event_types::{bail, ensure};
-use zerocopy::{FromBytes, FromZeros, IntoBytes};
+use zerocopy::{AllocError, FromBytes, FromZeros, IntoBytes};
 
 use crate::tree_memory::TreeStorage;
 
@@ -66,6 +67,9 @@ pub struct HostStorage {
     keys: Option<Box<EncoderMemory>>,
 }
 
+/// Message for a system that refuses the memory.
+const NO_MEMORY: &str = "the system refuses the encoders' memory: use fewer with --threads, or smaller windows with --window-events";
+
 /// Buffers of one window.
 #[derive(Debug)]
 struct WindowMemory {
@@ -77,13 +81,14 @@ struct WindowMemory {
 }
 
 impl WindowMemory {
-    fn new(sensor: Sensor, window_events: usize) -> Self {
+    fn new(sensor: Sensor, window_events: usize) -> std::result::Result<Self, AllocError> {
         let segments = segments(sensor.width, sensor.height);
-        Self {
-            slots: vec![0; window_events * (size_of::<Slot>() / size_of::<u32>())],
-            heads: vec![0; segments],
-            bitmap: vec![0; bitmap_words(segments)],
-        }
+        let words = window_events.checked_mul(size_of::<Slot>() / size_of::<u32>());
+        Ok(Self {
+            slots: u32::new_vec_zeroed(words.ok_or(AllocError)?)?,
+            heads: Head::new_vec_zeroed(segments)?,
+            bitmap: u32::new_vec_zeroed(bitmap_words(segments))?,
+        })
     }
 
     /// Returns the capacity in events.
@@ -115,14 +120,18 @@ pub(crate) fn touch(bytes: &mut [u8]) {
 }
 
 impl HostStorage {
-    /// Allocates memory for a sensor, with `window_events` events per window, for any transform and grid size.
+    /// Allocates memory for a sensor, with `window_events` events per window, for any transform and grid size. Ends the
+    /// process if the system refuses it.
     #[must_use]
     pub fn new(sensor: Sensor, window_events: usize) -> Self {
         let limits = Limits {
             window_events,
             ..Limits::default()
         };
-        Self::with_windows(1, sensor, limits)
+        Self::with_windows(1, sensor, limits).unwrap_or_else(|_| {
+            let slots = Layout::array::<Slot>(window_events);
+            handle_alloc_error(slots.unwrap_or(Layout::new::<Slot>()))
+        })
     }
 
     /// Sets the memory of the dense coder to `words` 32-bit words, as on a microcontroller, where the previous
@@ -134,24 +143,30 @@ impl HostStorage {
     }
 
     /// As [`Self::new`], with buffers for several windows.
-    #[must_use]
-    pub(crate) fn with_windows(windows: usize, sensor: Sensor, limits: Limits) -> Self {
+    ///
+    /// # Errors
+    /// The system refuses the memory.
+    pub(crate) fn with_windows(windows: usize, sensor: Sensor, limits: Limits) -> Result<Self> {
         let numbers = 2 * GRID_MAX;
-        Self {
-            windows: (0..windows)
-                .map(|_| WindowMemory::new(sensor, limits.window_events))
-                .collect(),
+        let memory = (0..windows).map(|_| WindowMemory::new(sensor, limits.window_events));
+        let memory = memory.collect::<std::result::Result<_, _>>();
+        let words = u32::new_vec_zeroed(words(sensor, true).min(limits.dense_words));
+        let (Ok(windows), Ok(words)) = (memory, words) else {
+            bail!(Refused, "{NO_MEMORY}");
+        };
+        Ok(Self {
+            windows,
             sums: vec![Sum::ZERO; numbers],
             totals: vec![WideSum::ZERO; numbers],
             magnitudes: vec![0; numbers],
             model: Box::new(Model::UNSET),
-            words: vec![0; words(sensor, true).min(limits.dense_words)],
+            words,
             order: Vec::new(),
             hot: Vec::new(),
             coefficients: Box::new(CoefficientMemory::UNSET),
             tree: TreeStorage::default(),
             keys: None,
-        }
+        })
     }
 
     /// Creates an encoder over this memory, which is cleared.
@@ -190,10 +205,10 @@ impl HostStorage {
         if let Some(effort) = config.mode.effort() {
             let slots = self.windows.first().map_or(0, WindowMemory::slots);
             let tree = TreeStorage::new(config.window.sensor, effort, slots);
-            self.tree = tree.ok().context("no memory")?;
+            self.tree = tree.ok().context(NO_MEMORY)?;
         }
         if config.mode.has_keys() && self.keys.is_none() {
-            self.keys = Some(EncoderMemory::new_box_zeroed().ok().context("no memory")?);
+            self.keys = Some(EncoderMemory::new_box_zeroed().ok().context(NO_MEMORY)?);
         }
         self.hot.resize(hot.len(), 0);
         let windows: Option<Vec<_>> = self
@@ -244,17 +259,24 @@ fn reason(error: ConfigError, config: &Config) -> String {
             config.grid.unwrap_or_default()
         ),
         ConfigError::Bins => "a volume must have one bin or more".to_owned(),
+        ConfigError::MeanError => {
+            "a largest mean error is possible only in mode hybrid, without a tolerance or bins"
+                .to_owned()
+        }
         ConfigError::Rate if config.mode.is_transform() => {
             "a byte budget is possible only in mode hybrid: coefficients cannot be thinned"
                 .to_owned()
         }
         ConfigError::Rate => format!(
-            "a budget of {} bytes a second is too small: the headers of windows of {} us alone take {}",
+            "a budget of {} bytes a second is too small: the headers of windows of {} us alone take {}: give more, or longer windows",
             config.bytes_per_second.map_or(0, NonZeroU32::get),
             config.window.window_us,
             config.budget_min()
         ),
-        ConfigError::Order => "the order of events can be kept only in mode hybrid".to_owned(),
+        ConfigError::Order => {
+            "the order of events can be kept only in mode hybrid, and not of spread events"
+                .to_owned()
+        }
         ConfigError::Keys if config.mode.is_transform() => {
             "the keys coder codes events, in mode hybrid".to_owned()
         }
@@ -269,9 +291,11 @@ fn reason(error: ConfigError, config: &Config) -> String {
         ConfigError::Quick if !config.mode.keeps_arrival() => {
             "windows that keep the order of arrival are for the quick and the keys coder".to_owned()
         }
-        ConfigError::Quick => "the quick coder is lossless: it has no tolerance, bins, filter of \
-                               isolated events or byte budget"
-            .to_owned(),
+        ConfigError::Quick => {
+            "the quick coder is lossless: it has no tolerance, bins, largest mean error, \
+                               filter of isolated events or byte budget"
+                .to_owned()
+        }
         ConfigError::Tree if config.mode.is_transform() => {
             "the tree coder codes events, in mode hybrid".to_owned()
         }

@@ -160,6 +160,7 @@ const fn reason(refusal: Refusal) -> &'static str {
         Refusal::HotRoom => "it has no memory for more",
         Refusal::HotUnset => "they came before a setup",
         Refusal::Order => "it cannot keep the order of events",
+        Refusal::MeanError => "a largest mean error is for mode hybrid without another fidelity",
         Refusal::Coefficients => "it has no adaptive coder of coefficients: use --coder plain",
     }
 }

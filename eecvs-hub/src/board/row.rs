@@ -106,6 +106,7 @@ impl Latest {
                 let times = match fidelity {
                     Fidelity::Lossless => Times::Exact,
                     Fidelity::ToleranceUs(within_us) => Times::WithinUs(within_us),
+                    Fidelity::SpreadUs(width_us) => Times::WithinUs(width_us.saturating_sub(1)),
                     Fidelity::Bins(bins) => Times::Bins(bins),
                 };
                 (name(coder), times)

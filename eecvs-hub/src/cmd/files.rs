@@ -254,6 +254,7 @@ mod tests {
             m: 8,
             grid: 16,
             quantiser: Quantiser::DEFAULT,
+            timed_max: 0,
         };
         let mut out = [0; 200];
         let range = seal(&header, 0, &mut out).unwrap();

@@ -110,7 +110,7 @@ impl Readout {
         match fidelity {
             Fidelity::Lossless => true,
             Fidelity::ToleranceUs(tolerance_us) => tolerance_us < self.period_q16() >> 17,
-            Fidelity::Bins(_) => false,
+            Fidelity::Bins(_) | Fidelity::SpreadUs(_) => false,
         }
     }
 

@@ -6,7 +6,7 @@ use crate::coder::coefficients::fast::Fast;
 use crate::coder::coefficients::pixel::{Common, Pixel as Told};
 use crate::coder::content::{Content, Node};
 use crate::coder::dense::Dense;
-use crate::coder::range::RangeEncoder;
+use crate::coder::range::{InputLeft, RangeEncoder};
 use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum, WideSum};
 use crate::fused::{set_zeroth, sum_crowded};
 use crate::group::{Group, Impulses, Pixel};
@@ -151,6 +151,13 @@ impl Numbers<'_> {
             told.set_cell(B::cell(common.scale(), offset_us, common.cells_log2()));
             return 0;
         }
+        if let Some(cells) = common.timed_cells(events) {
+            for (at, impulse) in Impulses::new(pixel, slots).enumerate() {
+                let cell = cells.of_scaled(common.scale(), impulse.offset_us);
+                told.insert(at, cell, impulse.is_on);
+            }
+            return 0;
+        }
         let grid = common.grid();
         if events as usize > CHUNK_EVENTS {
             sum_crowded::<B>(pixel, slots, common.scale(), grid, (sums, totals));
@@ -212,7 +219,7 @@ impl<B: Basis> Pixels for Counted<'_, '_, '_, B> {
         self.encoder.left
     }
 
-    fn done(&mut self, _: &Common) {
+    fn done(&mut self, _: &Common, _: InputLeft) {
         self.encoder.left = self.encoder.left.saturating_sub(self.told.count());
         self.saturated = self.saturated.saturating_add(self.saturates);
         self.pixel = None;

@@ -48,6 +48,12 @@ pub struct Config {
     pub grid: Option<u16>,
     /// Quantiser of the coefficients.
     pub quantiser: Quantiser,
+    /// Whether pixels of few events are sent as the times of these in mode `transform`, where that takes fewer bits:
+    /// [`crate::pack::timed`]. Every coefficient that a decoder computes is within half a step either way.
+    pub few_as_times: bool,
+    /// Largest mean error of a window's decoded times in microseconds, in a lossless hybrid mode, for which the coarsest
+    /// fidelity is then chosen from the window's own events: see `mean_error.rs`.
+    pub max_emd_us: Option<NonZeroU32>,
     /// Content of the frames. In a hybrid mode, transform, M, K and quantiser are those of the volume that a
     /// decoder makes of the events.
     pub mode: Mode,
@@ -87,17 +93,21 @@ pub enum ConfigError {
     /// The keys coder, which tells no order and removes no isolated events, with either or a budget; or
     /// [`Scratch::keys`] or the feature `keys` is missing, or the coder was asked for coefficients.
     Keys,
-    /// The quick coder, which is lossless and removes no isolated events, with a fidelity, that filter or a budget;
+    /// The quick coder, which is lossless and removes no isolated events, with a fidelity, a largest mean error, that
+    /// filter or a budget;
     /// or the feature `quick` is missing, or the coder was asked for coefficients. Or the window keeps the order of
     /// arrival for a coder other than it and the keys coder.
     Quick,
     /// The volume has no bins.
     Bins,
+    /// A largest mean error in mode `transform`, or beside a fidelity.
+    MeanError,
     /// A budget in mode `transform`, or one of fewer than some 146 bytes per window.
     Rate,
     /// Mode `transform`, or coefficients, without the feature `transform`.
     Transform,
-    /// The order of events in mode `transform`, or without memory for it, or without the feature `order`.
+    /// The order of events in mode `transform` or of spread events, or without memory for it, or without the feature
+    /// `order`.
     Order,
 }
 
@@ -134,6 +144,8 @@ impl Config {
             m: M_DEFAULT,
             grid: None,
             quantiser: Quantiser::DEFAULT,
+            few_as_times: false,
+            max_emd_us: None,
             mode,
             key_windows: KEY_WINDOWS,
             readout: None,
@@ -168,6 +180,7 @@ impl Config {
             }) => {
                 HAS_QUICK
                     && matches!(fidelity, Fidelity::Lossless)
+                    && self.max_emd_us.is_none()
                     && !self.filter.isolated
                     && self.bytes_per_second.is_none()
             }
@@ -192,6 +205,21 @@ impl Config {
     #[must_use]
     pub const fn suits_keys(&self) -> bool {
         !self.keep_order && !self.filter.isolated && self.bytes_per_second.is_none()
+    }
+
+    /// Checks that the fidelity goes with what else is asked for.
+    const fn check_fidelity(&self) -> Result<(), ConfigError> {
+        let fidelity = match self.mode {
+            Mode::Hybrid(hybrid) => Some(hybrid.fidelity),
+            _ => None,
+        };
+        match fidelity {
+            Some(Fidelity::Bins(0)) => Err(ConfigError::Bins),
+            Some(Fidelity::SpreadUs(_)) if self.keep_order => Err(ConfigError::Order),
+            Some(Fidelity::Lossless) => Ok(()),
+            _ if self.max_emd_us.is_some() => Err(ConfigError::MeanError),
+            _ => Ok(()),
+        }
     }
 
     /// Returns the smallest budget in bytes per second: the headers of all windows and a seventh more.
@@ -221,6 +249,9 @@ impl Config {
         if !self.is_keys_served(scratch) {
             return Err(ConfigError::Keys);
         }
+        if let Err(error) = self.check_fidelity() {
+            return Err(error);
+        }
         if let Some(budget) = self.bytes_per_second
             && (self.mode.is_transform() || (budget.get() as u64) < self.budget_min())
         {
@@ -243,10 +274,6 @@ impl Config {
             {
                 Err(ConfigError::Coefficients)
             }
-            Mode::Hybrid(Hybrid {
-                fidelity: Fidelity::Bins(0),
-                ..
-            }) => Err(ConfigError::Bins),
             Mode::Hybrid(Hybrid {
                 coder: Coder::Tree(effort),
                 ..

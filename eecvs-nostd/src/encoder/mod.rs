@@ -2,6 +2,7 @@
 
 pub mod config;
 mod keys;
+mod mean_error;
 mod rate;
 pub mod storage;
 pub mod window_encoder;

@@ -276,6 +276,7 @@ fn coarser(fidelity: Fidelity, duration_us: u32) -> Option<Fidelity> {
     let tolerance_us = match fidelity {
         Fidelity::Lossless => 1,
         Fidelity::ToleranceUs(tolerance_us) => tolerance_us.saturating_mul(2).max(1),
+        Fidelity::SpreadUs(width_us) => width_us,
         Fidelity::Bins(bins) => return (bins > 1).then_some(Fidelity::Bins(bins / 2)),
     };
     let next = Fidelity::ToleranceUs(tolerance_us);
@@ -322,6 +323,7 @@ mod tests {
                 Just(Fidelity::Lossless),
                 any::<u32>().prop_map(Fidelity::ToleranceUs),
                 (1_u16..).prop_map(Fidelity::Bins),
+                (1_u32..).prop_map(Fidelity::SpreadUs),
             ],
         ) {
             let mut fidelity = asked;

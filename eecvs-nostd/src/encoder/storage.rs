@@ -122,6 +122,8 @@ mod tests {
         m: 16,
         grid: None,
         quantiser: Quantiser::DEFAULT,
+        few_as_times: false,
+        max_emd_us: None,
         mode: Mode::Transform,
         key_windows: KEY_WINDOWS,
         readout: None,

@@ -19,11 +19,12 @@ use crate::encoder::config::{
     Config, ConfigError, HAS_DENSE, HAS_KEYS, HAS_ORDER, HAS_TRANSFORM, HAS_TREE, HotError, Scratch,
 };
 use crate::encoder::keys::encode_keys;
+use crate::encoder::mean_error::MeanError;
 use crate::encoder::rate::Rate;
 use crate::frame::{
     CRC_BYTES, FRAME_BYTES_MAX, HEADER_BYTES_MAX, Header, Mode, NoRoom, OrderSection, seal,
 };
-use crate::fused::{PixelEncoder, is_few, is_lanes, is_waves};
+use crate::fused::{PixelEncoder, has_ways, is_few, is_lanes, is_waves};
 use crate::group::Group;
 use crate::kernel::{Accumulate, WithKernel};
 use crate::pack::bits_lsb_first::BitWriter;
@@ -39,6 +40,9 @@ use event_types::Sensor;
 
 /// Size in bytes of the smallest output in which any frame has room for at least one pixel.
 pub const OUTPUT_BYTES_MIN: usize = HEADER_BYTES_MAX + PIXEL_BYTES_MAX + CRC_BYTES + 8;
+
+/// No coder takes more bytes for an event of a whole window, on average.
+const SPREAD_BYTES_MAX: usize = 24;
 
 /// Returns the rate control of a configuration, in its initial state.
 const fn rate(config: &Config) -> Option<Rate> {
@@ -123,6 +127,8 @@ pub struct WindowEncoder<'b> {
     /// Coder of the last frame of events that later ones may depend on.
     chained: Option<Coder>,
     rate: Option<Rate>,
+    /// What the windows of the chain have left of [`Config::max_emd_us`].
+    mean_error: MeanError,
     /// Progress of the order section, in windows that have one.
     order: Option<arrival_order::Progress>,
 }
@@ -169,6 +175,7 @@ impl<'b> WindowEncoder<'b> {
             breaks: false,
             chained: None,
             rate: rate(&config),
+            mean_error: MeanError::START,
             order: None,
         })
     }
@@ -316,7 +323,7 @@ impl<'b> WindowEncoder<'b> {
         }
         let mut task = match self.task {
             Some(task) => task,
-            None => self.plan(closed, window),
+            None => self.plan(closed, window, out.len()),
         };
         if task.header.last {
             self.task = None;
@@ -462,7 +469,7 @@ impl<'b> WindowEncoder<'b> {
 
     /// Decides what a closed window's frames have in common: applies the filter, chooses regime, transform and
     /// mode, and removes what the budget has no room for.
-    fn plan(&mut self, closed: Closed, window: &mut Window<'_>) -> Task {
+    fn plan(&mut self, closed: Closed, window: &mut Window<'_>, room: usize) -> Task {
         let WindowConfig { sensor, .. } = window.config();
         let used = window.events();
         let filtered = self.config.filter.apply(&self.hot, window);
@@ -480,6 +487,24 @@ impl<'b> WindowEncoder<'b> {
             HAS_DENSE && memory.as_ref().is_some_and(|memory| memory.serves(sensor));
         let mut mode = self.config.mode;
         let mut thinned = 0;
+        if let (Some(max_us), Mode::Hybrid(hybrid)) = (self.config.max_emd_us, &mut mode) {
+            // Frames that depend on none before them do without what windows before left.
+            if !self.config.mode.is_dense() || self.chain.ends(self.config.key_windows) {
+                self.mean_error = MeanError::START;
+            }
+            // Scans are exact, for fewer bits than such cells.
+            let cells = Mode::Hybrid(Hybrid {
+                fidelity: Fidelity::ToleranceUs(max_us.get().saturating_mul(2)),
+                ..*hybrid
+            });
+            let scans = is_dense_here && self.config.readout.is_some_and(|it| it.serves(cells));
+            // What a decoder spreads has to be in one frame.
+            let most = (window.events() as usize).saturating_mul(SPREAD_BYTES_MAX);
+            let is_whole = most.saturating_add(HEADER_BYTES_MAX + CRC_BYTES) <= room;
+            let spreads = is_whole && !self.config.keep_order && !scans;
+            let state = &mut self.mean_error;
+            hybrid.fidelity = state.coarsest(max_us, closed.duration_us, spreads, window);
+        }
         if let (Some(rate), Mode::Hybrid(hybrid)) = (&mut self.rate, &mut mode) {
             let plan = rate.plan(hybrid.fidelity, closed, window);
             hybrid.fidelity = plan.fidelity;
@@ -525,37 +550,42 @@ impl<'b> WindowEncoder<'b> {
             }
             _ => None,
         };
+        let mut header = Header {
+            truncated: closed.truncated,
+            begins_run: closed.begins_run,
+            last: false,
+            regime,
+            mode,
+            is_key: !mode.is_dense() || self.chain.next(window.events(), self.config.key_windows),
+            has_previous: false,
+            levels: None,
+            scans,
+            order: None,
+            sequence: 0,
+            part: 0,
+            sensor,
+            t0_us: closed.t0_us,
+            duration_us: closed.duration_us,
+            window_events: window.events(),
+            events: 0,
+            pixels: 0,
+            late: 0,
+            filtered: 0,
+            dropped: 0,
+            thinned,
+            saturated: 0,
+            transform,
+            m: self.config.m,
+            grid: transform.grid_size(self.config.m, self.config.grid),
+            quantiser: self.config.quantiser,
+            timed_max: 0,
+        };
+        if self.config.few_as_times && mode.is_transform() {
+            let few = header.packing().few(closed.duration_us, mode.is_dense());
+            header.timed_max = few.events_max();
+        }
         Task {
-            header: Header {
-                truncated: closed.truncated,
-                begins_run: closed.begins_run,
-                last: false,
-                regime,
-                mode,
-                is_key: !mode.is_dense()
-                    || self.chain.next(window.events(), self.config.key_windows),
-                has_previous: false,
-                levels: None,
-                scans,
-                order: None,
-                sequence: 0,
-                part: 0,
-                sensor,
-                t0_us: closed.t0_us,
-                duration_us: closed.duration_us,
-                window_events: window.events(),
-                events: 0,
-                pixels: 0,
-                late: 0,
-                filtered: 0,
-                dropped: 0,
-                thinned,
-                saturated: 0,
-                transform,
-                m: self.config.m,
-                grid: transform.grid_size(self.config.m, self.config.grid),
-                quantiser: self.config.quantiser,
-            },
+            header,
             scale: PhaseScale::new(closed.duration_us),
             left: window.events(),
             is_rest: false,
@@ -830,19 +860,31 @@ impl<'b> WindowEncoder<'b> {
         let mut encoder = PixelEncoder::new(&packing, scale, &mut self.scratch, &mut self.kept);
         let (mut events, mut pixels, mut saturated) = (0, 0, 0);
         let is_dct = B::HAS_WALKS && B::TRANSFORM as u8 == Transform::Dct as u8;
-        if is_dct && is_few(&packing) {
+        let has_ways = has_ways(&packing);
+        if has_ways && is_dct && is_few(&packing) {
             (events, pixels, saturated) =
                 encoder.encode_few(&mut self.group, window, writer, trace);
         }
-        if B::TRANSFORM as u8 == Transform::Dwt as u8 && is_lanes(&packing, scale) {
+        if has_ways && B::TRANSFORM as u8 == Transform::Dwt as u8 && is_lanes(&packing, scale) {
             (events, pixels, saturated) =
                 encoder.encode_lanes(&mut self.group, window, writer, trace);
         }
-        if B::HAS_WALKS && B::TRANSFORM as u8 == Transform::Dtft as u8 && is_waves(&packing) {
+        if has_ways
+            && B::HAS_WALKS
+            && B::TRANSFORM as u8 == Transform::Dtft as u8
+            && is_waves(&packing)
+        {
             (events, pixels, saturated) =
                 encoder.encode_waves(&mut self.group, window, writer, trace);
         }
         let mut is_last = true;
+        let is_haar = B::TRANSFORM as u8 == Transform::Dwt as u8;
+        // A trace wants to know each stage, which a walk mixes.
+        let walks_times = !has_ways && B::HAS_WALKS && !is_haar && !T::LISTENS;
+        if walks_times {
+            let (some, places) = encoder.encode_times(&mut self.group, window, writer);
+            (events, pixels) = (events + some, pixels + places);
+        }
         while let Some(pixel) = self.group.next(window) {
             let position = writer.position();
             let saturates = encoder.encode::<B, T>(pixel, window.slots(), writer, trace);
@@ -856,6 +898,10 @@ impl<'b> WindowEncoder<'b> {
             pixels += 1;
             saturated = saturated.saturating_add(saturates);
             trace.enter(Stage::Group);
+            if walks_times {
+                let (some, places) = encoder.encode_times(&mut self.group, window, writer);
+                (events, pixels) = (events + some, pixels + places);
+            }
         }
         (header.events, header.pixels, header.saturated) = (events, pixels, saturated);
         is_last

@@ -39,14 +39,15 @@ pub struct Setup {
     pub step_log2: i8,
     /// Mode of the frames, as the low four bits of a frame's mode byte.
     pub mode: u8,
-    /// Tolerance in microseconds, or number of bins; 0 for other modes.
+    /// Tolerance or width in microseconds, or number of bins; [`Config::max_emd_us`] in a lossless mode; 0 for other
+    /// modes.
     pub fidelity: u32,
     /// Number of windows after which the dense coder begins anew.
     pub key_windows: u16,
     /// First column, first row, columns and rows of the region that is sent; 0 columns for all.
     pub region: [u16; 4],
-    /// 1 if isolated events are not sent, else 0.
-    pub isolated: u8,
+    /// Sum of [`Setup::ISOLATED`] and [`Setup::FEW_AS_TIMES`], where they apply.
+    pub options: u8,
     /// Most bytes that the frames of any second take; 0 for no limit.
     pub bytes_per_second: u32,
     /// Period of the readout in 2^-16 us; 0 for a sensor that does not scan.
@@ -64,6 +65,10 @@ pub struct Setup {
 
 impl Setup {
     const AUTO: u8 = 255;
+    /// [`Setup::options`]: isolated events are not sent.
+    pub const ISOLATED: u8 = 1;
+    /// [`Setup::options`]: [`Config::few_as_times`].
+    pub const FEW_AS_TIMES: u8 = 1 << 1;
     /// [`Setup::when_full`]: events wait.
     pub const WAIT: u8 = 0;
     /// [`Setup::when_full`]: events are dropped and counted.
@@ -87,12 +92,13 @@ impl Setup {
             grid: config.grid.unwrap_or(0),
             step_log2: config.quantiser.step_log2(),
             mode,
-            fidelity: fidelity.unwrap_or(0),
+            fidelity: fidelity.unwrap_or(config.max_emd_us.map_or(0, NonZeroU32::get)),
             key_windows: config.key_windows,
             region: config.filter.region.map_or([0; 4], |region| {
                 [region.x, region.y, region.width, region.height]
             }),
-            isolated: config.filter.isolated.into(),
+            options: u8::from(config.filter.isolated) * Self::ISOLATED
+                + u8::from(config.few_as_times) * Self::FEW_AS_TIMES,
             bytes_per_second: config.bytes_per_second.map_or(0, NonZeroU32::get),
             scan_period_q16: config.readout.map_or(0, Readout::period_q16),
             scan_slope_q16: config.readout.map_or(0, Readout::slope_q16),
@@ -124,7 +130,7 @@ impl Setup {
     /// # Errors
     /// A [`Refusal`] that names the first field that is out of its range.
     pub fn config(&self) -> Result<Config, Refusal> {
-        if self.when_full > Self::DROP || self.isolated > 1 {
+        if self.when_full > Self::DROP || self.options > Self::ISOLATED + Self::FEW_AS_TIMES {
             return Err(Refusal::Flag);
         }
         let [x, y, width, height] = self.region;
@@ -134,6 +140,7 @@ impl Setup {
             width,
             height,
         };
+        let mode = Mode::from_code(self.mode, self.fidelity).ok_or(Refusal::Mode)?;
         Ok(Config {
             window: WindowConfig::new(
                 Sensor::new(self.width, self.height).ok_or(Refusal::Sensor)?,
@@ -148,12 +155,14 @@ impl Setup {
             m: self.m,
             grid: (self.grid > 0).then_some(self.grid),
             quantiser: Quantiser::new(self.step_log2).ok_or(Refusal::Step)?,
-            mode: Mode::from_code(self.mode, self.fidelity).ok_or(Refusal::Mode)?,
+            few_as_times: self.options & Self::FEW_AS_TIMES != 0,
+            max_emd_us: NonZeroU32::new(self.fidelity).filter(|_| mode.is_lossless()),
+            mode,
             key_windows: self.key_windows,
             readout: self.readout()?,
             filter: Filter {
                 region: (width > 0).then_some(region),
-                isolated: self.isolated == 1,
+                isolated: self.options & Self::ISOLATED != 0,
             },
             bytes_per_second: NonZeroU32::new(self.bytes_per_second),
             keep_order: false,
@@ -196,7 +205,7 @@ mod tests {
             fidelity: 0,
             key_windows: 64,
             region: [3, 4, 100, 2],
-            isolated: 1,
+            options: Setup::ISOLATED + Setup::FEW_AS_TIMES,
             bytes_per_second: u32::MAX,
             scan_period_q16: 250 << 16,
             scan_slope_q16: -(125 << 16),
@@ -217,6 +226,22 @@ mod tests {
             ..setup
         };
         assert_eq!(Setup::new(&still.config().unwrap(), u64::MAX), still);
+        // FAST, lossless: the value is a mean error. With a tolerance, or as coefficients, it is not.
+        let mean = Setup {
+            mode: 1,
+            fidelity: 300,
+            options: 0,
+            ..setup
+        };
+        assert_eq!(
+            mean.config().unwrap().max_emd_us.map(NonZeroU32::get),
+            Some(300)
+        );
+        assert_eq!(Setup::new(&mean.config().unwrap(), u64::MAX), mean);
+        for mode in [0, 1 | 1 << 2] {
+            let other = Setup { mode, ..mean };
+            assert_eq!(other.config().unwrap().max_emd_us, None);
+        }
         let is = |change: fn(&mut Setup), refusal| {
             let mut wrong = setup;
             change(&mut wrong);
@@ -232,7 +257,7 @@ mod tests {
         is(|s| s.step_log2 = 9, Refusal::Step);
         is(|s| s.mode = 15, Refusal::Mode);
         is(|s| s.when_full = 2, Refusal::Flag);
-        is(|s| s.isolated = 2, Refusal::Flag);
+        is(|s| s.options = 4, Refusal::Flag);
         is(|s| s.scan_axis = 2, Refusal::Readout);
         is(|s| s.scan_period_q16 = 1, Refusal::Readout);
         is(|s| s.scan_slope_q16 = i32::MIN, Refusal::Readout);
@@ -254,7 +279,7 @@ mod tests {
             fidelity: u32::MAX,
             key_windows: u16::MAX,
             region: [u16::MAX; 4],
-            isolated: u8::MAX,
+            options: u8::MAX,
             bytes_per_second: u32::MAX,
             scan_period_q16: u32::MAX,
             scan_slope_q16: i32::MIN,

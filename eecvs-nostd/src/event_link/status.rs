@@ -47,6 +47,8 @@ pub enum Refusal {
     Order,
     /// The firmware has no adaptive coder of coefficients.
     Coefficients,
+    /// A largest mean error is for a hybrid mode without a fidelity.
+    MeanError,
 }
 
 impl From<ConfigError> for Refusal {
@@ -59,6 +61,7 @@ impl From<ConfigError> for Refusal {
             ConfigError::Bins => Self::Bins,
             ConfigError::Rate => Self::Rate,
             ConfigError::Order => Self::Order,
+            ConfigError::MeanError => Self::MeanError,
             ConfigError::Coefficients => Self::Coefficients,
             // Not every image has it.
             ConfigError::Keys | ConfigError::Quick | ConfigError::Transform | ConfigError::Tree => {

@@ -15,7 +15,7 @@ use crate::pack::descriptor::Descriptor;
 use crate::pack::unpack::UnpackError;
 use crate::quantise::Quantiser;
 use crate::regime::Regime;
-use crate::transform::shape::Packing;
+use crate::transform::shape::{Packing, Timed};
 use crate::transform::{GRID_MAX, M_MAX, Transform};
 use crate::window::EVENTS_MAX;
 use event_types::Sensor;
@@ -126,6 +126,9 @@ pub struct Header {
     pub grid: u16,
     /// Quantiser of the coefficients.
     pub quantiser: Quantiser,
+    /// n0: pixels of 2 to this many events are sent as the times of their events ([`crate::pack::timed`]), in mode
+    /// `transform`; 0 if none is.
+    pub timed_max: u8,
 }
 
 /// The first header fields in the order on the wire. Postcard writes them as varints; a flag announces each of the
@@ -187,6 +190,7 @@ const ORDER: u8 = 1 << 7;
 
 /// Further flags.
 const BEGINS_RUN: u8 = 1;
+const TIMED: u8 = 1 << 1;
 
 /// Where the levels of the two trees are, above the effort, in the byte of a frame of the tree coder.
 const LEVELS_FIRST_SHIFT: u32 = 2;
@@ -211,6 +215,7 @@ const COEFFICIENTS_DENSE: u8 = TRANSFORM | (2 << FIDELITY_SHIFT);
 const LOSSLESS: u8 = 0;
 const TOLERANCE: u8 = 1;
 const BINS: u8 = 2;
+const SPREAD: u8 = 3;
 const KEY: u8 = 1 << 4;
 const PREVIOUS: u8 = 1 << 5;
 /// Axes of a scan.
@@ -315,11 +320,7 @@ impl Mode {
             Coder::Dense => DENSE,
             Coder::Keys | Coder::Quick | Coder::Tree(_) => TREE,
         };
-        let (fidelity, value) = match fidelity {
-            Fidelity::Lossless => (LOSSLESS, None),
-            Fidelity::ToleranceUs(tolerance_us) => (TOLERANCE, Some(tolerance_us)),
-            Fidelity::Bins(bins) => (BINS, Some(bins as u32)),
-        };
+        let (fidelity, value) = fidelity.code();
         (coder | (fidelity << FIDELITY_SHIFT), value)
     }
 
@@ -332,11 +333,8 @@ impl Mode {
             COEFFICIENTS_DENSE => return Some(Self::Coefficients(Coder::Dense)),
             _ => (),
         }
-        let fidelity = match code >> FIDELITY_SHIFT {
-            LOSSLESS => Fidelity::Lossless,
-            TOLERANCE => Fidelity::ToleranceUs(value),
-            BINS if value > 0 && value <= u16::MAX as u32 => Fidelity::Bins(value as u16),
-            _ => return None,
+        let Some(fidelity) = Fidelity::from_code(code >> FIDELITY_SHIFT, value) else {
+            return None;
         };
         let coder = match code & CODER {
             FAST => Coder::Fast,
@@ -345,6 +343,32 @@ impl Mode {
             _ => return None,
         };
         Some(Self::Hybrid(Hybrid { coder, fidelity }))
+    }
+}
+
+impl Fidelity {
+    /// Returns the fidelity's code on the wire and, unless it is lossless, the value that goes with it.
+    #[must_use]
+    pub const fn code(self) -> (u8, Option<u32>) {
+        match self {
+            Self::Lossless => (LOSSLESS, None),
+            Self::ToleranceUs(tolerance_us) => (TOLERANCE, Some(tolerance_us)),
+            Self::Bins(bins) => (BINS, Some(bins as u32)),
+            Self::SpreadUs(width_us) => (SPREAD, Some(width_us)),
+        }
+    }
+
+    /// The inverse of [`Self::code`]; `None` for an unknown code or a value out of range. No value is used with the code
+    /// of a lossless fidelity.
+    #[must_use]
+    pub const fn from_code(code: u8, value: u32) -> Option<Self> {
+        match code {
+            LOSSLESS => Some(Self::Lossless),
+            TOLERANCE => Some(Self::ToleranceUs(value)),
+            BINS if value > 0 && value <= u16::MAX as u32 => Some(Self::Bins(value as u16)),
+            SPREAD if value > 0 => Some(Self::SpreadUs(value)),
+            _ => None,
+        }
     }
 }
 
@@ -405,6 +429,7 @@ impl Header {
             m: self.m,
             grid: self.grid,
             quantiser: self.quantiser,
+            timed: Timed::new(self.timed_max, self.duration_us),
         }
     }
 
@@ -446,7 +471,7 @@ impl Header {
     const fn version(&self) -> u8 {
         if self.mode.effort().is_some() || self.mode.takes_arrival() {
             VERSION_TREE
-        } else if self.begins_run {
+        } else if self.begins_run || self.timed_max > 0 {
             VERSION
         } else {
             VERSION_PLAIN
@@ -539,8 +564,12 @@ impl Header {
             }
         }
         if self.version() != VERSION_PLAIN {
-            let further = u8::from(self.begins_run) * BEGINS_RUN;
+            let further =
+                (u8::from(self.begins_run) * BEGINS_RUN) | (u8::from(self.timed_max > 0) * TIMED);
             put(&|out| Ok(postcard::to_slice(&further, out)?.len()))?;
+            if self.timed_max > 0 {
+                put(&|out| Ok(postcard::to_slice(&self.timed_max, out)?.len()))?;
+            }
         }
         if let (Some(effort), Some(levels)) = (self.mode.effort(), self.levels) {
             let tree = effort as u8
@@ -663,9 +692,28 @@ impl Header {
         };
         let is_known = match version {
             VERSION_PLAIN => true,
-            VERSION => further == BEGINS_RUN,
+            VERSION => further != 0 && further & !(BEGINS_RUN | TIMED) == 0,
             _ => further & !BEGINS_RUN == 0,
         };
+        let timed_max = if further & TIMED != 0 {
+            Some(take(rest)?)
+        } else {
+            None
+        };
+        if timed_max.is_some() && !is_transform {
+            return None;
+        }
+        // The order is that of events of equal decoded times, which these are not.
+        let is_spread = matches!(
+            mode,
+            Mode::Hybrid(Hybrid {
+                fidelity: Fidelity::SpreadUs(_),
+                ..
+            })
+        );
+        if is_spread && order.is_some() {
+            return None;
+        }
         let is_tree = version == VERSION_TREE;
         if !is_known || is_tree != (coder == TREE) {
             return None;
@@ -739,6 +787,7 @@ impl Header {
             m: shape.m,
             grid: shape.grid,
             quantiser: Quantiser::new(shape.step_log2)?,
+            timed_max: timed_max.unwrap_or(0),
         };
         let grid_fits = usize::from(header.grid) <= GRID_MAX
             && header.grid > 0
@@ -748,7 +797,9 @@ impl Header {
             && header.events <= header.window_events
             && header.pixels <= header.events.min(sensor.pixels())
             && (!is_transform || (header.pixels > 0) == (header.events > 0));
-        let fits = grid_fits && m_fits && counts_fit && header.duration_us > 0;
+        let timed_fits =
+            timed_max.is_none_or(|most| header.packing().takes_timed(most, header.duration_us));
+        let fits = grid_fits && m_fits && counts_fit && timed_fits && header.duration_us > 0;
         fits.then_some((header, wire.payload_bytes))
     }
 }
@@ -889,6 +940,12 @@ pub struct Descriptors<'i> {
 }
 
 impl Descriptors<'_> {
+    /// Returns how many bits of the payload are left.
+    #[must_use]
+    pub const fn bits_left(&self) -> u64 {
+        self.reader.bits_left()
+    }
+
     fn unpack(&mut self) -> Result<Option<Descriptor>, UnpackError> {
         if self.pixels_left == 0 {
             return if self.events_left > 0 {
@@ -964,6 +1021,7 @@ mod tests {
             m: u8::MAX,
             grid: u16::MAX,
             quantiser: Quantiser::DEFAULT,
+            timed_max: 0,
         };
         let mut bytes = [0; 2 * HEADER_BYTES_MAX];
         // The number of pixels of mode `transform` takes no more bytes than a tolerance.

@@ -18,11 +18,12 @@ use crate::fixed_point::{CHUNK_EVENTS, Coefficient, Sum, WideSum};
 use crate::group::{Group, Impulses, Pixel};
 use crate::pack::bits_lsb_first::BitWriter;
 use crate::pack::packer::Packer;
+use crate::pack::timed::{self, FewCells};
 use crate::prune::Kept;
 use crate::quantise::Levels;
 use crate::stage::{Stage, Trace};
 use crate::transform::phase::PhaseScale;
-use crate::transform::shape::{Packing, Shape};
+use crate::transform::shape::{Packing, Shape, Timed};
 use crate::transform::{Basis, Dct, Dwt, Rule, Transform};
 use crate::window::{Slot, Window};
 #[cfg(target_arch = "x86_64")]
@@ -31,6 +32,12 @@ use dtft32_avx2::InRegisters;
 use walk_armv7em::InRegisters;
 
 const CHUNK_EVENTS_U32: u32 = CHUNK_EVENTS as u32;
+
+/// Returns whether the frame's pixels may be encoded by a [`Way`]. An image for a microcontroller has no room for its
+/// ways once more, beside pixels that are sent as times: [`PixelEncoder::encode_times`] has a walk for these.
+pub(crate) const fn has_ways(packing: &Packing) -> bool {
+    !cfg!(eecvs_dsp) || packing.timed.events_max() == 0
+}
 
 /// Returns whether all DCT coefficients fit the registers and are kept, with a step of at most 1:
 /// [`PixelEncoder::encode_few`] handles these frames.
@@ -83,6 +90,8 @@ pub(crate) struct Shared {
     pub scale: PhaseScale,
     pub packer: Packer,
     cosines: Cosines,
+    timed: Timed,
+    few_cells: FewCells,
 }
 
 /// Encodes the pixels of a frame, one after the other.
@@ -104,6 +113,8 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
             scale,
             packer: packing.packer(),
             cosines: Cosines::new(scale),
+            timed: packing.timed,
+            few_cells: packing.few_cells(),
         };
         Self {
             shared,
@@ -124,6 +135,10 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         let events = pixel.on + pixel.off;
         if events == 1 {
             encode_single::<B, T>(&mut self.shared, pixel, slots, writer, trace);
+            return 0;
+        }
+        if self.shared.timed.has(events) {
+            encode_timed::<T>(&mut self.shared, pixel, slots, writer, trace);
             return 0;
         }
         // In a firmware image, pixels without code of their own share the code of the widest sums.
@@ -173,6 +188,34 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         trace: &mut T,
     ) -> (u32, u32, u32) {
         self.encode_by::<InRegisters, T>(group, window, writer, trace)
+    }
+
+    /// Encodes pixels of the DCT or the DTFT that are sent as times, up to one that is not, where the target has a walk
+    /// for them. Returns the number of events and of pixels.
+    #[cfg_attr(eecvs_dsp, inline(never))]
+    #[cfg_attr(not(eecvs_dsp), inline(always))]
+    pub(crate) fn encode_times(
+        &mut self,
+        group: &mut Group,
+        window: &mut Window<'_>,
+        writer: &mut BitWriter<'_>,
+    ) -> (u32, u32) {
+        #[cfg(eecvs_dsp)]
+        {
+            let shared = &mut self.shared;
+            let times = (shared.scale, shared.few_cells);
+            let room = shared.timed.words_max();
+            if !writer.has_words(room) {
+                return (0, 0);
+            }
+            let (input, output) = ((group, window), (writer, room));
+            walk_armv7em::walk_times(input, times, &mut shared.packer, output)
+        }
+        #[cfg(not(eecvs_dsp))]
+        {
+            let _ = (group, window, writer);
+            (0, 0)
+        }
     }
 
     /// Never called, because [`is_waves`] holds for no frame.
@@ -226,7 +269,7 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
         trace: &mut T,
     ) -> (u32, u32, u32) {
         let (mut events, mut pixels, mut saturated) = (0, 0, 0_u32);
-        let room = W::words_max(self.shared.shape);
+        let room = W::words_max(self.shared.shape).max(self.shared.timed.words_max());
         while writer.has_words(room) {
             trace.enter(Stage::Group);
             let crowded = 'chunk: {
@@ -262,6 +305,8 @@ impl<'e, 'b> PixelEncoder<'e, 'b> {
                     let slots = window.slots();
                     if here == 1 {
                         encode_single::<W::Basis, T>(shared, pixel, slots, writer, trace);
+                    } else if shared.timed.has(here) {
+                        encode_timed::<T>(shared, pixel, slots, writer, trace);
                     } else {
                         W::encode(shared, &mut memory, pixel, slots, writer, trace);
                     }
@@ -508,6 +553,26 @@ fn encode_single<B: Basis, T: Trace>(
     shared
         .packer
         .single((pixel.x, pixel.y), pixel.on == 1, cell, writer);
+}
+
+/// Encodes a pixel of few events as their times.
+#[inline(never)]
+fn encode_timed<T: Trace>(
+    shared: &mut Shared,
+    pixel: Pixel,
+    slots: &[Slot],
+    writer: &mut BitWriter<'_>,
+    trace: &mut T,
+) {
+    trace.enter(Stage::Quantise);
+    let counts = (pixel.on, pixel.off);
+    let cells = shared.few_cells.of(pixel.on + pixel.off);
+    trace.enter(Stage::Pack);
+    shared
+        .packer
+        .place_apart((pixel.x, pixel.y), counts, writer);
+    let impulses = Impulses::new(pixel, slots);
+    timed::put_pixel(&impulses, counts, (cells, shared.scale), writer);
 }
 
 /// Writes the coefficients of a pixel of several chunks to `totals`.

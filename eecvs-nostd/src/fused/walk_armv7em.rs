@@ -24,6 +24,7 @@ use crate::group::{Entry, Group, Impulses, Pixel};
 use crate::pack::bits_lsb_first::{BitWriter, Position};
 use crate::pack::packer::Packer;
 use crate::pack::packer::code_tables_armv7em::{Counts, SIDE_BITS_MAX, TABLES};
+use crate::pack::timed::{self, FewCells};
 use crate::stage::Trace;
 use crate::transform::Dtft;
 use crate::transform::phase::PhaseScale;
@@ -89,6 +90,10 @@ struct Walk<'w, 's, 'o> {
     sums: [i32; 7],
     /// The assembly does not handle a pixel whose tally is this or more.
     tally_limit: u32,
+    /// The assembly leaves a pixel whose tally is this or more to the caller.
+    crowded: u32,
+    /// Encodes pixels of several events as times, unless it is null.
+    few: *const Few,
     /// Encodes the DTFT's pixels of several events.
     waves: *mut Waves<'w>,
     packer: *mut Packer,
@@ -96,6 +101,12 @@ struct Walk<'w, 's, 'o> {
     writer: *mut BitWriter<'o>,
     /// Ties the pointers to what they point to.
     borrowed: PhantomData<&'w mut ()>,
+}
+
+/// How pixels of few events are sent as times.
+struct Few {
+    cells: FewCells,
+    scale: PhaseScale,
 }
 
 /// DTFT coefficients and the output's state in registers: [`crate::fused::is_waves`].
@@ -148,10 +159,10 @@ impl Way for InRegisters {
 /// returns next, or until the output has less than `room` words left. Returns the number of events and of pixels.
 /// `waves` is given for the DTFT only.
 pub fn walk(
-    (group, window): (&mut Group, &mut Window<'_>),
+    input: (&mut Group, &mut Window<'_>),
     scale: PhaseScale,
     packer: &mut Packer,
-    (writer, room): (&mut BitWriter<'_>, usize),
+    output: (&mut BitWriter<'_>, usize),
     waves: Option<&mut Waves<'_>>,
 ) -> (u32, u32) {
     let crowded = (CHUNK_EVENTS as u32 + 1) << 16;
@@ -159,6 +170,33 @@ pub fn walk(
         Some(waves) => (2 << 16, waves),
         None => (crowded, core::ptr::null_mut()),
     };
+    let limits = (tally_limit, crowded);
+    walk_to(limits, input, (scale, packer), output, (waves.cast(), None))
+}
+
+/// As [`walk`], for pixels of the DCT or the DTFT that are sent as times: up to one that is not.
+pub fn walk_times(
+    input: (&mut Group, &mut Window<'_>),
+    (scale, cells): (PhaseScale, FewCells),
+    packer: &mut Packer,
+    output: (&mut BitWriter<'_>, usize),
+) -> (u32, u32) {
+    let crowded = (u32::from(packer.packing.timed.events_max()) + 1) << 16;
+    let few = Few { cells, scale };
+    let ways = (core::ptr::null_mut(), Some(&few));
+    walk_to((2 << 16, crowded), input, (scale, packer), output, ways)
+}
+
+/// Encodes pixels up to the window's last one or one whose tally is `crowded` or more, or until the output has less
+/// than `room` words left. Pixels whose tally is `tally_limit` or more are encoded by one of the ways.
+#[inline(never)]
+fn walk_to(
+    (tally_limit, crowded): (u32, u32),
+    (group, window): (&mut Group, &mut Window<'_>),
+    (scale, packer): (PhaseScale, &mut Packer),
+    (writer, room): (&mut BitWriter<'_>, usize),
+    (waves, few): (*mut Waves<'_>, Option<&Few>),
+) -> (u32, u32) {
     let (phase_shift, reciprocal) = scale.parts();
     let cells_log2 = packer.cells_log2();
     let (level_shift, one_bits) = packer.level_parts();
@@ -205,8 +243,10 @@ pub fn walk(
         position,
         words,
         tally_limit,
+        crowded,
+        few: few.map_or(core::ptr::null(), core::ptr::from_ref),
         sums: [0; 7],
-        waves: waves.cast(),
+        waves,
         packer,
         source: Source { group, window },
         writer,
@@ -240,6 +280,8 @@ const _: () = assert!(offset_of!(Walk<'_, '_, '_>, base) == 60);
 const _: () = assert!(offset_of!(Walk<'_, '_, '_>, counts) == 36);
 const _: () = assert!(offset_of!(Walk<'_, '_, '_>, position) == 100);
 const _: () = assert!(offset_of!(Walk<'_, '_, '_>, sums) == 108);
+const _: () =
+    assert!(offset_of!(Walk<'_, '_, '_>, few) == offset_of!(Walk<'_, '_, '_>, crowded) + 4);
 
 /// Packs a single event whose code is longer than 31 bits. `gap` is twice the sum of its gap and 2^g, plus 1.
 unsafe extern "C" fn single_long(walk: &mut Walk<'_, '_, '_>, gap: u32, rest: u32) {
@@ -264,6 +306,20 @@ unsafe extern "C" fn choose(walk: &mut Walk<'_, '_, '_>, tally: u32, head: u32) 
     // `Waves`.
     let (waves, window) = unsafe { (&mut *walk.waves, &mut *walk.source.window) };
     waves.choose_largest((tally, head), window.slots(), &mut ())
+}
+
+/// Packs a pixel of few events as their times; `gap` is as in [`single_long`], and the pixel's list begins at `head`.
+unsafe extern "C" fn times(walk: &mut Walk<'_, '_, '_>, gap: u32, tally: u32, head: u32) {
+    // SAFETY: see `walk_to`; nothing else has a reference while this runs, and this is called only if there is a `Few`.
+    let (few, packer, window) = unsafe { (&*walk.few, &*walk.packer, &mut *walk.source.window) };
+    // SAFETY: as above.
+    let writer = unsafe { &mut *walk.writer };
+    let events = tally >> 16;
+    let on = tally & 0xffff;
+    let counts = (on, events - on);
+    packer.place_after(gap >> 1, counts, writer);
+    let impulses = Impulses::from_slot(window.slots(), head);
+    timed::put_pixel(&impulses, counts, (few.cells.of(events), few.scale), writer);
 }
 
 /// Packs a DTFT pixel that [`dtft32_armv7em::put`] does not handle; `gap` is as in [`single_long`].
@@ -656,7 +712,9 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "b 20f",
         // Another transform's pixel. r3: tally; lr: first slot.
         "16:",
-        "cmp r3, #{crowded}",
+        "ldr r2, [sp, #156]",
+        "ldrd r0, r2, [r2, #{crowded}]",
+        "cmp r3, r0",
         "bhs 20f",
         "ldr r0, [sp, #40]",
         "cmp r12, r0",
@@ -665,6 +723,8 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "add r11, r11, r3, lsr #16",
         "add r0, sp, #100",
         "stm r0, {{r1, r3, r4, r7, r11, r12, lr}}",
+        "cmp r2, #0",
+        "bne 24f",
         "ldr r7, [sp, #132]",
         "cmp r3, #0x30000",
         "bhs 22f",
@@ -702,6 +762,14 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         "ldrd r1, r2, [sp, #100]",
         "ldr r3, [sp, #128]",
         "bl {wave_long}",
+        "b 10b",
+        // Few events, as times. What a call does not preserve is the writer's.
+        "24:",
+        "bl 41f",
+        "ldr r0, [sp, #156]",
+        "ldrd r1, r2, [sp, #100]",
+        "ldr r3, [sp, #124]",
+        "bl {times}",
         "b 10b",
         // More events than a chunk: restore the state before this pixel.
         "20:",
@@ -766,7 +834,8 @@ unsafe extern "C" fn walk_columns(walk: &mut Walk<'_, '_, '_>) -> u32 {
         tally_limit = const offset_of!(Walk<'_, '_, '_>, tally_limit),
         copied = const offset_of!(Walk<'_, '_, '_>, position) - 12,
         single_long = sym single_long,
-        crowded = const (CHUNK_EVENTS + 1) << 16,
+        crowded = const offset_of!(Walk<'_, '_, '_>, crowded),
+        times = sym times,
         first = const FIRST,
         column_at = const COLUMN_SHIFT,
         column_bits = const COLUMN_BITS,

@@ -1,9 +1,39 @@
-//! Sorts a pixel's events by time.
+//! Sorts a pixel's events by time, or those of all pixels.
 //!
 //! They are nearly always in order, which one pass detects. If they are not, a bottom-up merge sort of the list
 //! takes O(n log n) steps and no memory.
 
-use crate::window::{NO_SLOT, Slot};
+use core::mem;
+
+use crate::window::{NO_SLOT, SEGMENT_PIXELS, Slot, Window};
+
+/// Puts the events of a closed window, in the list of every segment, in the order of their pixels, and in a pixel the
+/// latest first: grouped, they are as they were, and ascend.
+pub(crate) fn gather_pixels(window: &mut Window<'_>) {
+    let mut from = 0;
+    while let Some(segment) = window.next_used(from) {
+        let mut columns = [NO_SLOT; SEGMENT_PIXELS as usize];
+        let mut at = window.head_of(segment);
+        let slots = window.slots();
+        while let Some(slot) = slots.get_mut(at as usize) {
+            let next = slot.next();
+            let first = &mut columns[slot.column() as usize];
+            *slot = slot.with_next(mem::replace(first, at));
+            at = next;
+        }
+        let mut newest = NO_SLOT;
+        for oldest in columns {
+            let mut at = ascending(slots, oldest);
+            while let Some(slot) = slots.get_mut(at as usize) {
+                let next = slot.next();
+                *slot = slot.with_next(mem::replace(&mut newest, at));
+                at = next;
+            }
+        }
+        window.put_head(segment, newest);
+        from = segment + 1;
+    }
+}
 
 /// Sorts the list from `head` on by ascending time and returns its first slot. Events of equal times keep their
 /// order.

@@ -165,7 +165,7 @@ mod tests {
         fidelity: 0,
         key_windows: 1,
         region: [0; 4],
-        isolated: 0,
+        options: 0,
         bytes_per_second: 0,
         scan_period_q16: 0,
         scan_slope_q16: 0,

@@ -3,4 +3,5 @@
 pub mod bits_lsb_first;
 pub mod descriptor;
 pub mod packer;
+pub mod timed;
 pub mod unpack;

@@ -2,8 +2,10 @@
 
 use heapless::Vec;
 
+use crate::coder::cells::Cells;
 use crate::pack::bits_lsb_first::{BitReader, Ended};
 use crate::pack::descriptor::{Coded, Descriptor};
+use crate::pack::timed::{TimedEvent, TimedEvents, first_order, next_order};
 use crate::quantise::Level;
 use crate::transform::shape::{MASK_GRID_MAX, Packing, width_of};
 use crate::transform::{M_MAX, Transform};
@@ -18,7 +20,7 @@ pub enum UnpackError {
     Position,
     /// The pixels' counts contradict the header.
     Events,
-    /// More coefficients than M, an index beyond the grid, or a level that no encoder writes.
+    /// More coefficients than M, an index beyond the grid, or a level or a cell that no encoder writes.
     Levels,
     /// Bits are left after the last pixel.
     Trailing,
@@ -70,6 +72,8 @@ impl Packing {
         let off = events.checked_sub(on).ok_or(UnpackError::Events)?;
         let coded = if events == 1 {
             Coded::Cell(reader.get(self.cells_log2())?)
+        } else if self.timed.has(events) {
+            Coded::Times(unpack_times((on, off), self.timed_cells(events), reader)?)
         } else {
             Coded::Levels(self.unpack_levels((on, off), reader)?)
         };
@@ -183,11 +187,53 @@ impl Packing {
     }
 }
 
+/// Reads the events of a pixel that is sent as times: what [`crate::pack::timed`] puts.
+fn unpack_times(
+    (on, off): (u32, u32),
+    cells: Cells,
+    reader: &mut BitReader<'_>,
+) -> Result<TimedEvents, UnpackError> {
+    let bits = width_of(cells.count() - 1);
+    let (mut on_left, mut off_left) = (on, off);
+    let mut order = first_order(bits);
+    let mut events = TimedEvents::new();
+    while on_left + off_left > 0 {
+        let is_on = match (on_left, off_left) {
+            (0, _) => false,
+            (_, 0) => true,
+            _ => reader.get(1)? == 1,
+        };
+        on_left -= u32::from(is_on);
+        off_left -= u32::from(!is_on);
+        let before = events.last().copied();
+        let cell = match before {
+            None => reader.get(bits)?,
+            Some(TimedEvent { cell, .. }) => {
+                let distance = reader.get_exp_golomb(order)?;
+                let next = cell.checked_add(distance).ok_or(UnpackError::Levels)?;
+                if next >= cells.count() {
+                    return Err(UnpackError::Levels);
+                }
+                order = next_order(order, distance);
+                next
+            }
+        };
+        let event = TimedEvent { cell, is_on };
+        // A pixel has only one encoding.
+        if cell >= cells.count() || before.is_some_and(|before| event < before) {
+            return Err(UnpackError::Levels);
+        }
+        events.push(event).map_err(|_| UnpackError::Levels)?;
+    }
+    Ok(events)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::pack::bits_lsb_first::BitWriter;
     use crate::quantise::Quantiser;
+    use crate::transform::shape::Timed;
     use event_types::Sensor;
 
     fn packing(transform: Transform, m: u8, grid: u16, step_log2: i8) -> Packing {
@@ -202,6 +248,7 @@ mod tests {
             m,
             grid,
             quantiser: Quantiser::new(step_log2).unwrap(),
+            timed: Timed::NONE,
         }
     }
 

@@ -31,6 +31,8 @@ pub struct Packing {
     pub grid: u16,
     /// Quantiser of the coefficients.
     pub quantiser: Quantiser,
+    /// Which pixels are sent as the times of their events.
+    pub timed: Timed,
 }
 
 /// The parameters that the coefficients of all pixels share.
@@ -43,6 +45,60 @@ pub struct Shape {
     pub r: usize,
     /// Quantiser of the coefficients.
     pub quantiser: Quantiser,
+}
+
+/// Which pixels of a frame are sent as times: see [`crate::pack::timed`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Timed {
+    events_max: u8,
+    duration_us: u32,
+}
+
+impl Timed {
+    /// No pixel of several events is sent as times.
+    pub const NONE: Self = Self {
+        events_max: 0,
+        duration_us: 1,
+    };
+
+    /// Pixels of 2 to `events_max` events are, n0 of the formulas, in a window of `duration_us`. 0 and 1 stand for
+    /// none.
+    #[must_use]
+    pub const fn new(events_max: u8, duration_us: u32) -> Self {
+        if events_max < 2 {
+            return Self::NONE;
+        }
+        Self {
+            events_max,
+            duration_us,
+        }
+    }
+
+    /// Returns n0: 0 if no pixel of several events is sent as times.
+    #[must_use]
+    pub const fn events_max(self) -> u8 {
+        self.events_max
+    }
+
+    /// Returns the window's duration.
+    pub(crate) const fn duration_us(self) -> u32 {
+        self.duration_us
+    }
+
+    /// Returns the largest number of words that such a pixel takes: counts and gap, 3 * 31 bits and 3; of each event a
+    /// polarity and a distance of at most 24 bits in a code of twice as many and 1; and one word for bits that were
+    /// pending.
+    pub(crate) const fn words_max(self) -> usize {
+        4 + (self.events_max as usize * 50).div_ceil(32) + 1
+    }
+
+    /// Returns whether a pixel of `events` events, 2 or more, is sent as times.
+    #[inline(always)]
+    #[must_use]
+    pub const fn has(self, events: u32) -> bool {
+        events <= self.events_max as u32
+    }
 }
 
 /// Returns the number of bits that hold any value from 0 to `most`.
@@ -179,6 +235,7 @@ mod tests {
             m,
             grid,
             quantiser: Quantiser::new(step_log2).unwrap(),
+            timed: Timed::NONE,
         }
     }
 

@@ -1023,6 +1023,13 @@ impl<'b> Window<'b> {
         head.map_or(NO_SLOT, index)
     }
 
+    /// Replaces the list of a segment that has events by another one of the same events.
+    pub(crate) fn put_head(&mut self, segment: u32, newest: u32) {
+        if let Some(head) = self.heads.get_mut(segment as usize) {
+            *head = newest as Head;
+        }
+    }
+
     /// Removes from a used segment all events outside `columns`; returns how many it removed.
     pub(crate) fn keep_columns(&mut self, segment: u32, columns: u32) -> u32 {
         self.keep(segment, |_, slot| columns >> slot.column() & 1 == 1)

@@ -3,12 +3,13 @@
 //!
 //! The image also compares code that some targets have of their own with the portable code: words taken in runs
 //! with words taken one by one, sums of lists with those of impulses that are not in lists, and the walks of the
-//! eight-coefficient DCT, of the Haar transform on 16 bins and of both event coders with the walks that run under a
-//! trace.
+//! eight-coefficient DCT, of the Haar transform on 16 bins, of pixels sent as times and of both event coders with the
+//! walks that run under a trace.
 #![no_std]
 #![no_main]
 
 use core::cell::RefCell;
+use core::num::NonZeroU32;
 
 use cortex_m_rt::entry;
 use cortex_m_semihosting::{debug, hprintln};
@@ -43,6 +44,8 @@ struct Golden {
     fidelity: u32,
     /// Period and slope of the columns' scans, in 2^-16 us.
     scans: Option<(u32, i32)>,
+    /// Whether pixels of few events are sent as times.
+    few_as_times: bool,
     /// (t_us, x, y, p).
     events: &'static [(u64, u16, u16, u8)],
     frames: &'static [&'static [u8]],
@@ -114,12 +117,14 @@ fn main() -> ! {
             }
         }
         for seed in 0..WALKS {
-            for (name, transform, mode) in [
-                ("dct", Transform::Dct, 0),
-                ("dwt", Transform::Dwt, 0),
-                ("fast", Transform::Dct, 1),
+            for (name, transform, mode, few_as_times) in [
+                ("dct", Transform::Dct, 0, false),
+                ("dwt", Transform::Dwt, 0, false),
+                ("dct with times", Transform::Dct, 0, true),
+                ("dtft with times", Transform::Dtft, 0, true),
+                ("fast", Transform::Dct, 1, false),
             ] {
-                if !walks_hold(seed, (transform, mode), &mut storage) {
+                if !walks_hold(seed, (transform, mode, few_as_times), &mut storage) {
                     hprintln!("golden: walk {} of {} differs", seed, name);
                     failed += 1;
                 }
@@ -244,6 +249,7 @@ fn runs_hold(seed: u32, storage: &mut Small) -> bool {
         mode: 0,
         fidelity: 0,
         scans: None,
+        few_as_times: false,
         events: &[],
         frames: &[],
     };
@@ -348,7 +354,11 @@ impl Trace for Listener {
 /// Returns whether both walks give the same frames: with single events and crowded pixels, of one polarity and
 /// mixed, neighbours and far apart, with every kind of step.
 #[inline(never)]
-fn walks_hold(seed: u32, (transform, mode): (Transform, u8), storage: &mut Small) -> bool {
+fn walks_hold(
+    seed: u32,
+    (transform, mode, few_as_times): (Transform, u8, bool),
+    storage: &mut Small,
+) -> bool {
     let golden = Golden {
         width: WIDE.0,
         height: WIDE.1,
@@ -357,6 +367,7 @@ fn walks_hold(seed: u32, (transform, mode): (Transform, u8), storage: &mut Small
         mode,
         fidelity: 0,
         scans: None,
+        few_as_times,
         events: &[],
         frames: &[],
     };
@@ -409,6 +420,7 @@ fn dense_walk_holds(seed: u32, storage: &mut Small, (model, memory): &mut Dense)
         mode: 2,
         fidelity: 0,
         scans: None,
+        few_as_times: false,
         events: &[],
         frames: &[],
     };
@@ -501,6 +513,7 @@ fn config(golden: &Golden) -> Option<Config> {
     let fidelity = match golden.mode >> 2 {
         0 => Fidelity::Lossless,
         1 => Fidelity::ToleranceUs(golden.fidelity),
+        3 => Fidelity::SpreadUs(golden.fidelity),
         _ => Fidelity::Bins(golden.fidelity as u16),
     };
     let hybrid = |coder| Mode::Hybrid(Hybrid { coder, fidelity });
@@ -520,6 +533,9 @@ fn config(golden: &Golden) -> Option<Config> {
         m: golden.m,
         grid: None,
         quantiser: Quantiser::DEFAULT,
+        few_as_times: golden.few_as_times,
+        // As in a setup: a lossless mode's value is a mean error.
+        max_emd_us: NonZeroU32::new(golden.fidelity).filter(|_| mode.is_lossless()),
         mode,
         key_windows: KEY_WINDOWS,
         readout: match golden.scans {

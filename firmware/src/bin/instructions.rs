@@ -103,14 +103,23 @@ impl Cut {
     }
 }
 
+/// Name of the runs whose pixels of few events are sent as times, after the transform's.
+const FEW: &str = " few";
+
 /// Name, transform, M (0 where it does not apply) and mode of every run.
-const WAYS: [(&str, Transform, u8, Mode); 8] = [
+const WAYS: [(&str, Transform, u8, Mode); 14] = [
     ("dct", Transform::Dct, 8, Mode::Transform),
     ("dct", Transform::Dct, 16, Mode::Transform),
     ("dtft", Transform::Dtft, 8, Mode::Transform),
     ("dtft", Transform::Dtft, 16, Mode::Transform),
     ("dwt", Transform::Dwt, 8, Mode::Transform),
     ("dwt", Transform::Dwt, 16, Mode::Transform),
+    ("dct few", Transform::Dct, 8, Mode::Transform),
+    ("dct few", Transform::Dct, 16, Mode::Transform),
+    ("dtft few", Transform::Dtft, 8, Mode::Transform),
+    ("dtft few", Transform::Dtft, 16, Mode::Transform),
+    ("dwt few", Transform::Dwt, 8, Mode::Transform),
+    ("dwt few", Transform::Dwt, 16, Mode::Transform),
     ("fast", Transform::Dct, 0, lossless(Coder::Fast)),
     ("dense", Transform::Dct, 0, lossless(Coder::Dense)),
 ];
@@ -310,6 +319,8 @@ fn main() -> ! {
                 m: m.max(8),
                 grid: None,
                 quantiser: Quantiser::DEFAULT,
+                few_as_times: label.ends_with(FEW),
+                max_emd_us: None,
                 mode,
                 key_windows: KEY_WINDOWS,
                 readout: None,

@@ -1,5 +1,5 @@
 //! `eecvs bench`: measures run time and error of every kernel, how encoding scales, what skipping saves, rate
-//! against distortion, and how fast recordings are read.
+//! against distortion, what a largest mean error costs, and how fast recordings are read.
 
 use std::path::{Path, PathBuf};
 
@@ -22,7 +22,10 @@ use serde::Serialize;
 
 use super::bench_rate::{self, Rate};
 use super::bench_read;
-use crate::report::{error_chart, kernel_chart, kernel_table, rate_table, skip_table};
+use super::bench_selection::Selection;
+use crate::report::{
+    error_chart, kernel_chart, kernel_table, rate_table, selection_table, skip_table,
+};
 
 /// Folder searched for recordings when none is given.
 const RECORDINGS: &str = "../shared/data";
@@ -104,23 +107,33 @@ pub struct Bench {
     /// Instead: measure bits per event against distortion of both modes and of their peers (event files, xz and
     /// zstd, TORE volumes, voxel grids), and draw a chart; fails if a lossless codec does not return its input. The
     /// zstd rows need a program built with --features zstd
-    #[arg(long, conflicts_with_all = ["scaling", "recordings", "skips", "errors", "mcu"])]
+    #[arg(long, group = "of_data", conflicts_with_all = [
+        "scaling", "recordings", "skips", "errors", "mcu",
+    ])]
     rate: bool,
+
+    /// Instead: measure bits per event of `--max-emd-us` against fixed transforms and tolerances that are no worse,
+    /// on the nine emulated scenes and on recordings, all cropped; takes some minutes
+    #[arg(long, group = "of_data", conflicts_with_all = [
+        "scaling", "recordings", "skips", "errors", "mcu",
+    ])]
+    selection: bool,
 
     /// Instead: measure events per second when reading each of these recordings on one thread; the fastest of
     /// several runs counts
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = [
-        "scaling", "recordings", "skips", "errors", "rate", "mcu", "save", "record",
+        "scaling", "recordings", "skips", "errors", "rate", "selection", "mcu", "save", "record",
     ])]
     read: Vec<PathBuf>,
 
-    /// Recordings for --rate, or folders of them, searched two levels deep [default: ../shared/data if it exists,
-    /// else emulated scenes]
-    #[arg(long, value_name = "PATH", num_args = 1.., requires = "rate")]
+    /// Recordings for --rate or --selection, or folders of them, searched two levels deep [default: ../shared/data if
+    /// it exists, else emulated scenes]
+    #[arg(long, value_name = "PATH", num_args = 1.., requires = "of_data")]
     data: Vec<PathBuf>,
 
     /// Also write the table into a document, between the lines that name this command: docs/results.md, METHODOLOGY.md
-    /// with --skips, README.md or METHODOLOGY.md or both with --rate. Needs recordings, except with --rate
+    /// with --skips or --selection, README.md or METHODOLOGY.md or both with --rate. Needs recordings, except with
+    /// --rate and --selection
     #[arg(long, value_name = "FILE", conflicts_with_all = ["quick", "scaling", "errors"])]
     save: Vec<PathBuf>,
 
@@ -153,6 +166,9 @@ impl Bench {
         }
         if self.rate {
             return self.rate()?.run();
+        }
+        if self.selection {
+            return self.selection().run();
         }
         if self.errors {
             return self.errors();
@@ -201,6 +217,17 @@ impl Bench {
         })
     }
 
+    fn selection(&self) -> Selection<'_> {
+        Selection {
+            data: &self.data,
+            default_folder: Path::new(RECORDINGS),
+            quick: self.quick,
+            json: self.json,
+            save: &self.save,
+            record: self.record.as_deref(),
+        }
+    }
+
     fn output(&self) -> &Path {
         self.output.as_deref().unwrap_or(Path::new(CHARTS))
     }
@@ -245,6 +272,8 @@ impl Bench {
     fn marks(&self, document: &Path) -> Marks {
         if self.rate {
             rate_table::of(document).0
+        } else if self.selection {
+            selection_table::MARKS
         } else if self.skips {
             skip_table::MARKS
         } else {

@@ -78,7 +78,7 @@ impl Rate<'_> {
 
     /// Measures one recording after the other, so that only one is in memory.
     fn rows(&self, effort: Effort) -> Result<Vec<Row>> {
-        let files = self.files()?;
+        let files = files(self.data, self.default_folder)?;
         let recordings = if files.is_empty() { 3 } else { files.len() };
         let progress = Progress::new(&format!("of {} points", recordings * effort.rows()));
         let mut rows = Vec::new();
@@ -97,28 +97,6 @@ impl Rate<'_> {
         Ok(rows)
     }
 
-    /// Returns the recordings to measure; an empty list stands for the emulated scenes.
-    fn files(&self) -> Result<Vec<(String, PathBuf)>> {
-        if self.data.is_empty() {
-            let folder = self.default_folder;
-            if !folder.is_dir() {
-                return Ok(Vec::new());
-            }
-            return distinct(&[folder.to_owned()]);
-        }
-        for path in self.data {
-            let name = path.display();
-            ensure!(path.exists(), "{name}: no such recording or folder");
-        }
-        let files = distinct(self.data)?;
-        ensure!(
-            !files.is_empty(),
-            "{}: holds no recording; omit --data to use emulated scenes",
-            self.data[0].display()
-        );
-        Ok(files)
-    }
-
     fn charts(&self, rows: &[Row]) -> Result<[PathBuf; 4]> {
         let files = CHARTS.map(|file| self.folder.path().join(file));
         let [svg, png, speed_svg, speed_png] = &files;
@@ -131,6 +109,31 @@ impl Rate<'_> {
         speed.png.save(speed_png)?;
         Ok(files)
     }
+}
+
+/// Returns names and files of the recordings in `data`, or of those in `default_folder` if `data` is empty; none if
+/// that is no folder.
+///
+/// # Errors
+/// Fails if a path of `data` does not exist or cannot be read, or if none holds a recording.
+pub fn files(data: &[PathBuf], default_folder: &Path) -> Result<Vec<(String, PathBuf)>> {
+    let Some(first) = data.first() else {
+        if !default_folder.is_dir() {
+            return Ok(Vec::new());
+        }
+        return distinct(&[default_folder.to_owned()]);
+    };
+    for path in data {
+        let name = path.display();
+        ensure!(path.exists(), "{name}: no such recording or folder");
+    }
+    let files = distinct(data)?;
+    ensure!(
+        !files.is_empty(),
+        "{}: holds no recording; omit --data to use emulated scenes",
+        first.display()
+    );
+    Ok(files)
 }
 
 /// Returns names and files of the distinct recordings in `paths`; reports on stderr what was left out.

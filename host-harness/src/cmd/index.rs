@@ -96,7 +96,7 @@ fn read(path: &Path) -> std::io::Result<(FrameReader<File>, u64)> {
     let mut frames = FrameReader::new(File::open(path)?).of_all_sensors();
     let mut end_of_frames = 0;
     while let Some(located) = frames.next_frame()? {
-        end_of_frames = located.offset + located.bytes.len() as u64;
+        end_of_frames = located.offset + located.stored as u64;
     }
     Ok((frames, end_of_frames))
 }

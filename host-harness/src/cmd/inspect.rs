@@ -6,7 +6,9 @@ use std::path::PathBuf;
 use anyhow::{Context, Result, bail};
 use clap::Args;
 use eecvs::frame_file::{FrameReader, Located};
+use eecvs::reconstruct::coefficients::CoefficientDecoder;
 use eecvs::reconstruct::same_window;
+use eecvs::reconstruct::ways::{Way, Ways};
 use eecvs_cli::options::tell_link;
 use eecvs_nostd::{Fidelity, Header, Mode};
 use event_files::input::piped::{name_of, open_bytes};
@@ -55,7 +57,14 @@ struct Row {
     m: u8,
     grid: u16,
     step: f64,
+    /// Largest number of events of pixels that are sent as times; 0 if none is.
+    few: u8,
+    /// Pixels and bits by the way in which they are sent, in a transform frame that decodes.
+    ways: Option<Ways>,
+    /// Bytes that the frame takes in the file.
     bytes: usize,
+    /// Bytes of the frame itself: more, if it is short in the file.
+    frame_bytes: usize,
     late: u32,
     filtered: u32,
     dropped: u32,
@@ -79,6 +88,9 @@ impl Inspect {
         let mut index = 0;
         let mut windows = 0;
         let mut open = None;
+        // And the number of frames that do not decode.
+        let mut total: Option<(Ways, u64)> = None;
+        let mut decoder = CoefficientDecoder::default();
         while let Some(located) = reader
             .next_frame()
             .with_context(|| format!("{name}: cannot read"))?
@@ -89,7 +101,16 @@ impl Inspect {
             let goes_on = open.is_some_and(|earlier| same_window(&earlier, &header));
             windows += u64::from(header.events > 0 && !goes_on);
             open = (header.events > 0 && !header.last).then_some(header);
-            let row = Row::new(index, windows.max(1) - 1, &located);
+            // `decode` says why a frame does not decode. Frames of a dense coder need those before them.
+            let ways = Ways::of(&located.frame, &mut decoder).ok().flatten();
+            if header.mode.is_transform() {
+                let (total, without) = total.get_or_insert_default();
+                match &ways {
+                    Some(ways) => total.add(ways),
+                    None => *without += 1,
+                }
+            }
+            let row = Row::new(index, windows.max(1) - 1, &located, ways);
             if self.json {
                 // The bracket waits for the first frame, so that a file without frames leaves stdout empty.
                 let before = if index == 0 { '[' } else { ',' };
@@ -107,6 +128,8 @@ impl Inspect {
         }
         if self.json {
             writeln!(out, "\n]").context("stdout")?;
+        } else if let Some((total, without)) = total {
+            print_ways(&mut out, &total, without).context("stdout")?;
         }
         out.flush().context("stdout")?;
         tell_link(&name, reader.report())
@@ -114,7 +137,7 @@ impl Inspect {
 }
 
 impl Row {
-    fn new(index: u64, window: u64, located: &Located<'_>) -> Self {
+    fn new(index: u64, window: u64, located: &Located<'_>, ways: Option<Ways>) -> Self {
         let header = &located.frame.header;
         let density = eecvs_nostd::Density {
             events: header.window_events,
@@ -124,10 +147,9 @@ impl Row {
         let (mut coder, mut time_tolerance_us, mut bins) = (None, None, None);
         if let Mode::Hybrid(hybrid) = header.mode {
             coder = Some(hybrid.coder.name());
-            match hybrid.fidelity {
-                Fidelity::Lossless => time_tolerance_us = Some(0),
-                Fidelity::ToleranceUs(tolerance_us) => time_tolerance_us = Some(tolerance_us),
-                Fidelity::Bins(count) => bins = Some(count),
+            time_tolerance_us = hybrid.fidelity.within_us();
+            if let Fidelity::Bins(count) = hybrid.fidelity {
+                bins = Some(count);
             }
         }
         if let Mode::Coefficients(by) = header.mode {
@@ -160,7 +182,10 @@ impl Row {
             m: header.m,
             grid: header.grid,
             step: f64::from(header.quantiser.step_log2()).exp2(),
-            bytes: located.frame.bytes,
+            few: header.timed_max,
+            ways,
+            bytes: located.stored,
+            frame_bytes: located.frame.bytes,
             late: header.late,
             filtered: header.filtered,
             dropped: header.dropped,
@@ -227,6 +252,23 @@ impl Row {
     }
 }
 
+/// Prints how the pixels of all frames were sent, and what that took.
+fn print_ways(out: &mut impl Write, ways: &Ways, without: u64) -> std::io::Result<()> {
+    let named = [
+        ("single events", ways.single),
+        ("few events as times", ways.times),
+        ("coefficients", ways.coefficients),
+    ];
+    writeln!(out)?;
+    for (name, Way { pixels, bits }) in named {
+        writeln!(out, "{name:>20} {pixels:>10} pixels {bits:>12.0} bits")?;
+    }
+    if without > 0 {
+        writeln!(out, "and {without} frames that do not decode")?;
+    }
+    Ok(())
+}
+
 /// Describes what a frame encodes of the events of its window.
 fn fidelity(header: &Header) -> String {
     let told = match header.mode {
@@ -234,6 +276,7 @@ fn fidelity(header: &Header) -> String {
         Mode::Hybrid(hybrid) => match hybrid.fidelity {
             Fidelity::Lossless => "exact".to_owned(),
             Fidelity::ToleranceUs(tolerance_us) => format!("within {tolerance_us} us"),
+            Fidelity::SpreadUs(width_us) => format!("spread over {width_us} us"),
             Fidelity::Bins(1) => "1 bin".to_owned(),
             Fidelity::Bins(count) => format!("{count} bins"),
         },

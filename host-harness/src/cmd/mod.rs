@@ -3,6 +3,7 @@
 pub mod bench;
 mod bench_rate;
 mod bench_read;
+mod bench_selection;
 pub mod calibrate;
 pub mod compare;
 pub mod convert;

@@ -1,7 +1,7 @@
 //! Checks what a decoder's events must have in common with the original's, before anything is measured.
 
 use anyhow::{Result, ensure};
-use eecvs_nostd::{Event, Polarity};
+use eecvs_nostd::{Event, Fidelity, Polarity};
 
 /// Position and polarity, then time.
 type Key = (u16, u16, Polarity, u64);
@@ -15,6 +15,29 @@ pub enum Promise {
     Within(u64),
     /// The same number of events at each position and polarity.
     Counts,
+}
+
+impl Promise {
+    /// Returns the promise of frames of events.
+    #[must_use]
+    pub fn of(fidelity: Fidelity) -> Self {
+        match (fidelity, fidelity.within_us()) {
+            (Fidelity::Lossless, _) => Self::Lossless,
+            (_, Some(within_us)) => Self::Within(within_us.into()),
+            (_, None) => Self::Counts,
+        }
+    }
+}
+
+/// Returns the name of a setting: `lossless`, `50 us`, `8 bins`, `spread over 50 us`.
+#[must_use]
+pub fn setting(fidelity: Fidelity) -> String {
+    match fidelity {
+        Fidelity::Lossless => "lossless".to_owned(),
+        Fidelity::ToleranceUs(us) => format!("{us} us"),
+        Fidelity::Bins(bins) => format!("{bins} bins"),
+        Fidelity::SpreadUs(us) => format!("spread over {us} us"),
+    }
 }
 
 /// Checks the decoded events against the promise, over the whole recording.

@@ -238,11 +238,7 @@ struct Subject<'s> {
 
 impl Subject<'_> {
     fn hybrid(&mut self, coder: Coder, fidelity: Fidelity) -> Result<()> {
-        let (promise, setting) = match fidelity {
-            Fidelity::Lossless => (Promise::Lossless, "lossless".to_owned()),
-            Fidelity::ToleranceUs(us) => (Promise::Within(us.into()), format!("{us} us")),
-            Fidelity::Bins(bins) => (Promise::Counts, format!("{bins} bins")),
-        };
+        let (promise, setting) = (Promise::of(fidelity), check::setting(fidelity));
         let codec = coder_name(coder);
         let mut once = || -> Result<Row> {
             let decoded = ours::hybrid(self.source, Hybrid { coder, fidelity })?;

@@ -14,6 +14,7 @@ pub mod read_speed_table;
 pub mod ros_delay_table;
 pub mod sections;
 pub mod seek_table;
+pub mod selection_table;
 pub mod sheet;
 pub mod skip_table;
 pub mod speed_chart;

@@ -10,7 +10,7 @@ use eecvs_bench::table::{exact_times, keep_order, rate_control};
 use super::study::tables;
 use super::{
     demo, hub_load_table, kernel_table, rate_table, read_speed_table, ros_delay_table, seek_table,
-    skip_table, stream_table,
+    selection_table, skip_table, stream_table,
 };
 use crate::cmd::report;
 use crate::study::Results;
@@ -82,6 +82,14 @@ pub fn of_records(folder: &Path) -> Result<Vec<Section>> {
             methodology,
             rate_table::MARKS,
             whole(rate_table::document(&rates), "rates")?,
+        ),
+        section(
+            methodology,
+            selection_table::MARKS,
+            whole(
+                selection_table::document(&read(folder, "selection")?.rows),
+                "selection",
+            )?,
         ),
         section(
             methodology,

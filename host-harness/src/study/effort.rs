@@ -5,11 +5,14 @@ use eecvs_nostd::{Coder, Fidelity, Transform};
 
 use super::method::Method;
 use crate::baseline::{Baseline, Stored};
+use crate::selection::settings::Setting;
 
 /// M of Table I.
 pub const M: u8 = 16;
 /// M of Table III.
 pub const M_SPEED: u8 = 8;
+/// Mean error of the events with coarse times in Table I, in us.
+pub const MEAN_ERROR_US: u32 = 128;
 /// M of Tables II, IV and V.
 pub const M_ALL: [u8; 3] = [8, 16, 24];
 
@@ -31,6 +34,12 @@ pub struct Effort {
     pub tolerances_us: &'static [u32],
     /// Bins of the curves.
     pub bins: &'static [u16],
+    /// Mean errors of times that events are coded with, in us.
+    pub mean_errors_us: &'static [u32],
+    /// Transforms and M of coefficients by coarse steps; `None` chooses by density.
+    pub coarse: &'static [(Option<Transform>, &'static [u8])],
+    /// These steps, as powers of two.
+    pub steps_log2: &'static [i8],
     /// Time spent on each measurement of speed, in seconds.
     pub speed_s: f64,
 }
@@ -45,6 +54,14 @@ impl Effort {
         m_curve: &[2, 4],
         tolerances_us: &[10, 50, 100, 200, 300, 500, 1000, 4000],
         bins: &[4, 8, 16],
+        mean_errors_us: &[8, 32, MEAN_ERROR_US, 512, 1024, 2048, 4096, 8192],
+        coarse: &[
+            (Some(Transform::Dct), &[2, 4, 24]),
+            (Some(Transform::Dtft), &[4, 16]),
+            (Some(Transform::Dwt), &[2, 4, 8, 16, 32]),
+            (None, &[4, 16]),
+        ],
+        steps_log2: &[-4, -1, 1],
         speed_s: 3.0,
     };
     /// The effort for a first look: three windows of each scene.
@@ -56,6 +73,9 @@ impl Effort {
         m_curve: &[4],
         tolerances_us: &[50, 1000],
         bins: &[8],
+        mean_errors_us: &[MEAN_ERROR_US, 512, 2048],
+        coarse: &[(Some(Transform::Dct), &[2]), (Some(Transform::Dwt), &[4])],
+        steps_log2: &[1],
         speed_s: 0.5,
     };
 
@@ -72,6 +92,8 @@ impl Effort {
         for bins in self.bins {
             methods.push(hybrid(Coder::Dense, Fidelity::Bins(*bins)));
         }
+        let mean_errors = self.mean_errors_us.iter();
+        methods.extend(mean_errors.map(|most_us| Method::MeanError { most_us: *most_us }));
         let transforms = Transform::ALL.into_iter().map(Some).chain([None]);
         for transform in transforms {
             for m in self.m {
@@ -92,6 +114,16 @@ impl Effort {
                     m: *m,
                     finder,
                 });
+            }
+        }
+        for (transform, m) in self.coarse {
+            for m in *m {
+                let settings = self.steps_log2.iter().map(|step_log2| Setting {
+                    transform: *transform,
+                    m: *m,
+                    step_log2: *step_log2,
+                });
+                methods.extend(settings.map(Method::Coarse));
             }
         }
         for baseline in Baseline::ALL {

@@ -1,14 +1,17 @@
 //! The ways in which events are encoded and decoded: the codec's and the baselines'.
 
+use std::num::NonZeroU32;
+
 use anyhow::{Context, Result};
 use eecvs::reconstruct::events::Finder;
 use eecvs_bench::source::Source;
-use eecvs_nostd::{Coder, Event, Fidelity, Hybrid, Mode, Thresholds, Transform};
+use eecvs_nostd::{Coder, Config, Event, Fidelity, Hybrid, Mode, Thresholds, Transform};
 
 use super::effort::M;
 use crate::baseline::{self, Baseline, Stored};
-use crate::rate::check::{Promise, check};
+use crate::rate::check::{Promise, check, setting};
 use crate::round_trip::{Encoded, config, decode};
+use crate::selection::settings::Setting;
 
 /// A way to encode and decode, with its settings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -21,6 +24,13 @@ pub enum Method {
         m: u8,
         /// How event times are found from the coefficients.
         finder: Finder,
+    },
+    /// Coefficients by another step, with event times by peaks: what [`crate::selection`] compares.
+    Coarse(Setting),
+    /// Events with the coarsest times within a mean error (`--max-emd-us`), by the dense coder.
+    MeanError {
+        /// The largest mean error of a window's times, in us.
+        most_us: u32,
     },
     /// Events, as the codec sends them by default.
     Hybrid {
@@ -58,15 +68,18 @@ pub struct Trip {
 }
 
 impl Method {
-    /// Returns the name of the representation: `dct`, `dtft`, `dwt`, `auto`, `hybrid-fast`, `hybrid-dense`, or the
-    /// baseline's name.
+    /// Returns the name of the representation: `dct`, `dtft`, `dwt`, `auto`, `best`, `hybrid-fast`, `hybrid-dense`, or
+    /// the baseline's name.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
-            Self::Transform { transform, .. } => match transform {
-                Some(transform) => transform.name(),
-                None => "auto",
-            },
+            Self::Transform { transform, .. } | Self::Coarse(Setting { transform, .. }) => {
+                match transform {
+                    Some(transform) => transform.name(),
+                    None => "auto",
+                }
+            }
+            Self::MeanError { .. } => "best",
             Self::Hybrid { coder, .. } => match coder {
                 Coder::Fast => "hybrid-fast",
                 Coder::Keys => "hybrid-keys",
@@ -78,7 +91,8 @@ impl Method {
         }
     }
 
-    /// Returns the setting: `exact`, `peaks`; `lossless`, `50 us`, `8 bins`; `f32`, `8 bits`.
+    /// Returns the setting: `exact`, `peaks`; `2^-1, peaks`; `32 us on average`; `lossless`, `50 us`, `8 bins`; `f32`,
+    /// `8 bits`.
     #[must_use]
     pub fn setting(self) -> String {
         match self {
@@ -86,11 +100,9 @@ impl Method {
                 Finder::Exact => "exact".to_owned(),
                 Finder::Peaks => "peaks".to_owned(),
             },
-            Self::Hybrid { fidelity, .. } => match fidelity {
-                Fidelity::Lossless => "lossless".to_owned(),
-                Fidelity::ToleranceUs(us) => format!("{us} us"),
-                Fidelity::Bins(bins) => format!("{bins} bins"),
-            },
+            Self::Coarse(Setting { step_log2, .. }) => format!("2^{step_log2}, peaks"),
+            Self::MeanError { most_us } => format!("{most_us} us on average"),
+            Self::Hybrid { fidelity, .. } => setting(fidelity),
             Self::Baseline { stored, .. } => stored.name().to_owned(),
         }
     }
@@ -99,8 +111,10 @@ impl Method {
     #[must_use]
     pub const fn m(self) -> u8 {
         match self {
-            Self::Transform { m, .. } | Self::Baseline { m, .. } => m,
-            Self::Hybrid { .. } => 0,
+            Self::Transform { m, .. }
+            | Self::Baseline { m, .. }
+            | Self::Coarse(Setting { m, .. }) => m,
+            Self::MeanError { .. } | Self::Hybrid { .. } => 0,
         }
     }
 
@@ -132,7 +146,8 @@ impl Method {
                 m,
                 ..
             } => m as u64 * 4,
-            Self::Hybrid { .. } | Self::Baseline { .. } => 1,
+            Self::Coarse(Setting { m, .. }) => m as u64 / 4 + 1,
+            Self::MeanError { .. } | Self::Hybrid { .. } | Self::Baseline { .. } => 1,
         }
     }
 
@@ -141,6 +156,7 @@ impl Method {
     pub const fn has_time_errors(self) -> bool {
         match self {
             Self::Transform { m, .. } => m == M,
+            Self::Coarse(_) | Self::MeanError { .. } => false,
             Self::Hybrid { coder, .. } => matches!(coder, Coder::Dense),
             Self::Baseline {
                 m,
@@ -158,6 +174,7 @@ impl Method {
     pub const fn has_perception(self) -> bool {
         match self {
             Self::Transform { m, finder, .. } => m >= M && matches!(finder, Finder::Exact),
+            Self::Coarse(_) | Self::MeanError { .. } => false,
             Self::Hybrid { coder, fidelity } => {
                 matches!(coder, Coder::Dense)
                     && matches!(fidelity, Fidelity::ToleranceUs(_) | Fidelity::Bins(_))
@@ -193,11 +210,7 @@ impl Method {
                 })
             }
             Self::Hybrid { coder, fidelity } => {
-                let promise = match fidelity {
-                    Fidelity::Lossless => Promise::Lossless,
-                    Fidelity::ToleranceUs(us) => Promise::Within(us.into()),
-                    Fidelity::Bins(_) => Promise::Counts,
-                };
+                let promise = Promise::of(fidelity);
                 let mode = Mode::Hybrid(Hybrid { coder, fidelity });
                 let encoded = Encoded::new(source, config(source, thresholds, mode, None, M))?;
                 let events = decode(&encoded.file, Finder::Exact, &mut |_| Ok(()))?;
@@ -211,26 +224,64 @@ impl Method {
                     windows: [0; 3],
                 })
             }
+            Self::MeanError { most_us } => {
+                let mode = Mode::Hybrid(Hybrid {
+                    coder: Coder::Dense,
+                    fidelity: Fidelity::Lossless,
+                });
+                let config = Config {
+                    max_emd_us: NonZeroU32::new(most_us),
+                    ..config(source, thresholds, mode, None, M)
+                };
+                let encoded = Encoded::new(source, config)?;
+                let events = decode(&encoded.file, Finder::Exact, &mut |_| Ok(()))?;
+                check(Promise::Counts, &source.events, &events)?;
+                Ok(Trip {
+                    bytes: encoded.file.len(),
+                    packed_bytes: encoded.file.len(),
+                    seconds: encoded.seconds,
+                    events,
+                    has_times: true,
+                    windows: [0; 3],
+                })
+            }
             Self::Transform {
                 transform,
                 m,
                 finder,
-            } => {
-                let config = |mode| config(source, thresholds, mode, transform, m);
-                let plain = Encoded::new(source, config(Mode::Transform))?;
-                // The dense coder keeps these coefficients bit for bit, so they need not be decoded again.
-                let dense = Encoded::new(source, config(Mode::Coefficients(Coder::Dense)))?;
-                let events = decode(&plain.file, finder, &mut |_| Ok(()))?;
-                check(Promise::Counts, &source.events, &events)?;
-                Ok(Trip {
-                    bytes: plain.file.len(),
-                    packed_bytes: dense.file.len().min(plain.file.len()),
-                    seconds: plain.seconds,
-                    events,
-                    has_times: true,
-                    windows: plain.windows,
-                })
-            }
+            } => coefficients(source, finder, &|mode| {
+                Ok(config(source, thresholds, mode, transform, m))
+            }),
+            Self::Coarse(setting) => coefficients(source, Finder::Peaks, &|mode| {
+                setting.config(config(
+                    source,
+                    thresholds,
+                    mode,
+                    setting.transform,
+                    setting.m,
+                ))
+            }),
         }
     }
+}
+
+/// Encodes a source's coefficients with the configuration of each mode, and decodes them.
+fn coefficients(
+    source: &Source,
+    finder: Finder,
+    config: &dyn Fn(Mode) -> Result<Config>,
+) -> Result<Trip> {
+    let plain = Encoded::new(source, config(Mode::Transform)?)?;
+    // The dense coder keeps these coefficients bit for bit, so they need not be decoded again.
+    let dense = Encoded::new(source, config(Mode::Coefficients(Coder::Dense))?)?;
+    let events = decode(&plain.file, finder, &mut |_| Ok(()))?;
+    check(Promise::Counts, &source.events, &events)?;
+    Ok(Trip {
+        bytes: plain.file.len(),
+        packed_bytes: dense.file.len().min(plain.file.len()),
+        seconds: plain.seconds,
+        events,
+        has_times: true,
+        windows: plain.windows,
+    })
 }

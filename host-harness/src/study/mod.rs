@@ -14,6 +14,7 @@
 pub mod claims;
 pub mod density;
 pub mod effort;
+pub mod equal_errors;
 pub mod kernels;
 pub mod method;
 pub mod paper;

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::method::{Method, Trip};
 use super::set::Set;
+use crate::selection::errors::Original;
 
 /// Results for one method and source; the fields are the columns of `quality.csv`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -40,6 +41,8 @@ pub struct Quality {
     pub emd_time_ms: f64,
     /// As printed by `eecvs compare`.
     pub emd_pixel_us: f64,
+    /// Normalised error of the volume that is smoothed in time by a Gaussian of 4 ms: [`crate::selection::errors`].
+    pub volume_error: f64,
     /// As printed by `eecvs compare`.
     pub exact_fraction: f64,
     /// Number of events decoded.
@@ -83,6 +86,7 @@ pub fn measure(set: &Set, source: &Source, method: Method, trip: &Trip) -> Resul
         ssim: found.ssim,
         emd_time_ms: found.emd_time_ms,
         emd_pixel_us: found.emd_pixel_us,
+        volume_error: Original::new(&source.events).errors(&trip.events).volume,
         exact_fraction: found.exact_fraction,
         events_decoded: found.events_b,
         has_times: trip.has_times,

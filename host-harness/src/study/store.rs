@@ -279,6 +279,8 @@ mod tests {
             kev_per_s: 1.0,
             relative: 1.0,
             instructions_per_event: None,
+            bits_per_event: Some(9.0),
+            emd_pixel_us: Some(0.1),
         })
     }
 

@@ -10,6 +10,8 @@ use crate::baseline::Baseline;
 use crate::downstream::segment::classical::Classical;
 use crate::study::claims::{Claim, Verdict};
 use crate::study::effort::M;
+use crate::study::equal_errors::Asked;
+use crate::study::set::SCENES;
 
 const EFFORT: Effort = Effort {
     scene_us: 40_000,
@@ -52,9 +54,18 @@ fn a_study_has_every_row_and_goes_on_where_it_was_ended() {
             row.ssim,
             row.emd_time_ms,
             row.emd_pixel_us,
+            row.volume_error,
         ];
         assert!(all.iter().all(|value| value.is_finite()), "{row:?}");
         let is_lossless = row.setting == "lossless";
+        if let Some(most_us) = row.setting.strip_suffix(" us on average") {
+            assert_eq!(row.method, "best");
+            assert!(
+                row.emd_pixel_us <= most_us.parse::<f64>().unwrap(),
+                "{row:?}"
+            );
+        }
+        assert!(row.volume_error == 0.0 || !is_lossless, "{row:?}");
         assert!(row.exact_fraction == 1.0 || !is_lossless, "{row:?}");
         // Even arrays may preserve every time of a quiet scene.
         assert_eq!(
@@ -103,7 +114,27 @@ fn a_study_has_every_row_and_goes_on_where_it_was_ended() {
     assert_eq!(again.quality, results.quality);
     assert_eq!(again.times, results.times);
     assert_eq!(again.perception, results.perception);
+    equal_errors(&results);
     claims(results);
+}
+
+/// The fewest bits fall as the error that is asked for grows, and are those of a row within it.
+fn equal_errors(results: &Results) {
+    let times = [128, 2048].map(Asked::TimesUs);
+    for source in results.sources(SCENES) {
+        for name in ["best", "events", "dwt"] {
+            let [fine, coarse] = times.map(|asked| {
+                let bits = results.fewest_bits(SCENES, source, name, asked);
+                bits.unwrap_or(f64::INFINITY)
+            });
+            assert!(coarse <= fine && coarse.is_finite(), "{source}, {name}");
+        }
+    }
+    let (median, sources) = results.fewest_bits_median(SCENES, "best", times[1]);
+    assert!(median.is_some() && sources == 2);
+    let (wins, cases) = results.beats_fixed(SCENES, "best");
+    assert!(wins <= cases && cases > 0);
+    assert_eq!(results.beats_fixed(SCENES, "no such").1, 0);
 }
 
 /// Checks the claims on the rows, and again with the DTFT made the best and the worst.

@@ -96,7 +96,7 @@ fn check_against_default(window: &DecodedWindow, default: &DecodedWindow, kernel
     assert_eq!(window.pixels.len(), default.pixels.len());
     let step = f64::from(window.header.quantiser.step_log2()).exp2();
     for (pixel, default) in window.pixels.iter().zip(&default.pixels) {
-        let place = |pixel: &Pixel| (pixel.x, pixel.y, pixel.on, pixel.off, pixel.single_u);
+        let place = |pixel: &Pixel| (pixel.x, pixel.y, pixel.on, pixel.off, pixel.times.clone());
         assert_eq!(place(pixel), place(default));
         assert_eq!(pixel.coefficients.len(), default.coefficients.len());
         let n = pixel.on + pixel.off;

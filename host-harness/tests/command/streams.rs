@@ -521,7 +521,7 @@ fn windows_of_two_sensors_match_on_a_grid() {
     assert!(
         empty
             .clone()
-            .all(|row| (20..=40).contains(&count(row, "bytes")))
+            .all(|row| (20..=40).contains(&count(row, "frame_bytes")))
     );
     assert_eq!(empty.count(), 98);
     folder.eecvs("decode o.eecvs -o back.csv").ok();

@@ -43,9 +43,9 @@ pub enum Cost {
 }
 
 impl Case {
-    /// Whether a file is text whose length differs from run to run: a key, a certificate, or times.
+    /// Whether a file is text whose length differs from run to run: a key, a certificate, times, or a page of figures.
     pub fn has_text_of_its_run(&self, name: &str) -> bool {
-        self.kind == Kind::Together || name.ends_with(".yaml")
+        self.kind == Kind::Together || name.ends_with(".yaml") || name.ends_with(".html")
     }
 
     /// Whether a source sends what is written, as long as nobody stops it.
@@ -244,7 +244,7 @@ pub const CASES: &[Case] = &[
     received!("OUT.raw"),
     Case {
         program: "eecvs-ros",
-        line: "--loopback --domain-id 92 compose emulate encode log --ros-args -p \
+        line: "--loopback --domain-id DOMAIN compose emulate encode log --ros-args -p \
                emulate:recording:=IN/scene.raw -p emulate:wait_s:=20 -p log:features:=OUT.csv -p \
                log:coefficients:=OUT.mcap -p log:idle_s:=1 -p encode:idle_s:=1",
         old: &[],
@@ -283,7 +283,7 @@ pub const CASES: &[Case] = &[
     },
     Case {
         program: "eecvs-ros",
-        line: "--loopback --domain-id 92 compose emulate record --ros-args -p \
+        line: "--loopback --domain-id DOMAIN compose emulate record --ros-args -p \
                emulate:recording:=IN/scene.raw -p emulate:wait_s:=20 -p record:output:=OUT -p record:idle_s:=1",
         old: &[],
         kind: Kind::Folder("metadata.yaml"),

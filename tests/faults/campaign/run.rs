@@ -5,6 +5,7 @@ use std::io::Read;
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicU16, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::case::{Case, Cost, INPUTS, Kind};
@@ -23,13 +24,40 @@ pub struct Bench {
     root: tempfile::TempDir,
     /// A port that nobody had.
     port: u16,
+    /// A domain of ROS 2 of its own: nodes hear all that another bench sends in theirs, and would never be idle.
+    domain: u16,
 }
+
+/// The next bench's domain; the tests of what is outside of a bench have 93.
+static DOMAIN: AtomicU16 = AtomicU16::new(94);
 
 /// A command that runs, and the programs on its other end, which end with it.
 pub struct Run {
     child: Child,
-    beside: Vec<Child>,
+    beside: Vec<Beside>,
     longest: Duration,
+    line: &'static str,
+}
+
+/// A program on the other end.
+struct Beside {
+    command: Command,
+    child: Child,
+}
+
+impl Beside {
+    fn start(mut command: Command) -> Self {
+        let child = command.spawn().expect("a program that starts");
+        Self { command, child }
+    }
+
+    /// Starts it again if it has failed: a sender gives up where the machine is so busy that nobody listens for seconds.
+    fn go_on(&mut self) {
+        let ended = self.child.try_wait().expect("a child");
+        if ended.is_some_and(|status| !status.success()) {
+            self.child = self.command.spawn().expect("a program that starts");
+        }
+    }
 }
 
 impl Run {
@@ -40,7 +68,7 @@ impl Run {
 
 impl Drop for Run {
     fn drop(&mut self) {
-        for child in &mut self.beside {
+        for Beside { child, .. } in &mut self.beside {
             let _ = child.kill();
             let _ = child.wait();
         }
@@ -78,7 +106,8 @@ impl Bench {
         let root = tempfile::tempdir().expect("a folder");
         let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
         let port = listener.local_addr().expect("an address").port();
-        let bench = Self { root, port };
+        let domain = DOMAIN.fetch_add(1, Ordering::Relaxed);
+        let bench = Self { root, port, domain };
         for folder in ["in", "run"] {
             std::fs::create_dir(bench.at(folder)).expect("a folder");
         }
@@ -151,6 +180,7 @@ impl Bench {
         let line = line.split_whitespace().map(|word| {
             word.replace("IN/", &format!("{inputs}/"))
                 .replace("PORT", &self.port.to_string())
+                .replace("DOMAIN", &self.domain.to_string())
         });
         let mut command = Command::new(program(name));
         command
@@ -176,12 +206,13 @@ impl Bench {
         let child = command.spawn().expect("a program that starts");
         let others = case.beside.iter().map(|(name, line)| {
             let mut other = self.command(name, line);
-            let other = other.current_dir(self.at("in")).stderr(Stdio::null());
-            other.spawn().expect("a program that starts")
+            other.current_dir(self.at("in")).stderr(Stdio::null());
+            Beside::start(other)
         });
         Run {
             child,
             beside: others.collect(),
+            line: case.line,
             longest: match case.cost {
                 Cost::Minutes(_) => LONGEST_OF_MINUTES,
                 _ => LONGEST,
@@ -199,8 +230,9 @@ impl Bench {
             }
             if begun.elapsed() > run.longest {
                 let _ = child.kill();
-                panic!("{:?}: it hangs", child.wait());
+                panic!("{}: {:?}: it hangs", run.line, child.wait());
             }
+            run.beside.iter_mut().for_each(Beside::go_on);
             std::thread::sleep(Duration::from_millis(1));
         };
         let mut stderr = Vec::new();

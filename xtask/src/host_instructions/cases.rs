@@ -1,5 +1,5 @@
 //! What is counted: the encoder and the decoder on the window of [`moderate`], by every transform and every coder of
-//! events, and three readers.
+//! events, three readers, and conversions between files.
 
 use std::fs;
 use std::hint::black_box;
@@ -11,8 +11,11 @@ use eecvs::encode::{HostStorage, WINDOW_EVENTS, readout};
 use eecvs::reconstruct::hybrid::{HybridDecoder, Refused};
 use eecvs_bench::moderate::{self, SENSOR, config, encode};
 use eecvs_nostd::{
-    Coder, Config, Effort, Event, FRAME_BYTES_MAX, Fidelity, Hybrid, Mode, Scan, Transform, scan,
+    Coder, Config, Effort, Event, FRAME_BYTES_MAX, Fidelity, Hybrid, Mode, Polarity, Scan,
+    Transform, scan,
 };
+use event_files::Reading;
+use event_files::convert::{Conversion, Converted, convert};
 
 /// Events of the files, at the most: the first of the scene.
 const FILE_EVENTS: usize = 100_000;
@@ -22,6 +25,12 @@ const READERS: [(&str, &str); 3] = [
     ("read evt2", "events.evt2.raw"),
     ("read evt3", "events.raw"),
 ];
+/// Name of a case that converts `events.dat`, and the name of its output.
+const CONVERSIONS: [(&str, &str); 2] = [
+    ("convert dat to csv", "converted.csv"),
+    ("convert dat to dat", "converted.dat"),
+];
+const CONVERTED: &str = "events.dat";
 const M: [u8; 2] = [8, 16];
 /// Coders of events, lossless. Frames are key frames.
 const CODERS: [(&str, Coder); 5] = [
@@ -47,7 +56,7 @@ fn count_these(work: &mut dyn FnMut()) {
 /// Writes what [`run`] reads: emulating under Valgrind would take a minute.
 pub fn prepare(folder: &Path) -> anyhow::Result<()> {
     let scene = moderate::scene()?;
-    for (_, file) in READERS {
+    for file in READERS.map(|(_, file)| file).into_iter().chain([CONVERTED]) {
         let mut writer = event_files::create(&folder.join(file), SENSOR)?;
         writer.write(&scene[..FILE_EVENTS.min(scene.len())])?;
         writer.finish()?;
@@ -71,6 +80,20 @@ pub fn run(folder: &Path) -> anyhow::Result<Vec<Case>> {
         );
         cases.push((name.to_owned(), read.len()));
         events = read;
+    }
+    for (name, file) in CONVERSIONS {
+        let (from, to) = (folder.join(CONVERTED), folder.join(file));
+        // A run before this one left it.
+        if to.exists() {
+            fs::remove_file(&to).context(file)?;
+        }
+        let mut converted = Ok(Converted::default());
+        count_these(&mut || {
+            converted = convert(&from, &to, &Reading::default(), &Conversion::default());
+        });
+        let count = converted?.events_out;
+        ensure!(count == events.len() as u64, "{name}: {count} events");
+        cases.push((name.to_owned(), events.len()));
     }
     let window = moderate::window(&events)?;
     for transform in Transform::ALL {
@@ -143,7 +166,41 @@ pub fn run(folder: &Path) -> anyhow::Result<Vec<Case>> {
         );
         cases.push((format!("decode {name}"), window.len()));
     }
+    let at_once = at_once();
+    for (number, effort) in [(1, Effort::One), (3, Effort::Three)] {
+        let hybrid = Hybrid {
+            coder: Coder::Tree(effort),
+            fidelity: Fidelity::Lossless,
+        };
+        let config = Config {
+            mode: Mode::Hybrid(hybrid),
+            ..config(Transform::Dct, 8)
+        };
+        let mut storage = HostStorage::new(SENSOR, WINDOW_EVENTS);
+        let mut encoder = storage.encoder(config)?;
+        let mut out = vec![0; FRAME_BYTES_MAX];
+        count_these(&mut || {
+            black_box(encode(&mut encoder, &at_once, &mut out));
+        });
+        let name = format!("encode tree {number} at once");
+        cases.push((name, at_once.len()));
+    }
     Ok(cases)
+}
+
+/// A flash: three events of every pixel of a part of the sensor, all at one time. What is done for a pixel must not grow
+/// with the number of events of the others.
+fn at_once() -> Vec<Event> {
+    let pixels = (0..80_u16).flat_map(|y| (0..100_u16).map(move |x| (x, y)));
+    let three = pixels.flat_map(|(x, y)| {
+        (0..3).map(move |i| Event {
+            t_us: 7,
+            x,
+            y,
+            polarity: Polarity::from_bool(i == 1),
+        })
+    });
+    three.collect()
 }
 
 /// The events of a file in memory, its header included.

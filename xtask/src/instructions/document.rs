@@ -26,7 +26,14 @@ const STAGES: [(&[&str], &str, &str); 5] = [
     (&["prune", "quantise", "pack"], "prune, quantise, pack", ""),
     (&["frame"], "header and CRC-32", ""),
 ];
-const TRANSFORMS: [(&str, &str); 3] = [("dct", "DCT"), ("dtft", "DTFT"), ("dwt", "Haar DWT")];
+const TRANSFORMS: [(&str, &str); 6] = [
+    ("dct", "DCT"),
+    ("dct few", "DCT, few as times"),
+    ("dtft", "DTFT"),
+    ("dtft few", "DTFT, few as times"),
+    ("dwt", "Haar DWT"),
+    ("dwt few", "Haar DWT, few as times"),
+];
 
 /// Writes the tables of `counts` into the document at `path`.
 pub fn write(counts: &Counts, path: &Path) -> anyhow::Result<()> {

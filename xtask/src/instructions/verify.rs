@@ -26,6 +26,9 @@ const SENSOR_MAX: Sensor = Sensor {
 
 const DENSE_WORDS: usize = words(SENSOR_MAX, false);
 
+/// What follows a transform's name where pixels of few events are sent as times.
+const FEW: &str = " few";
+
 /// Encodes the run's cut anew.
 pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
     let path = cuts
@@ -49,6 +52,7 @@ pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
         "fast" => (Some(Transform::Dct), hybrid(Coder::Fast)),
         "dense" => (Some(Transform::Dct), hybrid(Coder::Dense)),
         name => {
+            let name = name.trim_end_matches(FEW);
             let transform = Transform::ALL.into_iter().find(|t| t.name() == name);
             (transform, Mode::Transform)
         }
@@ -57,6 +61,7 @@ pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
     let mut encoder = storage.encoder(Config {
         transform: Some(transform.context("an unknown transform")?),
         m: run.m.max(8),
+        few_as_times: run.transform.ends_with(FEW),
         ..Config::new(
             WindowConfig::new(sensor, *window_us),
             Thresholds::new(0, 0).context("zero is a threshold")?,

@@ -172,7 +172,7 @@ type Outcome = (EncodeSummary, Duration);
 /// everything runs on the calling thread; with more, a separate thread reads ahead and the calling thread writes. A
 /// window of a live source is written as soon as its time has passed, even if no event follows. Memory does not
 /// grow with the recording: each thread holds the buffers of at most 8 windows (of `key_windows` windows with the
-/// dense coder) and a few frames.
+/// dense coder), a frame, and the frames of such windows that wait to be written.
 ///
 /// # Errors
 /// Fails if reading or writing fails, if the configuration is invalid, or if the counts do not account for every
@@ -247,7 +247,7 @@ pub fn encode_nothing<'h>(
         window_events: 1,
         ..limits
     };
-    let mut storage = HostStorage::with_windows(1, codec.config.window.sensor, limits);
+    let mut storage = HostStorage::with_windows(1, codec.config.window.sensor, limits)?;
     let (mut windows, mut encoder) = storage.parts(codec.config, codec.hot)?;
     let window = windows.first_mut().context("the memory has no window")?;
     // The first call opens the window, the second closes it.
@@ -274,7 +274,7 @@ fn encode_here(
     out: &mut dyn FrameSink,
     progress: &mut dyn FnMut(u64),
 ) -> Result<Outcome> {
-    let mut storage = HostStorage::with_windows(1, codec.config.window.sensor, limits);
+    let mut storage = HostStorage::with_windows(1, codec.config.window.sensor, limits)?;
     let (mut windows, mut encoder) = storage.parts(codec.config, codec.hot)?;
     let window = windows.first_mut().context("the memory has no window")?;
     let mut cutter = Cutter::new(Direct(reader), limits.reorder_us.unwrap_or(REORDER_US));

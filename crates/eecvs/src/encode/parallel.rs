@@ -46,7 +46,7 @@ const CHUNK_BYTES: usize = 1 << 18;
 
 /// Frames on their way to the writer.
 struct Chunk {
-    /// Room for [`CHUNK_BYTES`] and one more frame.
+    /// The frames, each behind room for the longest header. Many chunks may wait for the writer, so they take no more.
     bytes: Vec<u8>,
     frames: Vec<Made>,
     /// Whether this is the last chunk of a turn.
@@ -56,14 +56,14 @@ struct Chunk {
 /// A frame in a chunk.
 struct Made {
     header: Header,
-    /// Start of the room that the encoder had for the frame.
+    /// Start of the room for the frame and its longest header.
     at: usize,
     /// Bytes of the frame, relative to `at`.
     range: Range<usize>,
 }
 
 impl Made {
-    /// Sets the frame's sequence number and seals it again; `out` is the room that it lies in.
+    /// Sets the frame's sequence number and seals it again; `out` is that room.
     fn number(&mut self, sequence: u32, out: &mut [u8]) -> Result<()> {
         self.header.sequence = sequence;
         let payload_bytes = self.range.end - CRC_BYTES - HEADER_BYTES_MAX;
@@ -112,7 +112,7 @@ pub fn encode(
     let windows = chained.map_or(WINDOWS, |key_windows| usize::from(key_windows).max(1));
     let mut storages: Vec<_> = (0..threads.get())
         .map(|_| HostStorage::with_windows(windows, sensor, limits))
-        .collect();
+        .collect::<Result<_>>()?;
     let encoders: Vec<_> = storages
         .iter_mut()
         .map(|storage| storage.parts(codec.config, codec.hot))
@@ -157,6 +157,7 @@ pub fn encode(
                     windows,
                     encoder,
                     busy: Duration::ZERO,
+                    room: vec![0; shared.frame_bytes],
                 };
                 // The errors have been sent to the writer.
                 while thread.turn(&front).is_some() {}
@@ -216,7 +217,7 @@ impl Front {
         &mut self,
         windows: &mut [Window<'_>],
         busy: &mut Duration,
-    ) -> Option<(usize, u32, SyncSender<Result<Chunk>>)> {
+    ) -> Option<(usize, u32, Sender<Result<Chunk>>)> {
         let (mut count, mut events) = (0, 0);
         let mut chain = Chain::START;
         let mut failed = None;
@@ -244,7 +245,9 @@ impl Front {
         }
         let first = self.windows;
         self.windows = first.wrapping_add(count as u32);
-        let (chunks_in, chunks) = sync_channel(1);
+        // Without a bound: a turn makes no more than the frames of its windows, and at most as many turns wait as
+        // `cuts` has room for. A bound would stop a turn until the writer has come to it.
+        let (chunks_in, chunks) = channel();
         if count > 0 {
             self.cuts.send(Ok(chunks)).ok()?;
         }
@@ -262,6 +265,8 @@ struct Thread<'s, 'b> {
     windows: Vec<Window<'b>>,
     encoder: WindowEncoder<'b>,
     busy: Duration,
+    /// Room for a frame.
+    room: Vec<u8>,
 }
 
 impl Thread<'_, '_> {
@@ -284,14 +289,14 @@ impl Thread<'_, '_> {
     }
 
     /// Encodes the first `count` windows; returns `None` if the writer has stopped.
-    fn encode(&mut self, count: usize, chunks: &SyncSender<Result<Chunk>>) -> Option<()> {
+    fn encode(&mut self, count: usize, chunks: &Sender<Result<Chunk>>) -> Option<()> {
         let mut chunk = self.shared.chunk();
-        let mut at = 0;
         for window in self.windows.iter_mut().take(count) {
             loop {
                 let started = Instant::now();
-                let room = chunk.bytes.get_mut(at..at + self.shared.frame_bytes)?;
-                let encoded = self.codec.next_frame(&mut self.encoder, window, room);
+                let encoded = self
+                    .codec
+                    .next_frame(&mut self.encoder, window, &mut self.room);
                 self.busy += started.elapsed();
                 let Ok(encoded) = encoded else {
                     return chunks.send(Err(error!(Refused, "{}", NO_ROOM))).ok();
@@ -299,12 +304,12 @@ impl Thread<'_, '_> {
                 let Some(Encoded { header, range }) = encoded else {
                     break;
                 };
-                let end = at + range.end;
+                let at = chunk.bytes.len();
+                chunk.bytes.extend_from_slice(self.room.get(..range.end)?);
                 chunk.frames.push(Made { header, at, range });
-                at = end;
-                if at >= CHUNK_BYTES {
+                if chunk.bytes.len() >= CHUNK_BYTES {
                     chunks.send(Ok(chunk)).ok()?;
-                    (chunk, at) = (self.shared.chunk(), 0);
+                    chunk = self.shared.chunk();
                 }
             }
         }
@@ -318,7 +323,7 @@ impl Shared {
     fn chunk(&self) -> Chunk {
         let spare = self.spare.lock().ok().and_then(|mut spare| spare.pop());
         spare.unwrap_or_else(|| Chunk {
-            bytes: vec![0; CHUNK_BYTES + self.frame_bytes],
+            bytes: Vec::new(),
             frames: Vec::new(),
             is_last: false,
         })
@@ -327,6 +332,7 @@ impl Shared {
     /// Takes back a written chunk for reuse.
     fn reuse(&self, mut chunk: Chunk) {
         chunk.frames.clear();
+        chunk.bytes.clear();
         chunk.is_last = false;
         if let Ok(mut spare) = self.spare.lock() {
             spare.push(chunk);

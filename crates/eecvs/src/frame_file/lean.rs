@@ -7,7 +7,7 @@
 use std::ops::Range;
 
 use eecvs_nostd::frame::{CRC_BYTES, HEADER_BYTES_MAX, seal};
-use eecvs_nostd::{FRAME_BYTES_MAX, Frame, Header, Regime, Scans};
+use eecvs_nostd::{FRAME_BYTES_MAX, Fidelity, Frame, Header, Mode, Regime, Scans};
 
 use super::wire::{put, take};
 
@@ -15,13 +15,14 @@ use super::wire::{put, take};
 const KEY: u8 = 1 << 2;
 const PREVIOUS: u8 = 1 << 3;
 const GAP: u8 = 1 << 4;
-const PHASE: u8 = 1 << 5;
+/// The phase follows, of frames with scans, or else the fidelity of hybrid frames.
+const TIMES: u8 = 1 << 5;
 const TRUNCATED: u8 = 1 << 6;
 const SYNC: u8 = 1 << 7;
 const REGIME: u8 = 3;
 
 /// Size of the fields at their longest.
-const FIELDS_BYTES_MAX: usize = 1 + 10 + 5 + 5 + 5 + 5;
+const FIELDS_BYTES_MAX: usize = 1 + 10 + 10 + 5 + 5 + 5;
 
 /// Size of the longest payload of a short frame.
 const PAYLOAD_BYTES_MAX: usize = FRAME_BYTES_MAX - HEADER_BYTES_MAX - CRC_BYTES;
@@ -40,11 +41,34 @@ struct Fields {
     /// Time between the windows, 0 if `flags` has no [`GAP`]: twice the number of windows left out, or else 1 more than
     /// twice the time in microseconds, as a zigzag number.
     gap: u64,
-    /// Phase of the scans, if `flags` has [`PHASE`].
-    phase_q16: i32,
+    /// Phase of the scans as a zigzag number, or code of the fidelity, if `flags` has [`TIMES`].
+    times: u64,
     events: u32,
     /// In frames of coefficients alone.
     pixels: u32,
+}
+
+/// Returns the number that stands for a fidelity: its code on the wire, plus four times its value.
+fn fidelity_code(fidelity: Fidelity) -> u64 {
+    let (code, value) = fidelity.code();
+    u64::from(code) | u64::from(value.unwrap_or(0)) << 2
+}
+
+/// The inverse of [`fidelity_code`]; `None` for a number that stands for none.
+fn fidelity(number: u64) -> Option<Fidelity> {
+    let value = u32::try_from(number >> 2).ok()?;
+    let fidelity = Fidelity::from_code((number & 3) as u8, value)?;
+    (fidelity_code(fidelity) == number).then_some(fidelity)
+}
+
+/// Returns the zigzag number of a value: 0, -1, 1, -2, ... as 0, 1, 2, 3, ...
+const fn zigzag(value: i64) -> u64 {
+    (value << 1 ^ value >> 63) as u64
+}
+
+/// The inverse of [`zigzag`].
+const fn unzigzag(number: u64) -> i64 {
+    (number >> 1 ^ (number & 1).wrapping_neg()) as i64
 }
 
 /// What was found where a short frame may begin.
@@ -98,26 +122,31 @@ impl Lean {
         let gap_us = if fields.gap & 1 == 0 {
             (fields.gap >> 1).wrapping_mul(before.duration_us.into())
         } else {
-            let zigzag = fields.gap >> 1;
-            zigzag >> 1 ^ (zigzag & 1).wrapping_neg()
+            unzigzag(fields.gap >> 1) as u64
         };
         let end_us = before.t0_us.wrapping_add(before.duration_us.into());
         let has = |flag: u8| fields.flags & flag != 0;
-        let scans = match (template.scans, has(PHASE)) {
-            (Some(scans), true) => Some(Scans::new(
-                scans.readout(),
-                fields.phase_q16,
-                template.sensor,
-                template.duration_us,
-            )?),
-            (None, true) => return None,
-            (scans, false) => scans,
-        };
+        let (mut scans, mut mode) = (template.scans, template.mode);
+        if has(TIMES) {
+            if let Some(scans) = &mut scans {
+                *scans = Scans::new(
+                    scans.readout(),
+                    i32::try_from(unzigzag(fields.times)).ok()?,
+                    template.sensor,
+                    template.duration_us,
+                )?;
+            } else if let Mode::Hybrid(hybrid) = &mut mode {
+                hybrid.fidelity = fidelity(fields.times)?;
+            } else {
+                return None;
+            }
+        }
         Some(Header {
             is_key: has(KEY),
             has_previous: has(PREVIOUS),
             truncated: has(TRUNCATED),
             scans,
+            mode,
             sequence: before.sequence.wrapping_add(1),
             t0_us: end_us.wrapping_add(gap_us),
             window_events: fields.events,
@@ -140,10 +169,14 @@ impl Lean {
         } else {
             // Times that are further away belong to whole frames.
             i32::try_from(gap_us).ok()?;
-            ((gap_us << 1 ^ gap_us >> 63) as u64) << 1 | 1
+            zigzag(gap_us) << 1 | 1
         };
-        let phase_q16 = header.scans.map_or(0, Scans::phase_q16);
-        let has_phase = header.scans != template.scans;
+        let times = match (header.scans, header.mode) {
+            (Some(scans), _) => zigzag(scans.phase_q16().into()),
+            (None, Mode::Hybrid(hybrid)) => fidelity_code(hybrid.fidelity),
+            _ => 0,
+        };
+        let has_times = (header.scans, header.mode) != (template.scans, template.mode);
         let flag = |is: bool, flag: u8| if is { flag } else { 0 };
         let fields = Fields {
             flags: header.regime as u8
@@ -151,9 +184,9 @@ impl Lean {
                 | flag(header.has_previous, PREVIOUS)
                 | flag(header.truncated, TRUNCATED)
                 | flag(gap != 0, GAP)
-                | flag(has_phase, PHASE),
+                | flag(has_times, TIMES),
             gap,
-            phase_q16,
+            times,
             events: header.events,
             pixels: header.pixels,
         };
@@ -167,8 +200,8 @@ impl Lean {
         if gap != 0 {
             put(&mut short, &gap);
         }
-        if has_phase {
-            put(&mut short, &phase_q16);
+        if has_times {
+            put(&mut short, &times);
         }
         put(&mut short, &fields.events);
         if header.mode.is_transform() {
@@ -231,7 +264,7 @@ impl Lean {
     fn read(&self, rest: &mut &[u8]) -> Option<(Header, u32)> {
         let flags: u8 = take(rest)?;
         let gap = if flags & GAP != 0 { take(rest)? } else { 0 };
-        let phase_q16 = if flags & PHASE != 0 { take(rest)? } else { 0 };
+        let times = if flags & TIMES != 0 { take(rest)? } else { 0 };
         let events = take(rest)?;
         let regime = Regime::from_code(flags & REGIME)?;
         let template = (*self.templates.get(regime as usize)?)?;
@@ -244,7 +277,7 @@ impl Lean {
         let fields = Fields {
             flags,
             gap,
-            phase_q16,
+            times,
             events,
             pixels,
         };

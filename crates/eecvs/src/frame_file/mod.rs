@@ -40,8 +40,10 @@ pub struct Located<'r> {
     pub frame: Frame<'r>,
     /// Offset of its first byte.
     pub offset: u64,
-    /// All bytes of the frame.
+    /// All bytes of the frame, made whole if it is short.
     pub bytes: &'r [u8],
+    /// Number of bytes that it takes in the source: fewer if it is short.
+    pub stored: usize,
     /// [`LinkReport::restarts`] up to and including this frame.
     pub restarts: u64,
 }
@@ -256,6 +258,7 @@ impl<R: Read> FrameReader<R> {
             },
             offset,
             bytes,
+            stored,
             restarts: self.report.restarts,
         }))
     }

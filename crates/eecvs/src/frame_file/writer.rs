@@ -30,15 +30,15 @@ pub struct FrameFileWriter<W> {
     /// The frames so far; `None` for a stream.
     segment: Option<Segment>,
     lean: Lean,
-    /// Bytes of short frames since the last whole one.
-    short_bytes: usize,
+    /// Bytes of the frames since the last one that follows from none before, itself included.
+    joint_bytes: usize,
     /// Bytes of all frames.
     frame_bytes: u64,
 }
 
-/// Bytes of short frames after which a whole one follows. With a short frame more it is what damage of one byte costs: a
-/// reader goes on at a whole frame.
-const SHORT_BYTES_MAX: usize = 1 << 13;
+/// Bytes of frames after which none follows from those before any more, whatever its regime. With a frame more it is what
+/// damage of one byte costs.
+const JOINT_BYTES_MAX: usize = 1 << 13;
 
 /// Frames of more bytes are written whole: their headers hardly count.
 const LEAN_BYTES_MAX: usize = 1 << 12;
@@ -58,7 +58,7 @@ impl<W: Write> FrameFileWriter<W> {
             out,
             segment: None,
             lean: Lean::default(),
-            short_bytes: 0,
+            joint_bytes: 0,
             frame_bytes: 0,
         }
     }
@@ -104,18 +104,18 @@ impl<W: Write> FrameSink for FrameFileWriter<W> {
         if segment.totals().frames == 0 {
             self.out.write_all(&BEGIN)?;
         }
-        let is_whole = bytes.len() > LEAN_BYTES_MAX
-            || self.short_bytes > SHORT_BYTES_MAX
-            || segment.may_enter(header);
-        let short = if is_whole {
+        if segment.may_enter(header) || self.joint_bytes > JOINT_BYTES_MAX {
+            // A reader may begin here, so that the first frame of every regime must be whole again.
+            self.lean.reset();
+            self.joint_bytes = 0;
+        }
+        let short = if bytes.len() > LEAN_BYTES_MAX {
             None
         } else {
             self.lean.shortened(header, bytes)
         };
-        self.short_bytes = short
-            .as_ref()
-            .map_or(0, |short| self.short_bytes + short.len());
         let stored = short.as_deref().unwrap_or(bytes);
+        self.joint_bytes += stored.len();
         self.out.write_all(stored)?;
         self.frame_bytes += stored.len() as u64;
         segment.add_stored(header, bytes, stored.len() as u64);

@@ -221,7 +221,7 @@ mod tests {
                     .filter(|(k, _)| *k < grid)
                     .map(|(k, re)| (k, re, 0.0))
                     .collect(),
-                single_u: None,
+                times: vec![],
             };
             let mut values = Vec::new();
             table.values(&pixel, &mut values);

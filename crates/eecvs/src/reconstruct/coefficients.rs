@@ -3,7 +3,7 @@
 use eecvs_nostd::coder::coefficients::pixel::{Common, Pixel as Told};
 use eecvs_nostd::coder::coefficients::{CoefficientMemory, dense, fast};
 use eecvs_nostd::coder::dense::{Dense, DenseMemory};
-use eecvs_nostd::coder::range::RangeDecoder;
+use eecvs_nostd::coder::range::{InputLeft, RangeDecoder};
 use eecvs_nostd::{Coder, Descriptor, Frame};
 
 use super::Pixel;
@@ -48,10 +48,22 @@ impl CoefficientDecoder {
         coder: Coder,
         mut each: impl FnMut(Descriptor),
     ) -> Result<(), Refused> {
+        self.descriptors_and_left(frame, coder, |descriptor, _| each(descriptor))
+    }
+
+    /// Does the same, and tells `each` what is left of the payload after a pixel.
+    pub(super) fn descriptors_and_left(
+        &mut self,
+        frame: &Frame<'_>,
+        coder: Coder,
+        mut each: impl FnMut(Descriptor, InputLeft),
+    ) -> Result<(), Refused> {
         let header = &frame.header;
         let common = Common::new(header.packing(), header.duration_us);
         let counts = (header.events, header.pixels);
-        let each = |pixel: &Told, common: &Common| each(pixel.descriptor(common));
+        let each = |pixel: &Told, common: &Common, left: InputLeft| {
+            each(pixel.descriptor(common), left);
+        };
         if coder == Coder::Fast {
             let read = fast::read(&mut self.memory, &common, counts, frame.payload, each);
             return read.map_err(|_| Refused::Malformed);

@@ -237,10 +237,10 @@ impl TimeDecoder {
         solved
     }
 
-    /// Returns the most work that a pixel can cost.
+    /// Returns the most work that a pixel can cost: none where the frame sends its times.
     fn most(&self, pixel: &Pixel) -> u64 {
-        if pixel.single_u.is_some() {
-            return cost::PIXEL;
+        if !pixel.times.is_empty() {
+            return 0;
         }
         let events = u64::from(pixel.on) + u64::from(pixel.off);
         match &self.way {
@@ -269,21 +269,27 @@ impl TimeDecoder {
         work: &mut Work,
         each: &mut dyn FnMut(u32, bool),
     ) -> Confidence {
-        if let (Way::Peaks(peaks), Finder::Exact) = (&self.way, self.finder) {
-            let found = recover::pixel(header, peaks, pixel, work);
+        let exact = match &self.way {
+            _ if pixel.times.len() > 1 => Some(recover::few(header, pixel)),
+            Way::Peaks(peaks) if self.finder == Finder::Exact => {
+                Some(recover::pixel(header, peaks, pixel, work))
+            }
+            _ => None,
+        };
+        if let Some(found) = exact {
             let polarities = (0..).map(|i| i < pixel.on as usize);
             for (offset_us, is_on) in found.offsets_us.into_iter().zip(polarities) {
                 each(offset_us, is_on);
             }
             return found.confidence;
         }
-        let single = placed_single(pixel);
-        if single.is_some() {
-            work.spend(cost::PIXEL);
-        }
         let placed = match &self.way {
-            Way::Peaks(peaks) => single.unwrap_or_else(|| peaks.pixel(pixel, work)),
-            Way::Bins(table) => single.unwrap_or_else(|| dealt(table, pixel, work)),
+            _ if !pixel.times.is_empty() => {
+                work.spend(cost::PIXEL);
+                sent(pixel)
+            }
+            Way::Peaks(peaks) => peaks.pixel(pixel, work),
+            Way::Bins(table) => dealt(table, pixel, work),
         };
         place(header, &placed, each);
         Confidence::Approximate
@@ -347,10 +353,12 @@ fn solve(
         .reduce(Solved::default, Solved::with)
 }
 
-/// Returns the event of a pixel whose only event time is sent in the frame.
-fn placed_single(pixel: &Pixel) -> Option<Vec<Placed>> {
-    let sign = if pixel.on > 0 { 1.0 } else { -1.0 };
-    pixel.single_u.map(|u| vec![(u, sign)])
+/// Returns the events of a pixel whose times are sent in the frame.
+fn sent(pixel: &Pixel) -> Vec<Placed> {
+    let times = pixel.times.iter();
+    times
+        .map(|(u, polarity)| (*u, f64::from(polarity.sign())))
+        .collect()
 }
 
 #[cfg(test)]
@@ -382,7 +390,7 @@ mod tests {
                     on: 0,
                     off: 1,
                     coefficients: coefficients(u),
-                    single_u: None,
+                    times: vec![],
                 }],
                 events: vec![],
             };
@@ -420,7 +428,7 @@ mod tests {
                     on,
                     off,
                     coefficients: vec![(3, 1.0, 2.0)],
-                    single_u: None,
+                    times: vec![],
                 };
                 let (mut found_on, mut found_off) = (0, 0);
                 decoder.pixel(

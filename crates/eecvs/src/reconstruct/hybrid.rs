@@ -1,6 +1,7 @@
 //! Decodes hybrid frames to events.
 
 use eecvs_nostd::coder::bits_msb_first::BigReader;
+use eecvs_nostd::coder::cells::spread_us;
 use eecvs_nostd::coder::content::{Content, END, Node};
 use eecvs_nostd::coder::dense::model::Model;
 use eecvs_nostd::coder::dense::{Dense, DenseMemory, words};
@@ -10,8 +11,8 @@ use eecvs_nostd::coder::quick::{self, Simd};
 use eecvs_nostd::coder::range::RangeDecoder;
 use eecvs_nostd::coder::tree::{Shape, Tree, TreeEvent};
 use eecvs_nostd::{
-    Coder, Config, Effort, Event, Fidelity, Frame, Header, Hybrid, Mode, NextStart, Polarity, Push,
-    Sensor, Thresholds, Times, WindowConfig,
+    Cells, Coder, Config, Effort, Event, Fidelity, Frame, Header, Hybrid, Mode, NextStart,
+    Polarity, Push, Sensor, Thresholds, Times, WindowConfig,
 };
 use event_types::ensure;
 use event_types::stream::{Context, Result};
@@ -163,7 +164,7 @@ impl HybridDecoder {
         let header = &frame.header;
         let (payload, _) = frame.sections();
         let times = Times::new(hybrid.fidelity, header.scans, header.duration_us);
-        match hybrid.coder {
+        let decoded = match hybrid.coder {
             Coder::Fast => fast(header, payload, times, std::mem::take(&mut self.spare)),
             Coder::Keys => self.keys(header, hybrid.fidelity, payload),
             Coder::Quick => quick(header, payload, std::mem::take(&mut self.spare)),
@@ -173,7 +174,19 @@ impl HybridDecoder {
             }
             Coder::Dense => self.dense(header, payload, times),
             Coder::Tree(effort) => self.tree(header, effort, payload, times),
+        };
+        let mut events = decoded?;
+        if let (Fidelity::SpreadUs(_), Times::Cells(cells)) = (hybrid.fidelity, times) {
+            let is_by_time = hybrid.coder == Coder::Keys;
+            if is_by_time {
+                events.sort_unstable_by_key(|event| (event.y, event.x, event.t_us));
+            }
+            spread(&mut events, header.t0_us, cells);
+            if is_by_time {
+                events.sort_by_key(|event| event.t_us);
+            }
         }
+        Ok(events)
     }
 
     /// Passes over a frame without events that the next frame depends on.
@@ -319,6 +332,32 @@ fn event(header: &Header, times: Times, (x, y): (u16, u16), told: u32, on: bool)
     }
 }
 
+/// Spreads the events of each pixel and polarity over the cells that they were decoded into, and sorts each pixel's
+/// anew; a pixel's events lie together.
+fn spread(events: &mut [Event], t0_us: u64, cells: Cells) {
+    for pixel in events.chunk_by_mut(|a, b| (a.x, a.y) == (b.x, b.y)) {
+        pixel.sort_by_key(|event| (event.polarity, event.t_us));
+        for run in pixel.chunk_by_mut(|a, b| (a.polarity, a.t_us) == (b.polarity, b.t_us)) {
+            spread_run(run, t0_us, cells);
+        }
+        pixel.sort_by_key(|event| event.t_us);
+    }
+}
+
+/// Spreads events of one cell over it.
+fn spread_run(run: &mut [Event], t0_us: u64, cells: Cells) {
+    let first_us = run.first().map_or(t0_us, |event| event.t_us);
+    let cell = cells.of((first_us - t0_us) as u32);
+    let Some((start_us, width_us)) = cells.span_us(cell) else {
+        return;
+    };
+    let count = run.len() as u32;
+    for (i, event) in (0_u32..).zip(run) {
+        event.t_us =
+            t0_us.saturating_add(u64::from(start_us) + u64::from(spread_us(width_us, i, count)));
+    }
+}
+
 /// Returns as many events as the header says, whose content means nothing, in the memory of `events`.
 ///
 /// # Errors
@@ -363,29 +402,29 @@ fn fast_at(
     header: &Header,
     payload: &[u8],
     times: Times,
-    mut events: Vec<Event>,
+    events: Vec<Event>,
     offset_us: impl Fn((u16, u16), u32) -> u32,
 ) -> Result<Vec<Event>, Refused> {
+    let mut events = unset(header, payload, events)?;
     let coder = Fast::new(header.sensor, header.window_events, times.count());
+    let t0_us = header.t0_us;
     let mut reader = BigReader::new(payload);
-    // An event takes at least one bit, which limits the memory reserved before anything is decoded.
-    let believed = payload.len().saturating_mul(8).min(header.events as usize);
-    events.clear();
-    events.reserve(believed);
-    let each = |(x, y), cell, on| {
-        // Always true: without a path that grows the vector, its length stays in a register.
-        if events.len() < events.capacity() {
+    // The reader hands on as many events as the header says, or ends with an error. The rest of the memory moves into
+    // the closure, so that where the next event goes stays in a register.
+    let mut rest = events.iter_mut();
+    let each = move |(x, y), cell, on| {
+        if let Some(event) = rest.next() {
             let offset_us = offset_us((x, y), cell);
-            events.push(Event {
-                t_us: header.t0_us.saturating_add(u64::from(offset_us)),
+            *event = Event {
+                t_us: t0_us.saturating_add(u64::from(offset_us)),
                 x,
                 y,
                 polarity: Polarity::from_bool(on),
-            });
+            };
         }
     };
     match coder.read(header.events, &mut reader, each) {
-        Ok(()) if reader.is_spent() && events.len() == header.events as usize => Ok(events),
+        Ok(()) if reader.is_spent() => Ok(events),
         _ => Err(Refused::Malformed),
     }
 }

@@ -22,10 +22,11 @@ mod test_header;
 #[cfg(test)]
 mod test_pixel;
 pub mod volume;
+pub mod ways;
 #[cfg(test)]
 mod worst_windows;
 
-use eecvs_nostd::{Descriptor, Event, Frame, Header, UnpackError};
+use eecvs_nostd::{Descriptor, Event, Frame, Header, Polarity, UnpackError};
 
 /// Dequantised coefficients of one pixel.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,8 +41,9 @@ pub struct Pixel {
     pub off: u32,
     /// (k, re, im) of the kept coefficients, in ascending order of k.
     pub coefficients: Vec<(u16, f64, f64)>,
-    /// Normalised time u of the event if the pixel has only one and the frame sends its time.
-    pub single_u: Option<f64>,
+    /// Normalised time u and polarity of each event, where the frame sends times: of a single event, and of the few
+    /// events of a pixel that is sent as times. Otherwise empty.
+    pub times: Vec<(f64, Polarity)>,
 }
 
 impl Pixel {
@@ -57,13 +59,17 @@ impl Pixel {
         let packing = header.packing();
         let mut coefficients = Vec::with_capacity(packing.kept());
         descriptor.dequantise(&packing, |k, re, im| coefficients.push((k, re, im)));
+        let mut times = Vec::new();
+        descriptor.times(&packing, |u, is_on| {
+            times.push((u, Polarity::from_bool(is_on)));
+        });
         Self {
             x: descriptor.x,
             y: descriptor.y,
             on: descriptor.on,
             off: descriptor.off,
             coefficients,
-            single_u: descriptor.single_u(&packing),
+            times,
         }
     }
 }

@@ -453,7 +453,7 @@ mod tests {
                 on,
                 off,
                 coefficients,
-                single_u: None,
+                times: vec![],
             },
             &mut Work::default(),
         );
@@ -492,7 +492,7 @@ mod tests {
                     on,
                     off: events - on,
                     coefficients: kept.collect(),
-                    single_u: None,
+                    times: vec![],
                 };
                 let [mut work, mut others] = [Work::default(), Work::default()];
                 let found = guided.pixel(&pixel, &mut work);

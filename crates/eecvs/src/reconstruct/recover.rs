@@ -11,7 +11,7 @@
 //! encoding them again. With many events the coefficients have many solutions, and their median is taken
 //! ([`super::ensemble`]). Pixels with too many events for that get the flattest densities ([`super::crowd`]).
 
-use eecvs_nostd::Header;
+use eecvs_nostd::{Header, Polarity};
 use serde::Serialize;
 
 use super::Pixel;
@@ -123,11 +123,12 @@ pub(super) const fn is_crowded(events: u64, rows: u64) -> bool {
     events > EVENTS_MAX as u64 || 5 * events > EVENTS_FIFTHS * rows
 }
 
-/// Recovers the events of a pixel of the DCT or the DTFT. The work is bounded, whatever the coefficients are.
+/// Recovers the events of a pixel of the DCT or the DTFT, of which at most a single one's time is sent. The work is
+/// bounded, whatever the coefficients are.
 #[must_use]
 pub fn pixel(header: &Header, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> Recovered {
     work.spend(cost::PIXEL);
-    if let Some(u) = pixel.single_u {
+    if let [(u, _)] = pixel.times[..] {
         let (offset_us, is_unique) = lattice::single(header, u);
         return Recovered {
             offsets_us: vec![offset_us],
@@ -212,6 +213,30 @@ fn approximate(equations: &Equations, times: &[f64], work: &mut Work) -> Recover
         residual_steps: residual_steps(equations, &offsets_us, work),
         offsets_us,
         confidence: Confidence::Approximate,
+    }
+}
+
+/// Returns the events of a pixel that is sent as times. They are exact if each cell holds only one microsecond.
+pub(super) fn few(header: &Header, pixel: &Pixel) -> Recovered {
+    let cells = header.packing().timed_cells(pixel.on + pixel.off).count();
+    let duration_us = u64::from(header.duration_us);
+    // First microsecond of a cell.
+    let first_us = |cell: u64| (cell * duration_us).div_ceil(cells.into());
+    let cell = |u: f64| (u * f64::from(cells)) as u64;
+    let is_unique = cells == header.duration_us
+        || pixel.times.iter().all(|(u, _)| {
+            let cell = cell(*u);
+            first_us(cell + 1) == first_us(cell) + 1
+        });
+    let of = |polarity: Polarity| pixel.times.iter().filter(move |event| event.1 == polarity);
+    let times = of(Polarity::On).chain(of(Polarity::Off));
+    let offset_us = |u: f64| (u * f64::from(header.duration_us)).round() as u32;
+    Recovered {
+        offsets_us: times
+            .map(|(u, _)| offset_us(*u).min(header.duration_us - 1))
+            .collect(),
+        confidence: Confidence::of(is_unique),
+        residual_steps: None,
     }
 }
 
@@ -323,7 +348,7 @@ mod tests {
                 on,
                 off,
                 coefficients: coefficients.into_iter().map(|(k, (re, im))| (k, re, im)).collect(),
-                single_u: None,
+                times: vec![],
             };
             let found = pixel(&header, &peaks, &sent, &mut Work::default());
             prop_assert_eq!(found.offsets_us.len() as u32, on + off);
@@ -431,7 +456,7 @@ mod tests {
                 let scale = eecvs_nostd::transform::phase::PhaseScale::new(duration_us);
                 let cell = scale.half(offset_us).to_bits() >> (31 - cells_log2);
                 let sent = Pixel {
-                    single_u: Some((f64::from(cell) + 0.5) / f64::from(cells)),
+                    times: vec![((f64::from(cell) + 0.5) / f64::from(cells), Polarity::On)],
                     ..test_pixel::pixel(&header, &[(offset_us, true)])
                 };
                 let found = pixel(&header, &peaks, &sent, &mut Work::default());

@@ -106,7 +106,7 @@ mod tests {
                     on,
                     off,
                     coefficients: vec![(1, 1e12, -1e12), (15, 3.0, 0.0)],
-                    single_u: None,
+                    times: vec![],
                 };
                 let placed = spread.pixel(&pixel);
                 let found = placed.iter().filter(|(_, sign)| *sign > 0.0).count() as u32;

@@ -35,5 +35,6 @@ pub fn header(duration_us: u32) -> Header {
         m: 16,
         grid: 16,
         quantiser: Quantiser::new(3).expect("in range"),
+        timed_max: 0,
     }
 }

@@ -61,6 +61,6 @@ pub fn pixel(header: &Header, events: &[(u32, bool)]) -> Pixel {
         on,
         off,
         coefficients: std::iter::once(zeroth).chain(rest).collect(),
-        single_u: None,
+        times: vec![],
     }
 }

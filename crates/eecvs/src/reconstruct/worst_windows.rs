@@ -49,7 +49,7 @@ fn pixel(header: &Header, at: u32, events: u32, seed: &mut u64) -> Pixel {
         on: events - off,
         off,
         coefficients: coefficients.collect(),
-        single_u: None,
+        times: vec![],
     }
 }
 

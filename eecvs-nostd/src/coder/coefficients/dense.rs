@@ -8,7 +8,7 @@ use super::{CoefficientMemory, tell};
 use crate::coder::content::{Content, END};
 use crate::coder::dense::times::{CodedPixel, Following, LearnedTimes, Neighbour};
 use crate::coder::dense::{Dense, Step};
-use crate::coder::range::{Binary, Probability};
+use crate::coder::range::{Binary, InputLeft, Probability};
 use crate::pack::unpack::UnpackError;
 use crate::transform::shape::width_of;
 
@@ -213,8 +213,8 @@ pub(crate) trait Pixels: Content {
     fn pixel(&mut self) -> &mut Pixel;
     /// Returns how many events are left of the window, or of a decoder's frame.
     fn left(&self) -> u32;
-    /// Takes note that the pixel has been coded.
-    fn done(&mut self, common: &Common);
+    /// Takes note that the pixel has been coded, and what a decoder has left of its input after it.
+    fn done(&mut self, common: &Common, left: InputLeft);
 }
 
 /// How much of a frame was coded.
@@ -303,7 +303,7 @@ impl<P: Pixels> Step<P> for &mut Tell<'_> {
             return stop;
         }
         let count = content.pixel().count();
-        content.done(self.common);
+        content.done(self.common, coder.left());
         self.coded.pixels += 1;
         self.coded.events += count;
         CodedPixel {
@@ -314,7 +314,8 @@ impl<P: Pixels> Step<P> for &mut Tell<'_> {
     }
 }
 
-/// Decodes a frame of the dense coder; `memory` is as the frame before left it, or restarted.
+/// Decodes a frame of the dense coder; `memory` is as the frame before left it, or restarted. Calls `each` with every
+/// pixel, and what is left of the payload after it.
 ///
 /// # Errors
 /// [`UnpackError`]; the pixels before the error have been handed on. No input makes it panic.
@@ -324,7 +325,7 @@ pub fn read(
     common: &Common,
     (events, pixels): (u32, u32),
     coder: &mut crate::coder::range::RangeDecoder<'_>,
-    each: impl FnMut(&Pixel, &Common),
+    each: impl FnMut(&Pixel, &Common, InputLeft),
 ) -> Result<(), UnpackError> {
     let CoefficientMemory {
         pixel,
@@ -353,7 +354,7 @@ struct Found<'f, E> {
     each: E,
 }
 
-impl<E: FnMut(&Pixel, &Common)> Pixels for Found<'_, E> {
+impl<E: FnMut(&Pixel, &Common, InputLeft)> Pixels for Found<'_, E> {
     fn pixel(&mut self) -> &mut Pixel {
         self.pixel
     }
@@ -362,9 +363,9 @@ impl<E: FnMut(&Pixel, &Common)> Pixels for Found<'_, E> {
         self.left
     }
 
-    fn done(&mut self, common: &Common) {
+    fn done(&mut self, common: &Common, left: InputLeft) {
         self.left = self.left.saturating_sub(self.pixel.count());
-        (self.each)(self.pixel, common);
+        (self.each)(self.pixel, common, left);
     }
 }
 

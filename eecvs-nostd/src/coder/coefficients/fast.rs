@@ -5,6 +5,7 @@ use super::fields::{self, COARSE, Context, Fields, SetShape};
 use super::pixel::{Common, Pixel};
 use super::prediction::Foretold;
 use super::{CoefficientMemory, tell};
+use crate::coder::range::InputLeft;
 use crate::pack::bits_lsb_first::{BitReader, BitWriter};
 use crate::pack::unpack::UnpackError;
 use crate::transform::GRID_MAX;
@@ -232,7 +233,8 @@ impl Fast {
     }
 }
 
-/// Reads a frame's `pixels` pixels with `events` events in all, and calls `each` with every pixel.
+/// Reads a frame's `pixels` pixels with `events` events in all, and calls `each` with every pixel, and what
+/// is left of the payload after it.
 ///
 /// # Errors
 /// [`UnpackError`]; the pixels before the error have been handed on. No input makes it panic.
@@ -241,7 +243,7 @@ pub fn read(
     common: &Common,
     (events, pixels): (u32, u32),
     payload: &[u8],
-    mut each: impl FnMut(&Pixel, &Common),
+    mut each: impl FnMut(&Pixel, &Common, InputLeft),
 ) -> Result<(), UnpackError> {
     let mut bits = BitReader::new(payload);
     let mut fast = Fast::new(common);
@@ -253,7 +255,7 @@ pub fn read(
         };
         fast.pixel(reader, common, memory, left)?;
         left = left.saturating_sub(memory.pixel.count());
-        each(&memory.pixel, common);
+        each(&memory.pixel, common, InputLeft::bits(bits.bits_left()));
     }
     if left > 0 {
         Err(UnpackError::Events)

@@ -20,6 +20,7 @@ use fields::{Fields, SetShape};
 use pixel::{Common, Pixel};
 use prediction::Prediction;
 
+use crate::coder::cells::Cells;
 use crate::pack::unpack::UnpackError;
 use crate::prune::low_frequency;
 use crate::transform::shape::width_of;
@@ -84,10 +85,22 @@ fn tell<F: Fields>(
         pixel.cell = fields.top(0, pixel.cell, common.cells_log2);
         return sound(fields);
     }
+    if common.packing.timed.has(events) {
+        let cells = common.packing.timed_cells(events);
+        tell_events(fields, cells, pixel)?;
+        sound(fields)?;
+        // A pixel has only one encoding.
+        let coded = pixel.events.iter().take(events as usize);
+        return if coded.is_sorted() {
+            Ok(())
+        } else {
+            Err(UnpackError::Levels)
+        };
+    }
     let power = fields::power(events);
     pixel.is_told = common.may_tell(events) && fields.flag(fields::TOLD + power, pixel.is_told);
     if pixel.is_told {
-        tell_events(fields, common, pixel)?;
+        tell_events(fields, common.cells, pixel)?;
         tell_differences(fields, common, pixel, prediction)?;
     } else {
         tell_set(fields, common, pixel)?;
@@ -109,11 +122,11 @@ fn sound<F: Fields>(fields: &F) -> Result<(), UnpackError> {
 /// Codes the cells and polarities of a pixel's events.
 fn tell_events<F: Fields>(
     fields: &mut F,
-    common: &Common,
+    cells: Cells,
     pixel: &mut Pixel,
 ) -> Result<(), UnpackError> {
     let (mut on_left, mut off_left) = (pixel.on, pixel.off);
-    let count = common.cells.count();
+    let count = cells.count();
     let bits = width_of(count - 1);
     let (mut cell, mut last_bits, mut last_on) = (0, 0, false);
     for (i, event) in pixel

@@ -6,6 +6,7 @@ use crate::coder::cells::{Cells, Fidelity};
 use crate::fixed_point::CHUNK_EVENTS;
 use crate::group;
 use crate::pack::descriptor::{Coded, Descriptor};
+use crate::pack::timed::{TimedEvent, insert};
 use crate::prune::Kept;
 use crate::quantise::Level;
 use crate::transform::phase::PhaseScale;
@@ -73,6 +74,12 @@ impl Common {
 
     pub(crate) const fn shape(&self) -> Shape {
         self.packing.shape()
+    }
+
+    /// Returns the cells of a pixel of `events` events if it is sent as their times.
+    pub(crate) fn timed_cells(&self, events: u32) -> Option<Cells> {
+        let has = self.packing.timed.has(events);
+        has.then(|| self.packing.timed_cells(events))
     }
 
     /// Returns the cell of an event that codes its pixel.
@@ -169,17 +176,7 @@ impl Pixel {
 
     /// Inserts event number `at` of the pixel in the order of cells.
     pub(crate) fn insert(&mut self, at: usize, cell: u32, is_on: bool) {
-        let event = cell << 1 | u32::from(is_on);
-        let Some(events) = self.events.get_mut(..=at) else {
-            return;
-        };
-        let mut at = at;
-        // Events nearly always come in order.
-        while at > 0 && events[at - 1] > event {
-            events[at] = events[at - 1];
-            at -= 1;
-        }
-        events[at] = event;
+        insert(&mut self.events, at, cell << 1 | u32::from(is_on));
     }
 
     /// Sets which coefficients are sent and their levels, cut to the bits that n events can need.
@@ -205,6 +202,16 @@ impl Pixel {
         let packing = &common.packing;
         let coded = if self.count() == 1 {
             Coded::Cell(self.cell)
+        } else if packing.timed.has(self.count()) {
+            let events = self.events.iter().take(self.count() as usize);
+            Coded::Times(
+                events
+                    .map(|event| TimedEvent {
+                        cell: event >> 1,
+                        is_on: event & 1 == 1,
+                    })
+                    .collect(),
+            )
         } else {
             let mut levels = Vec::new();
             let mut left = self.levels.iter().copied();

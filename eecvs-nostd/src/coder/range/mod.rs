@@ -75,6 +75,35 @@ impl Probability {
     }
 }
 
+/// How much of its input is left to a decoder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct InputLeft {
+    /// Bits that were not taken.
+    bits: i64,
+    /// Range of a range decoder, whose bits are left too; otherwise 1.
+    range: u32,
+}
+
+impl InputLeft {
+    /// Nothing is left.
+    pub const NONE: Self = Self::bits(0);
+
+    /// This many bits are left.
+    #[must_use]
+    pub const fn bits(bits: u64) -> Self {
+        Self {
+            bits: bits as i64,
+            range: 1,
+        }
+    }
+
+    /// Returns the number of bits: with a range decoder, also fractions of them.
+    #[must_use]
+    pub fn count(self) -> f64 {
+        self.bits as f64 + libm::log2(f64::from(self.range))
+    }
+}
+
 /// Codes decisions in either direction.
 ///
 /// An encoder writes each value that it is given and returns it. A decoder returns the value that it reads and
@@ -103,6 +132,11 @@ pub trait Binary {
     /// Returns whether an encoder has room for `bytes` more; for a decoder, whether all that it read was in its
     /// input.
     fn has_room(&self, bytes: usize) -> bool;
+
+    /// Returns how much of its input is left to a decoder; nothing for an encoder.
+    fn left(&self) -> InputLeft {
+        InputLeft::NONE
+    }
 
     /// Returns an encoder's state; `None` for a decoder.
     #[cfg(eecvs_dsp)]
@@ -473,6 +507,13 @@ impl Binary for RangeDecoder<'_> {
             self.renew();
         }
         value
+    }
+
+    fn left(&self) -> InputLeft {
+        InputLeft {
+            bits: 8 * (self.input.len() as i64 - i64::from(self.beyond)),
+            range: self.range,
+        }
     }
 
     #[inline(always)]

@@ -364,6 +364,12 @@ impl<'i> BitReader<'i> {
         Ok(((1 << low_bits) | self.get(low_bits)?) - (1 << order))
     }
 
+    /// Returns how many bits are left.
+    #[must_use]
+    pub const fn bits_left(&self) -> u64 {
+        self.input.len() as u64 * 8 + self.pending_bits as u64
+    }
+
     /// Returns whether nothing is left but the zeros that fill the last byte.
     #[must_use]
     pub fn is_spent(&self) -> bool {

@@ -10,8 +10,10 @@ mod x86_64;
 #[cfg(not(target_arch = "x86_64"))]
 use crate::accumulate::dct8::Cosines;
 use crate::accumulate::haar_bytes::Lanes;
+use crate::fixed_point::CHUNK_EVENTS;
 use crate::pack::bits_lsb_first::{BitWriter, Full, exp_golomb};
 use crate::pack::descriptor::{Coded, Descriptor};
+use crate::pack::timed::{self, TimedEvents};
 use crate::prune::Kept;
 use crate::quantise::{Levels, highest_bits, side_by_side};
 use crate::transform::shape::{MASK_GRID_MAX, Packing, width_of};
@@ -124,6 +126,21 @@ impl GapCode {
         (code, self.bits_max.wrapping_sub(2 * zeros))
     }
 
+    /// Returns the code of a pixel's place and counts, and its number of bits; the code is valid if that is below 32.
+    #[inline(always)]
+    const fn place(&self, shifted: u32, (on, off): (u32, u32)) -> (u32, u32) {
+        let (gap_code, gap_bits) = self.code(shifted);
+        let events = on + off;
+        let (counts, counts_bits) = exp_golomb(events.wrapping_sub(1), 0);
+        let before_on = gap_bits.wrapping_add(counts_bits);
+        let bits = before_on.wrapping_add(width_of(events));
+        // The 1 above each code is taken off the number that follows it.
+        let code = gap_code
+            .wrapping_add(counts.wrapping_sub(1) << (gap_bits & 31))
+            .wrapping_add(on.wrapping_sub(1) << (before_on & 31));
+        (code, bits)
+    }
+
     /// Writes the code, whatever its length.
     fn put(&self, shifted: u32, writer: &mut BitWriter<'_>) {
         writer.put_exp_golomb(shifted.wrapping_sub(1 + self.less), self.order());
@@ -149,21 +166,12 @@ impl Packer {
         writer: &mut BitWriter<'_>,
     ) -> (u32, u32) {
         let shifted = self.gap.step(index);
-        let (gap_code, gap_bits) = self.gap.code(shifted);
-        let events = on + off;
-        let (counts, counts_bits) = exp_golomb(events.wrapping_sub(1), 0);
-        let on_bits = width_of(events);
-        let before_on = gap_bits + counts_bits;
-        let bits = before_on + on_bits;
+        let (code, bits) = self.gap.place(shifted, (on, off));
         if bits < 32 {
-            // The 1 above each code is taken off the number that follows it.
-            let code = gap_code
-                .wrapping_add(counts.wrapping_sub(1) << (gap_bits & 31))
-                .wrapping_add(on.wrapping_sub(1) << (before_on & 31));
             (code, bits)
         } else {
             let gap = self.gap;
-            writer.aside(|writer| place_long((gap, shifted), (on, events), writer));
+            writer.aside(|writer| place_long((gap, shifted), (on, on + off), writer));
             (0, 0)
         }
     }
@@ -420,10 +428,12 @@ impl Packer {
     /// As [`Self::place`], for a pixel whose gap plus 2^g is `shifted`.
     #[cfg(eecvs_dsp)]
     pub(crate) fn place_after(&self, shifted: u32, counts: (u32, u32), writer: &mut BitWriter<'_>) {
-        let mut packer = *self;
-        packer.gap.before = 0;
-        let (code, bits) = packer.place_code(shifted, counts, writer);
-        writer.put_clean(code, bits);
+        let (code, bits) = self.gap.place(shifted, counts);
+        if bits < 32 {
+            writer.put_clean(code, bits);
+        } else {
+            place_long((self.gap, shifted), (counts.0, counts.0 + counts.1), writer);
+        }
     }
 
     /// Returns the number of bits of a single event's cell.
@@ -431,6 +441,25 @@ impl Packer {
     #[must_use]
     pub const fn cells_log2(&self) -> u32 {
         self.cells_log2
+    }
+
+    fn times(
+        &mut self,
+        position: (u16, u16),
+        counts: (u32, u32),
+        sent: &TimedEvents,
+        writer: &mut BitWriter<'_>,
+    ) {
+        let cells = self.packing.timed_cells(counts.0 + counts.1);
+        let most = cells.count() - 1;
+        self.place(position, counts, writer);
+        let mut words = [0; CHUNK_EVENTS];
+        for (at, event) in sent.iter().enumerate() {
+            let word = event.cell.min(most) << 1 | u32::from(event.is_on);
+            timed::insert(&mut words, at, word);
+        }
+        let words = words.iter().take(sent.len()).copied();
+        timed::put(words, counts, cells, writer);
     }
 
     fn pack(&mut self, descriptor: &Descriptor, writer: &mut BitWriter<'_>) {
@@ -442,6 +471,7 @@ impl Packer {
                 let cells = !(u32::MAX << (self.cells_log2 & 31));
                 return self.single(position, on == 1, *cell & cells, writer);
             }
+            Coded::Times(events) => return self.times(position, (on, off), events, writer),
             Coded::Levels(levels) => levels,
         };
         self.place(position, (on, off), writer);
@@ -547,6 +577,7 @@ mod tests {
     use crate::quantise::Level;
     use crate::quantise::Quantiser;
     use crate::transform::shape::PIXEL_BYTES_MAX;
+    use crate::transform::shape::Timed;
     use event_types::Sensor;
     use heapless::Vec;
 
@@ -562,6 +593,7 @@ mod tests {
             m,
             grid,
             quantiser: Quantiser::new(step_log2).unwrap(),
+            timed: Timed::NONE,
         }
     }
 

@@ -194,18 +194,14 @@ impl Window {
 
     /// For a window sent as events: how far event times may be off, in microseconds; 0 if lossless.
     pub fn time_tolerance_us(&self) -> Option<u32> {
-        match self.fidelity()? {
-            Fidelity::Lossless => Some(0),
-            Fidelity::ToleranceUs(tolerance_us) => Some(tolerance_us),
-            Fidelity::Bins(_) => None,
-        }
+        self.fidelity()?.within_us()
     }
 
     /// For a window sent as events: the number of time bins, if only the volume of the bins is exact.
     pub fn bins(&self) -> Option<u32> {
         match self.fidelity()? {
             Fidelity::Bins(bins) => Some(bins.into()),
-            Fidelity::Lossless | Fidelity::ToleranceUs(_) => None,
+            Fidelity::Lossless | Fidelity::ToleranceUs(_) | Fidelity::SpreadUs(_) => None,
         }
     }
 

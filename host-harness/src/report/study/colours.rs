@@ -4,8 +4,9 @@
 use plotters::style::RGBColor;
 
 /// Representation, its label in charts, its colour, and whether its points are triangles.
-pub const REPRESENTATIONS: [(&str, &str, RGBColor, bool); 10] = [
+pub const REPRESENTATIONS: [(&str, &str, RGBColor, bool); 11] = [
     ("events", "events (hybrid)", RGBColor(0, 114, 178), false),
+    ("best", "best", RGBColor(0, 60, 110), true),
     ("dct", "DCT", RGBColor(213, 94, 0), false),
     ("dtft", "DTFT", RGBColor(230, 159, 0), false),
     ("dwt", "Haar DWT", RGBColor(204, 121, 167), false),

@@ -7,6 +7,7 @@ use eecvs_nostd::{Coder, Event, Fidelity, Transform};
 use event_pictures::picture::Picture;
 
 use super::colours::label;
+use super::equal_errors::EqualErrors;
 use super::panels::Whole;
 use super::rate_distortion::RateDistortion;
 use super::section::Section;
@@ -52,8 +53,9 @@ impl Figure {
 }
 
 /// Beginnings of the figures' names, after which the set may follow.
-const NAMES: [&str; 6] = [
+const NAMES: [&str; 7] = [
     "rate-distortion",
+    "rate-equal-errors",
     "rate-times",
     "density-histogram",
     "density-over-time",
@@ -97,6 +99,14 @@ pub fn charts(results: &Results) -> Result<Vec<Figure>> {
             "Bits per event against the error of event times; exact results are at the foot. Down \
              and left is better.",
             Sheet::new(&Whole(RateDistortion(results)))?,
+        ),
+        Figure::chart(
+            Section::Rate,
+            "rate-equal-errors".to_owned(),
+            "The fewest bits of all settings of a representation that are within an error, medians; \
+             on the left the error of times, on the right that of the volume smoothed by 4 ms. Only \
+             representations that have such a setting for every source. Down is better.",
+            Sheet::new(&Whole(EqualErrors(results)))?,
         ),
         Figure::chart(
             Section::Rate,

@@ -1,6 +1,7 @@
 //! The page of a study: tables, charts, pictures and prose, all made from its rows.
 
 pub mod colours;
+pub mod equal_errors;
 pub mod figures;
 pub mod page;
 pub mod panels;

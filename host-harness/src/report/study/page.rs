@@ -92,7 +92,8 @@ fn content(section: Section, results: &Results) -> String {
         ),
         Section::Claims => claims(results),
         Section::TableOne => {
-            let mut tables = tables::table_one(results);
+            let mut tables = tables::equal_errors(results);
+            tables.extend(tables::table_one(results));
             tables.push(tables::other_arrays(results));
             all(tables)
         }

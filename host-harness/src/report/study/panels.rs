@@ -9,7 +9,7 @@ use crate::report::sheet::Chart;
 use crate::study::Results;
 
 const WIDTH: u32 = 820;
-const HEAD: u32 = 66;
+const HEAD: u32 = 84;
 
 /// A chart with one panel per set.
 pub trait Panels {
@@ -80,7 +80,7 @@ where
     }
 }
 
-/// Draws the legend of the representations, in two lines.
+/// Draws the legend of the representations, in three lines.
 fn key<B: DrawingBackend>(head: &DrawingArea<B, Shift>, top: i32, scale: i32) -> Drawn<B>
 where
     B::ErrorType: 'static,

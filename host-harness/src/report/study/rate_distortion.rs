@@ -40,7 +40,7 @@ impl RateDistortion<'_> {
             self.0.quality.iter().filter(|row| {
                 row.set == set
                     && family(&row.method) == representation
-                    && row.setting != "peaks"
+                    && !row.setting.ends_with("peaks")
                     && row.has_times
             })
         };
@@ -60,7 +60,7 @@ impl RateDistortion<'_> {
                 };
                 let label = match (m, setting) {
                     (0, "lossless") => method.trim_start_matches("hybrid-").to_owned(),
-                    (0, setting) => setting.to_owned(),
+                    (0, setting) => setting.trim_end_matches(" on average").to_owned(),
                     (m, _) => m.to_string(),
                 };
                 Some(Point {

@@ -192,6 +192,14 @@ impl Outcome {
         self.said(parts);
     }
 
+    /// Asserts that the flags together are wrong, as one line on stderr says.
+    #[track_caller]
+    pub fn misused(self, parts: &[&str]) {
+        assert_eq!(self.status, Some(2), "{self}");
+        assert!(self.stdout.is_empty(), "{self}");
+        self.said(parts);
+    }
+
     #[track_caller]
     fn said(&self, parts: &[&str]) {
         assert!(self.stderr.starts_with("eecvs: "), "{self}");

@@ -131,6 +131,8 @@ pub(super) const fn config(sensor: Sensor) -> Config {
         m: 16,
         grid: None,
         quantiser: Quantiser::DEFAULT,
+        few_as_times: false,
+        max_emd_us: None,
         mode: Mode::Hybrid(Hybrid {
             coder: Coder::Fast,
             fidelity: Fidelity::Lossless,

@@ -150,6 +150,8 @@ pub fn config(mode: Mode) -> Config {
         m: 8,
         grid: None,
         quantiser: Quantiser::DEFAULT,
+        few_as_times: false,
+        max_emd_us: None,
         mode,
         key_windows: KEY_WINDOWS,
         readout: None,

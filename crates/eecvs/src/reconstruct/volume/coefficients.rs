@@ -59,7 +59,7 @@ mod tests {
                 off: 1,
                 // c_0 was pruned, but the counts give it.
                 coefficients: vec![(5, 0.25, -0.75)],
-                single_u: None,
+                times: vec![],
             }],
             events: vec![],
         };

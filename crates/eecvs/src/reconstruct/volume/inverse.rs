@@ -8,13 +8,18 @@
 //! * Haar: s_hat(u) = c_0 + sum_(j,m) c_(j,m) 2^(j/2) h(2^j u - m)
 //!
 //! c_0 is ON minus OFF, which is sent for every pixel whether k = 0 was kept or not, so a pixel's bins sum to it.
-//! With all Haar coefficients and B = K, the bins are the exact sums of polarities.
+//! With all Haar coefficients and B = K, the bins are the exact sums of polarities. Those of a pixel whose few events
+//! are sent as times are the sums of these.
 
 use std::f64::consts::{PI, TAU};
 
 use eecvs_nostd::Transform;
 
 use super::super::{DecodedWindow, Pixel, haar_support};
+
+/// By how much a time before a bin's edge, in bins, counts as on it: more than u and its product may be rounded by, and
+/// less than a microsecond of the longest window.
+const EDGE: f64 = 1.0 / (1_u64 << 33) as f64;
 
 /// Integrals of every atom's synthesis function over every bin.
 #[derive(Debug, Clone)]
@@ -56,6 +61,12 @@ impl Inverse {
     /// Returns `V[b]` of one pixel for b = `bin`, in events.
     #[must_use]
     pub fn value(&self, pixel: &Pixel, bin: usize) -> f64 {
+        if pixel.times.len() > 1 {
+            let within = |u: f64| (u * self.bins as f64 + EDGE) as usize == bin;
+            let here = pixel.times.iter().filter(|(u, _)| within(*u));
+            let signs = here.map(|(_, polarity)| polarity.sign());
+            return f64::from(signs.sum::<i32>());
+        }
         let weights = |k: u16| self.weights[usize::from(k) * self.bins + bin];
         let others = pixel.coefficients.iter().filter(|(k, ..)| *k > 0);
         let others = others.map(|(k, re, im)| {
@@ -142,7 +153,7 @@ mod tests {
             on: 3,
             off: 0,
             coefficients,
-            single_u: None,
+            times: vec![],
         }
     }
 

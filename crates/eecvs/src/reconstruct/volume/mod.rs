@@ -297,7 +297,7 @@ mod tests {
                 on: 2,
                 off: 1,
                 coefficients: vec![],
-                single_u: None,
+                times: vec![],
             }],
             events: vec![],
         };

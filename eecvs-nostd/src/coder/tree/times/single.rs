@@ -473,7 +473,9 @@ impl<C: BitCoder> Walk<'_, '_, C> {
             let leaf_bits = shape.leaf_bits();
             let mut target = Nodes::NONE;
             if C::ENCODES {
-                let of_slot = rest.iter().take_while(|event| event.time >> shift == i);
+                let is_of_slot =
+                    |event: &&TreeEvent| event.place() == place && event.time >> shift == i;
+                let of_slot = rest.iter().take_while(is_of_slot);
                 let of_slot = of_slot.count();
                 let events = rest.get(..of_slot).unwrap_or_default();
                 let leaves = leaves_within(events, place, leaf_bits, shape.second);
