@@ -299,7 +299,7 @@ firmware() {
     firmware/build.sh usb
     firmware/build.sh small
     if target thumbv7em-none-eabihf && component clippy clippy; then
-        for features in full,{stm32f405,mps2\,kernels} full,stm32f405,{sensor,kernels,usb,usb\,sensor} stm32f405; do
+        for features in full,quick,{stm32f405,mps2\,kernels} full,stm32f405,{sensor,kernels,usb,usb\,sensor} stm32f405; do
             # In the environment of firmware/build.sh, so that what runs on the host is built once for both.
             env -u CARGO_PROFILE_RELEASE_DEBUG RUSTFLAGS= DEFMT_LOG=info CARGO_BUILD_BUILD_DIR=firmware/target/build \
                 cargo clippy --manifest-path firmware/Cargo.toml --release --locked --no-default-features \

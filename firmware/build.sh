@@ -43,8 +43,11 @@ elif [ "$machine" = usb ] || [ "$machine" = small ]; then
     command+=(--bin encoder)
 fi
 [ "$machine" != small ] || command+=(--no-default-features)
-# Its 256 KiB of flash, of which tables take a third, want small code.
-[ "$machine" != microbit ] || export CARGO_PROFILE_RELEASE_OPT_LEVEL=s
+# Its 256 KiB of flash, of which tables take a third, want small code, and have no room for the quick coder.
+if [ "$machine" = microbit ]; then
+    command+=(--no-default-features --features full)
+    export CARGO_PROFILE_RELEASE_OPT_LEVEL=s
+fi
 # The log tells places by the image's debug information, whatever the host's programs are built with.
 unset CARGO_PROFILE_RELEASE_DEBUG
 export RUSTFLAGS="${flags[*]}" DEFMT_LOG="${DEFMT_LOG:-info}"

@@ -217,7 +217,7 @@ impl Encoding {
         let mut windows = [const { None }; WINDOWS];
         for (window, buffers) in windows.iter_mut().zip(shares.ok_or(Refusal::Windows)?) {
             self.window_events = buffers.slots.len();
-            *window = Window::new(config.window, buffers);
+            *window = Window::new(config.windows(), buffers);
         }
         if windows.iter().all(Option::is_some) {
             Ok(windows)

@@ -7,7 +7,8 @@ use eecvs::reconstruct::pixels;
 use eecvs_nostd::evt2::{Evt2Decoder, Evt2Encoder, Word};
 use eecvs_nostd::window::{EMPTY_WINDOWS_MAX, EVENTS_MAX};
 use eecvs_nostd::{
-    Encoder, Event, NoRoom, OUTPUT_BYTES_MIN, Polarity, Push, Quantiser, Regime, Sensor, Transform,
+    Coder, Encoder, Event, Fidelity, Hybrid, Mode, NoRoom, OUTPUT_BYTES_MIN, Polarity, Push,
+    Quantiser, Regime, Sensor, Transform,
 };
 use eecvs_oracle::{density, regime, window};
 use proptest::prelude::*;
@@ -448,10 +449,14 @@ proptest! {
         slots in prop_oneof![1..20_usize, Just(1000)],
         chunk in prop_oneof![1..5_usize, Just(1000)],
         base_us in prop_oneof![Just(0), any::<u64>()],
+        keeps_arrival: bool,
     ) {
         let sensor = Sensor { width: 40, height: 3 };
         let mut config = plain_config(sensor, Transform::Dct, 8);
         config.window.window_us = window_us;
+        if keeps_arrival {
+            config.mode = Mode::Hybrid(Hybrid { coder: Coder::Quick, fidelity: Fidelity::Lossless });
+        }
 
         // The words, and whether the window is to get the next one's event by itself.
         let mut words = Vec::new();

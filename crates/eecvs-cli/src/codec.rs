@@ -418,12 +418,11 @@ impl CodecOptions {
             usage("--effort is for eecvs encode: the image has no memory for it")
         );
         ensure!(
-            !config.mode.keeps_arrival(),
-            usage("--coder quick is for eecvs encode: the image does not have it")
-        );
-        ensure!(
-            !config.keep_order,
-            usage("--keep-order is for eecvs encode: the image has no memory for it")
+            !config.has_order_section(),
+            usage(
+                "--keep-order is for eecvs encode: the image has no memory for it; --coder quick keeps the order of \
+                 arrival"
+            )
         );
         ensure!(
             config.window.origin_us.is_none() && !config.window.every_window,

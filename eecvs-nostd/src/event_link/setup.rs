@@ -5,7 +5,7 @@ use core::num::NonZeroU32;
 use serde::{Deserialize, Serialize};
 
 use super::{Refusal, TooLong, parse_body, write_body};
-use crate::coder::{Axis, Readout};
+use crate::coder::{Axis, Coder, Fidelity, Hybrid, Readout};
 use crate::encoder::config::Config;
 use crate::frame::Mode;
 use crate::quantise::Quantiser;
@@ -46,7 +46,7 @@ pub struct Setup {
     pub key_windows: u16,
     /// First column, first row, columns and rows of the region that is sent; 0 columns for all.
     pub region: [u16; 4],
-    /// Sum of [`Setup::ISOLATED`] and [`Setup::FEW_AS_TIMES`], where they apply.
+    /// Sum of [`Setup::ISOLATED`], [`Setup::FEW_AS_TIMES`] and [`Setup::QUICK`], where they apply.
     pub options: u8,
     /// Most bytes that the frames of any second take; 0 for no limit.
     pub bytes_per_second: u32,
@@ -69,6 +69,9 @@ impl Setup {
     pub const ISOLATED: u8 = 1;
     /// [`Setup::options`]: [`Config::few_as_times`].
     pub const FEW_AS_TIMES: u8 = 1 << 1;
+    /// [`Setup::options`]: of the coders that share a mode, the quick one.
+    pub const QUICK: u8 = 1 << 2;
+    const OPTIONS: u8 = Self::ISOLATED + Self::FEW_AS_TIMES + Self::QUICK;
     /// [`Setup::when_full`]: events wait.
     pub const WAIT: u8 = 0;
     /// [`Setup::when_full`]: events are dropped and counted.
@@ -98,7 +101,8 @@ impl Setup {
                 [region.x, region.y, region.width, region.height]
             }),
             options: u8::from(config.filter.isolated) * Self::ISOLATED
-                + u8::from(config.few_as_times) * Self::FEW_AS_TIMES,
+                + u8::from(config.few_as_times) * Self::FEW_AS_TIMES
+                + u8::from(config.mode.keeps_arrival()) * Self::QUICK,
             bytes_per_second: config.bytes_per_second.map_or(0, NonZeroU32::get),
             scan_period_q16: config.readout.map_or(0, Readout::period_q16),
             scan_slope_q16: config.readout.map_or(0, Readout::slope_q16),
@@ -130,7 +134,7 @@ impl Setup {
     /// # Errors
     /// A [`Refusal`] that names the first field that is out of its range.
     pub fn config(&self) -> Result<Config, Refusal> {
-        if self.when_full > Self::DROP || self.options > Self::ISOLATED + Self::FEW_AS_TIMES {
+        if self.when_full > Self::DROP || self.options > Self::OPTIONS {
             return Err(Refusal::Flag);
         }
         let [x, y, width, height] = self.region;
@@ -140,7 +144,16 @@ impl Setup {
             width,
             height,
         };
-        let mode = Mode::from_code(self.mode, self.fidelity).ok_or(Refusal::Mode)?;
+        let mut mode = Mode::from_code(self.mode, self.fidelity).ok_or(Refusal::Mode)?;
+        if self.options & Self::QUICK != 0 {
+            match &mut mode {
+                Mode::Hybrid(Hybrid {
+                    coder: coder @ Coder::Tree(_),
+                    fidelity: Fidelity::Lossless,
+                }) => *coder = Coder::Quick,
+                _ => return Err(Refusal::Mode),
+            }
+        }
         Ok(Config {
             window: WindowConfig::new(
                 Sensor::new(self.width, self.height).ok_or(Refusal::Sensor)?,
@@ -242,6 +255,15 @@ mod tests {
             let other = Setup { mode, ..mean };
             assert_eq!(other.config().unwrap().max_emd_us, None);
         }
+        let quick = Setup {
+            mode: 3,
+            options: Setup::QUICK,
+            ..setup
+        };
+        assert!(quick.config().unwrap().mode.keeps_arrival());
+        assert_eq!(Setup::new(&quick.config().unwrap(), u64::MAX), quick);
+        let tolerant = Setup { mode: 7, ..quick };
+        assert_eq!(tolerant.config(), Err(Refusal::Mode));
         let is = |change: fn(&mut Setup), refusal| {
             let mut wrong = setup;
             change(&mut wrong);
@@ -257,7 +279,8 @@ mod tests {
         is(|s| s.step_log2 = 9, Refusal::Step);
         is(|s| s.mode = 15, Refusal::Mode);
         is(|s| s.when_full = 2, Refusal::Flag);
-        is(|s| s.options = 4, Refusal::Flag);
+        is(|s| s.options = 8, Refusal::Flag);
+        is(|s| s.options = Setup::QUICK, Refusal::Mode);
         is(|s| s.scan_axis = 2, Refusal::Readout);
         is(|s| s.scan_period_q16 = 1, Refusal::Readout);
         is(|s| s.scan_slope_q16 = i32::MIN, Refusal::Readout);

@@ -60,6 +60,28 @@ pub fn dot_add(sum: i32, a: u32, b: u32) -> i32 {
 }
 
 #[inline(always)]
+pub fn least_halves(a: u32, b: u32) -> u32 {
+    let least;
+    // SAFETY: as for `mul_high`, except that it changes the GE flags, which are not declared as preserved.
+    unsafe {
+        asm!("usub16 {0}, {1}, {2}", "sel {0}, {2}, {1}", out(reg) least, in(reg) a, in(reg) b,
+            options(pure, nomem, nostack));
+    }
+    least
+}
+
+#[inline(always)]
+pub fn most_halves(a: u32, b: u32) -> u32 {
+    let most;
+    // SAFETY: as for `least_halves`.
+    unsafe {
+        asm!("usub16 {0}, {1}, {2}", "sel {0}, {1}, {2}", out(reg) most, in(reg) a, in(reg) b,
+            options(pure, nomem, nostack));
+    }
+    most
+}
+
+#[inline(always)]
 pub fn negate_halves(halves: u32, negative: u32) -> u32 {
     let negated;
     // SAFETY: as for `mul_high`, except that it changes the GE flags, which are not declared as preserved.

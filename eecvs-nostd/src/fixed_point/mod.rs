@@ -83,6 +83,20 @@ pub fn negate_halves(halves: u32, negative: u32) -> u32 {
     chosen::negate_halves(halves, negative)
 }
 
+/// Returns the lesser of the unsigned upper halves, and of the lower halves.
+#[inline(always)]
+#[must_use]
+pub fn least_halves(a: u32, b: u32) -> u32 {
+    chosen::least_halves(a, b)
+}
+
+/// Returns the greater of the unsigned upper halves, and of the lower halves.
+#[inline(always)]
+#[must_use]
+pub fn most_halves(a: u32, b: u32) -> u32 {
+    chosen::most_halves(a, b)
+}
+
 /// A coefficient as [`Sum`] or [`WideSum`], with the operations that pruning and quantisation need.
 pub trait Coefficient: Copy {
     /// Whether [`Self::is_cut`] can ever return `true`.

@@ -28,6 +28,16 @@ pub const fn dot_add(sum: i32, a: u32, b: u32) -> i32 {
 }
 
 #[inline(always)]
+pub fn least_halves(a: u32, b: u32) -> u32 {
+    (a >> 16).min(b >> 16) << 16 | (a & 0xFFFF).min(b & 0xFFFF)
+}
+
+#[inline(always)]
+pub fn most_halves(a: u32, b: u32) -> u32 {
+    (a >> 16).max(b >> 16) << 16 | (a & 0xFFFF).max(b & 0xFFFF)
+}
+
+#[inline(always)]
 pub const fn negate_halves(halves: u32, negative: u32) -> u32 {
     let turned = halves ^ negative;
     let upper = (turned >> 16).wrapping_sub(negative >> 16);

@@ -598,9 +598,6 @@ impl<'b> Window<'b> {
     /// Stores events on the sensor while there are free slots, and follows the decoder's time forwards while it
     /// lies in the window. Returns the number of words taken.
     fn store_words(&mut self, decoder: &mut Evt2Decoder, words: &[[u8; 4]]) -> usize {
-        if self.keeps_arrival() {
-            return 0;
-        }
         let (Some(time_us), Some(start_us), None) = (decoder.span_us(), self.start_us, self.closed)
         else {
             return 0;
@@ -629,6 +626,7 @@ impl<'b> Window<'b> {
             ahead_us = (to_end - i64::from(SPAN_US)) as u32;
         }
         let span_us = since_start as u32;
+        let keeps_arrival = self.keeps_arrival();
         let mut intake = Intake {
             slots: self.slots,
             heads: self.heads,
@@ -643,7 +641,11 @@ impl<'b> Window<'b> {
             before_us: 0,
             before_at: self.len,
         };
-        let taken = intake.take(words);
+        let taken = if keeps_arrival {
+            intake.take_in_order(self.config.sensor.height, words)
+        } else {
+            intake.take(words)
+        };
         let Intake {
             len,
             time,

@@ -107,7 +107,7 @@ impl Cut {
 const FEW: &str = " few";
 
 /// Name, transform, M (0 where it does not apply) and mode of every run.
-const WAYS: [(&str, Transform, u8, Mode); 14] = [
+const WAYS: [(&str, Transform, u8, Mode); 15] = [
     ("dct", Transform::Dct, 8, Mode::Transform),
     ("dct", Transform::Dct, 16, Mode::Transform),
     ("dtft", Transform::Dtft, 8, Mode::Transform),
@@ -122,6 +122,7 @@ const WAYS: [(&str, Transform, u8, Mode); 14] = [
     ("dwt few", Transform::Dwt, 16, Mode::Transform),
     ("fast", Transform::Dct, 0, lossless(Coder::Fast)),
     ("dense", Transform::Dct, 0, lossless(Coder::Dense)),
+    ("quick", Transform::Dct, 0, lossless(Coder::Quick)),
 ];
 
 const fn lossless(coder: Coder) -> Mode {

@@ -13,8 +13,8 @@ use std::time::Duration;
 use eecvs::encode::{Limits, encode as host_encode};
 use eecvs_nostd::event_link::{Kind, Setup, Status};
 use eecvs_nostd::{
-    Axis, Coder, Config, Event, Fidelity, Frame, Hybrid, Mode, Quantiser, Readout, Sensor,
-    Thresholds, Transform, WindowConfig,
+    Axis, Coder, Config, Event, Fidelity, Filter, Frame, Hybrid, Mode, Quantiser, Readout, Region,
+    Sensor, Thresholds, Transform, WindowConfig,
 };
 use event_emulator::{Preset, SceneConfig, emulate};
 use event_files::EventReader;
@@ -38,6 +38,11 @@ const SCENE: SceneConfig = SceneConfig {
     start_us: 1_700_000_000_000_000,
     seed: 3,
 };
+
+const QUICK: Mode = Mode::Hybrid(Hybrid {
+    coder: Coder::Quick,
+    fidelity: Fidelity::Lossless,
+});
 
 const FAST: Mode = Mode::Hybrid(Hybrid {
     coder: Coder::Fast,
@@ -140,6 +145,38 @@ fn few_as_times(link: &UnixStream, transform: Transform) {
     let outcome = mcu_link::run(&mut connection, &job, &|_| ()).expect("a run");
     outcome.verdict().expect("identical frames");
     assert_eq!(outcome.events_encoded, outcome.events);
+}
+
+/// Events in their order of arrival, but for those of two pixels and of what lies outside a region.
+fn quick(link: &UnixStream) {
+    let job = Job {
+        open: &open,
+        config: Config {
+            mode: QUICK,
+            filter: Filter {
+                region: Some(Region {
+                    x: 5,
+                    y: 0,
+                    width: 40,
+                    height: 30,
+                }),
+                isolated: false,
+            },
+            ..config()
+        },
+        hot: &[(10, 10), (20, 20)],
+        drop_when_full: false,
+    };
+    let mut connection = Connection::new(link, mcu_link::PATIENCE).expect("a connection");
+    let outcome = mcu_link::run(&mut connection, &job, &|_| ()).expect("a run");
+    outcome.verdict().expect("identical frames");
+    assert!(outcome.events_filtered > 0, "{outcome:?}");
+    assert_eq!(
+        outcome.events_encoded + outcome.events_filtered,
+        outcome.events
+    );
+    // Its windows are not the next run's.
+    identical(link);
 }
 
 /// The dense coder, told the readout, the budget, and three pixels that see the most.
@@ -612,6 +649,7 @@ fn every_machines_frames_are_the_hosts() {
             let outcome = identical(&link);
             assert!(outcome.status.stack_bytes > 0, "{outcome:?}");
             dense(&link);
+            quick(&link);
             // The others' golden vectors have such pixels too.
             if machine == Machine::NetduinoPlus2 {
                 Transform::ALL
@@ -661,6 +699,13 @@ fn the_small_image_codes_events_and_names_what_it_lacks() {
         );
         for (config, part) in [
             (config(), "no such mode"),
+            (
+                Config {
+                    mode: QUICK,
+                    ..config()
+                },
+                "no such mode",
+            ),
             (
                 Config {
                     mode: Mode::Hybrid(Hybrid {

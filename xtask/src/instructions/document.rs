@@ -75,7 +75,8 @@ fn tables(counts: &Counts) -> Option<String> {
     let transforms = TRANSFORMS
         .iter()
         .flat_map(|(transform, name)| [8, 16].map(|m| (*transform, m, format!("{name}, M = {m}"))));
-    let coders = ["fast", "dense"].map(|coder| (coder, 0, format!("events, {coder} coder")));
+    let coders =
+        ["fast", "quick", "dense"].map(|coder| (coder, 0, format!("events, {coder} coder")));
     for (way, m, name) in transforms.chain(coders) {
         let _ = write!(text, "| {name} |");
         for cut in CUTS {

@@ -51,6 +51,7 @@ pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
     let (transform, mode) = match run.transform.as_str() {
         "fast" => (Some(Transform::Dct), hybrid(Coder::Fast)),
         "dense" => (Some(Transform::Dct), hybrid(Coder::Dense)),
+        "quick" => (Some(Transform::Dct), hybrid(Coder::Quick)),
         name => {
             let name = name.trim_end_matches(FEW);
             let transform = Transform::ALL.into_iter().find(|t| t.name() == name);

@@ -393,15 +393,18 @@ impl Block {
             *to_place = *place;
         }
     }
+}
 
-    /// Returns the time of the last of `count` events since `first`, if no time steps back: `steps_back` says whether
-    /// one does within the block.
-    #[inline]
-    #[must_use]
-    pub fn span(&self, count: usize, steps_back: bool) -> Option<u32> {
-        let last = *self.times.get(count)?;
-        // A time before `first` has wrapped, and would wrap again.
-        (!steps_back && self.first.checked_add(last).is_some()).then_some(last)
+/// Returns `last`, the time of a block's last event since `first`, that of the event before the block, if no time steps
+/// back: `steps_back` says whether one does within the block.
+#[inline]
+#[must_use]
+pub const fn span(first: u32, last: u32, steps_back: bool) -> Option<u32> {
+    // A time before `first` has wrapped, and would wrap again.
+    if steps_back || first.checked_add(last).is_none() {
+        None
+    } else {
+        Some(last)
     }
 }
 

@@ -3,6 +3,7 @@
 use crate::coder::quick::Window;
 use crate::coder::quick::format::{
     Area, BLOCK, Block, Divisor, LANES, Output, Placed, Plan, Shape, UPPER_BYTES_MAX, last_upper,
+    span,
 };
 use crate::coder::quick::lanes::{Lanes, ROWS};
 use crate::coder::quick::portable::{self, Body, Times, encode_times_back, pack_in_turn};
@@ -108,7 +109,8 @@ fn encode_block<L: Lanes, const FULL: bool>(
         let t = l.load(row(times, r));
         signs = l.or(signs, l.or(t, l.sub(t, l.load(row(times_before, r)))));
     }
-    let span = block.span(count, !l.is_zero(l.shr(signs, 31)));
+    let last = *block.times.get(count)?;
+    let span = span(block.first, last, !l.is_zero(l.shr(signs, 31)));
     let plan = Plan::new(bounds, count, span, *area, window.sensor)?;
     *area = plan.area;
     let Some(Shape { width, quantum }) = plan.shape else {

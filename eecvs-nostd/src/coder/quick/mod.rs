@@ -111,10 +111,7 @@ impl Simd {
         out: &mut Output,
     ) -> Option<usize> {
         match self.0 {
-            Kind::None => {
-                block.fill(events);
-                portable::encode_block(block, events.len(), area, window, out)
-            }
+            Kind::None => portable::encode_block(events, block, area, window, out),
             #[cfg(test)]
             Kind::Array => kernel::encode(array::Array, events, block, area, window, out),
             #[cfg(target_arch = "x86_64")]

@@ -2,20 +2,14 @@
 
 use crate::coder::quick::Window;
 use crate::coder::quick::format::{
-    Area, BLOCK, Block, Divisor, LANES, Output, Plan, Shape, bit_length, last_upper, packed_bytes,
+    Area, BLOCK, Block, Divisor, LANES, Output, Placed, Plan, Shape, UPPER_BYTES_MAX, bit_length,
+    last_upper, packed_bytes, span,
 };
-use crate::fixed_point::dot_add;
+use crate::fixed_point::{dot_add, least_halves, most_halves};
 use event_types::{Event, Polarity};
 
-/// Widens the bounds of both halves, least and most, by those of `word`.
-#[inline(always)]
-fn widen((least, most): (u32, u32), word: u32) -> (u32, u32) {
-    let (low, high) = (word & 0xFFFF, word >> 16);
-    (
-        (least >> 16).min(high) << 16 | (least & 0xFFFF).min(low),
-        (most >> 16).max(high) << 16 | (most & 0xFFFF).max(low),
-    )
-}
+/// Words of the upper parts, rounded up to a power of two.
+const UPPER_WORDS: usize = (UPPER_BYTES_MAX / 4).next_power_of_two();
 
 /// Returns the sum of the products of both halves, all below 2^15.
 #[inline(always)]
@@ -23,103 +17,105 @@ fn dot(a: u32, b: u32) -> u32 {
     dot_add(0, a, b) as u32
 }
 
-/// Codes the first `count` events of the block, 1 to [`BLOCK`], and makes its words and positions in their place.
-/// Returns the number of bytes, or `None` if an event is not on the sensor or in the window.
+/// Codes a block's events, 1 to [`BLOCK`]; `block` has the time before them, and its words and positions mean nothing
+/// afterwards. Returns the number of bytes, or `None` if an event is not on the sensor or in the window.
 #[must_use]
 pub fn encode_block(
+    events: &[Placed],
     block: &mut Block,
-    count: usize,
     area: &mut Area,
     window: &Window,
     out: &mut Output,
 ) -> Option<usize> {
-    let count = count.min(BLOCK);
-    let (bounds, steps_back) = scan(block, count);
-    let span = block.span(count, steps_back);
+    let count = events.len().min(BLOCK);
+    let events = events.get(..count)?;
+    let (bounds, span) = scan(events, block.first);
     let plan = Plan::new(bounds, count, span, *area, window.sensor)?;
     *area = plan.area;
     match plan.shape {
         Some(_) if block.first.checked_add(span?)? >= window.duration_us => None,
-        Some(shape) => Some(encode_times_up(block, count, plan, shape, out)),
-        None => encode_times_back(block, count, plan, window, out),
+        Some(shape) => Some(encode_times_up(events, block, plan, shape, out)),
+        None => {
+            block.fill(events);
+            encode_times_back(block, count, plan, window, out)
+        }
     }
 }
 
-/// Returns the bounds of the halves of places, and whether a time steps back, or is so late that this is of no matter.
+/// Returns the bounds of the halves of places, and the time of the last event since `first`: `None` if a time steps
+/// back, or is so late that this is of no matter.
 #[inline]
-fn scan(block: &Block, count: usize) -> ((u32, u32), bool) {
-    let mut bounds = (u32::MAX, 0);
+fn scan(events: &[Placed], first: u32) -> ((u32, u32), Option<u32>) {
+    let (mut least, mut most) = (u32::MAX, 0);
     let (mut before, mut signs) = (0_u32, 0);
-    let [_, times @ ..] = &block.times;
-    let (times, places) = (times.get(..count), block.places.get(..count));
-    for (d, place) in times
-        .unwrap_or_default()
-        .iter()
-        .zip(places.unwrap_or_default())
-    {
-        bounds = widen(bounds, *place);
+    let mut one = |[offset_us, place]: &Placed| {
+        least = least_halves(least, *place);
+        most = most_halves(most, *place);
         // The highest bits: below 2^31, a difference below 0 is one that has it.
-        signs |= *d | d.wrapping_sub(before);
-        before = *d;
+        let d = offset_us.wrapping_sub(first);
+        signs |= d | d.wrapping_sub(before);
+        before = d;
+    };
+    let (fours, rest) = events.as_chunks::<4>();
+    for four in fours {
+        four.iter().for_each(&mut one);
     }
-    (bounds, signs >> 31 == 1)
+    rest.iter().for_each(one);
+    ((least, most), span(first, before, signs >> 31 == 1))
 }
 
 #[inline]
 fn encode_times_up(
+    events: &[Placed],
     block: &mut Block,
-    count: usize,
     plan: Plan,
     Shape { width, quantum }: Shape,
     out: &mut Output,
 ) -> usize {
-    let [_, times @ ..] = &mut block.times;
-    let (Some(times), Some(places)) = (times.get_mut(..count), block.places.get_mut(..count))
-    else {
-        return 0;
-    };
+    let Block {
+        first,
+        places: words,
+        ..
+    } = block;
+    let first = *first;
     let weights = (2 * plan.area.columns) << 16 | 1;
-    let base = dot(plan.base(), weights) as i32;
-    // Loops of their own, so that each one's numbers fit into a small core's registers.
+    let base = (dot(plan.base(), weights) as i32).wrapping_neg();
+    let mut last = 0;
+    // Bits of a word count from the highest here.
+    let mut upper = [0_u32; UPPER_WORDS];
     let mut i = 0;
-    #[allow(
-        clippy::explicit_counter_loop,
-        reason = "a third iterator takes more registers than a small core has"
-    )]
-    for (d, place) in times.iter_mut().zip(places) {
-        let high = quantum.quotient(*d);
+    let mut one = |[offset_us, place]: &Placed, word: &mut u32| {
+        let d = offset_us.wrapping_sub(first);
+        let high = quantum.quotient(d);
         // code q + (d - high q)
-        let code = dot_add(base.wrapping_neg(), *place, weights) as u32;
-        *place = (code.wrapping_sub(high))
+        let code = dot_add(base, *place, weights) as u32;
+        *word = (code.wrapping_sub(high))
             .wrapping_mul(quantum.value)
-            .wrapping_add(*d);
-        *d = high.wrapping_add(i);
+            .wrapping_add(d);
+        let position = high.wrapping_add(i);
+        upper[(position >> 5) as usize % UPPER_WORDS] |= (1_u32 << 31).rotate_right(position);
         i += 1;
-    }
-    let mut upper = [0_u32; 16];
-    // The word of `upper` that fills, its bits, and the position of its lowest.
-    let (mut at, mut bits, mut start) = (0_usize, 0, 0_u32);
-    for position in times {
-        while position.wrapping_sub(start) >= 32 {
-            upper[at & 15] = bits;
-            at += 1;
-            bits = 0;
-            start += 32;
+        last = position;
+    };
+    let (fours, rest) = events.as_chunks::<4>();
+    let (word_fours, _) = words.as_chunks_mut::<4>();
+    for (four, words) in fours.iter().zip(word_fours) {
+        for (event, word) in four.iter().zip(words) {
+            one(event, word);
         }
-        bits |= 1 << position.wrapping_sub(start);
     }
-    upper[at & 15] = bits;
-    let length = 4 * at + (bit_length(bits) as usize).div_ceil(8);
+    let word_rest = words.get_mut(4 * fours.len()..).unwrap_or_default();
+    for (event, word) in rest.iter().zip(word_rest) {
+        one(event, word);
+    }
+    let length = last as usize / 8 + 1;
     let mut head = plan.write_head(width, length as u32, out);
-    head += pack(
-        &block.places,
-        count,
-        width,
-        out.get_mut(head..).unwrap_or_default(),
-    );
     let to = out.get_mut(head..).unwrap_or_default();
-    for (to, word) in to.as_chunks_mut().0.iter_mut().zip(upper).take(at + 1) {
-        *to = word.to_le_bytes();
+    head += pack(words, events.len(), width, to);
+    let to = out.get_mut(head..).unwrap_or_default();
+    let words = upper.iter().take(length.div_ceil(4));
+    for (to, word) in to.as_chunks_mut().0.iter_mut().zip(words) {
+        *to = word.reverse_bits().to_le_bytes();
     }
     head + length
 }
@@ -199,25 +195,30 @@ fn pack(words: &[u32; BLOCK], count: usize, width: u32, out: &mut [u8]) -> usize
     let (whole, half) = out
         .split_at_mut_checked(width as usize / 2 * 4 * LANES)
         .unwrap_or_default();
-    for lane in 0..LANES {
-        let mut units = whole.as_chunks_mut::<{ 4 * LANES }>().0.iter_mut();
-        let (mut bits, mut filled) = (0, 0);
-        for row in words.as_chunks::<LANES>().0 {
-            let word = row[lane];
-            bits |= word << filled;
-            filled += width;
-            if filled >= 32 {
-                filled -= 32;
-                if let Some(unit) = units.next() {
-                    unit.as_chunks_mut().0[lane] = bits.to_le_bytes();
-                }
-                bits = word >> 1 >> (width - 1 - filled);
+    let mut units = whole.as_chunks_mut::<{ 4 * LANES }>().0.iter_mut();
+    let (mut lanes, mut filled) = ([0; LANES], 0);
+    // A row of words at a time: in all lanes the same bits are filled.
+    for row in words.as_chunks::<LANES>().0 {
+        let shift = filled & 31;
+        filled += width;
+        if filled < 32 {
+            for (lane, word) in lanes.iter_mut().zip(row) {
+                *lane |= word << shift;
             }
+            continue;
         }
-        if filled > 0
-            && let Some(to) = half.as_chunks_mut().0.get_mut(lane)
-        {
-            *to = (bits as u16).to_le_bytes();
+        filled -= 32;
+        let Some(unit) = units.next() else { continue };
+        // Nothing is left of a word of 32 bits, whose shift is 0.
+        let over = width - 1 - filled;
+        for ((to, lane), word) in unit.as_chunks_mut().0.iter_mut().zip(&mut lanes).zip(row) {
+            *to = (*lane | word << shift).to_le_bytes();
+            *lane = word >> 1 >> over;
+        }
+    }
+    if filled > 0 {
+        for (to, lane) in half.as_chunks_mut().0.iter_mut().zip(lanes) {
+            *to = (lane as u16).to_le_bytes();
         }
     }
     packed_bytes(count, width)

@@ -10,6 +10,9 @@ mod armv7em;
 #[cfg(not(any(eecvs_intake_asm, target_pointer_width = "64")))]
 mod portable32;
 
+#[cfg(not(eecvs_intake_asm))]
+mod in_order;
+
 use core::num::NonZeroU32;
 
 use crate::window::{Head, Slot};
@@ -55,5 +58,15 @@ impl Intake<'_> {
         #[cfg(target_pointer_width = "64")]
         use portable64 as machine;
         machine::take(self, words)
+    }
+
+    /// As [`Self::take`], into slots in the order of arrival; heads and bitmap are left alone.
+    #[inline]
+    pub fn take_in_order(&mut self, height: u16, words: &[[u8; 4]]) -> usize {
+        #[cfg(eecvs_intake_asm)]
+        use armv7em::take_in_order as take;
+        #[cfg(not(eecvs_intake_asm))]
+        use in_order::take;
+        take(self, height, words)
     }
 }
