@@ -35,7 +35,7 @@ pub struct Encode {
     #[command(flatten)]
     codec: CodecOptions,
 
-    /// hybrid: instead of --window-us, the duration from some 4 to 131 ms that takes the fewest bytes for the recording's
+    /// hybrid: instead of --window-us, the duration from some 4 ms to 2 s that takes the fewest bytes for the recording's
     /// first events, 262,144 if it has as many; a pipe is read that far before anything is written
     #[arg(long, conflicts_with = "window_us")]
     auto_window: bool,

@@ -7,7 +7,7 @@ use std::num::NonZeroUsize;
 
 use eecvs_nostd::{Axis, Config, Fidelity, Hybrid, Mode, Readout, Sensor, WindowConfig};
 use event_types::ensure;
-use event_types::stream::{Ahead, EventReader, MemoryReader, Result};
+use event_types::stream::{Ahead, EventReader, MemoryReader, Pause, Result};
 
 use super::{Codec, Limits, encode};
 use crate::frame_file::FrameFileWriter;
@@ -15,17 +15,19 @@ use crate::frame_file::FrameFileWriter;
 /// Largest number of events that are encoded with each duration.
 pub const EVENTS: usize = 1 << 18;
 /// Durations that are tried, in microseconds.
-pub const DURATIONS_US: [u32; 6] = [4_096, 8_192, 16_384, 32_768, 65_536, 131_072];
+pub const DURATIONS_US: [u32; 10] = [
+    4_096, 8_192, 16_384, 32_768, 65_536, 131_072, 262_144, 524_288, 1_048_576, 2_097_152,
+];
 /// Logarithms of the numbers of scans in windows that are tried for a sensor that scans.
 const SCANS_LOG2: [u32; 4] = [6, 7, 8, 9];
-/// Fewest windows of the first events for which a duration is tried.
+/// Fewest windows of the first events for which a duration is tried, where more events follow.
 const WINDOWS_MIN: u64 = 4;
 
 /// Reads a recording's first events, up to [`EVENTS`] and a batch more, and returns the reader, which delivers them
 /// again, with the configuration that has the duration with the fewest bytes of those events' frame file.
 ///
-/// It tries that of the configuration, and those of [`DURATIONS_US`] of which at least four would hold the events'
-/// span; where [`Config::readout`] is set, also windows of 64, 128, 256 and 512 scans. A live or growing source
+/// It tries that of the configuration, and those of [`DURATIONS_US`] of which at least four lie in the events' span, or
+/// one where these are all events; where [`Config::readout`] is set, also windows of 64, 128, 256 and 512 scans. A live or growing source
 /// is not waited for; a pipe is, until it has given as many events or ends.
 ///
 /// # Errors
@@ -61,8 +63,10 @@ pub fn look(
         SCANS_LOG2.map(|log2| scans_us(readout, config.window.sensor, 1 << log2))
     });
     let given_us = config.window.window_us;
+    let is_whole = events.len() < EVENTS && matches!(ahead.pause(), Pause::Ended);
+    let windows_min = if is_whole { 1 } else { WINDOWS_MIN };
     let durations = DURATIONS_US.into_iter().chain(scans).filter(|duration_us| {
-        *duration_us != given_us && u64::from(*duration_us) <= span_us / WINDOWS_MIN
+        *duration_us != given_us && u64::from(*duration_us) <= span_us / windows_min
     });
     let mut best = None;
     for duration_us in [given_us].into_iter().chain(durations) {
@@ -146,6 +150,10 @@ mod tests {
         let (read, long_us) = chosen(&sparse, config(sensor)).unwrap();
         assert_eq!(read, sparse);
         assert!(short_us < long_us, "{short_us} {long_us}");
+        // All of a short recording is known: its windows may be as long as it, and no longer.
+        let (read, whole_us) = chosen(&sparse[..700], config(sensor)).unwrap();
+        assert_eq!(read, sparse[..700]);
+        assert!((262_144..700_000).contains(&whole_us), "{whole_us}");
         // Nothing to choose from.
         for events in [&[][..], &dense[..1]] {
             assert_eq!(chosen(events, config(sensor)).unwrap().1, 32_768);
