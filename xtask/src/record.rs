@@ -1,8 +1,8 @@
 //! The records of measurements, and the tables of documents that are made from them.
 //!
-//! All but the demo, the streams and the long files is measured on the recordings in `../shared/data`, beside the project. Times of a
-//! clock (demo, kernels, skips, read-speed, ros-delay, hub-load, stream, seek, report) need a machine that does nothing else;
-//! all other figures are the same in every run.
+//! All but the demo, the streams and the long files is measured on the recordings in `../shared/data`, beside the
+//! project. Times of a clock (demo, kernels, skips, read-speed, ros-delay, hub-load, stream, seek, report) need a machine
+//! that does nothing else; all other figures are the same in every run.
 
 use std::path::Path;
 use std::process::ExitCode;

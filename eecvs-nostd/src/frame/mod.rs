@@ -26,7 +26,7 @@ pub const SYNC: [u8; 2] = [0xEE, 0xC5];
 pub const VERSION: u8 = 3;
 /// Version of a frame of the tree coder, whose header has the effort and the levels after the further flags, or of
 /// the quick or the keys coder, which have a code of their own there.
-pub const VERSION_TREE: u8 = 4;
+pub const VERSION_FURTHER: u8 = 4;
 /// Version of a frame without further flags.
 pub const VERSION_PLAIN: u8 = 2;
 /// Size of the largest frame in bytes, from sync to CRC-32.
@@ -205,7 +205,8 @@ const KEYS: u8 = 1 << LEVELS_FIRST_SHIFT;
 const TRANSFORM: u8 = 0;
 const FAST: u8 = 1;
 const DENSE: u8 = 2;
-const TREE: u8 = 3;
+/// One of the coders that the byte after the further flags tells apart.
+const FURTHER: u8 = 3;
 const CODER: u8 = 3;
 const FIDELITY_SHIFT: u32 = 2;
 /// Coder of coefficients, in the bits that hold the fidelity in hybrid modes.
@@ -318,7 +319,7 @@ impl Mode {
         let coder = match coder {
             Coder::Fast => FAST,
             Coder::Dense => DENSE,
-            Coder::Keys | Coder::Quick | Coder::Tree(_) => TREE,
+            Coder::Keys | Coder::Quick | Coder::Tree(_) => FURTHER,
         };
         let (fidelity, value) = fidelity.code();
         (coder | (fidelity << FIDELITY_SHIFT), value)
@@ -339,7 +340,7 @@ impl Mode {
         let coder = match code & CODER {
             FAST => Coder::Fast,
             DENSE => Coder::Dense,
-            TREE => Coder::Tree(Effort::One),
+            FURTHER => Coder::Tree(Effort::One),
             _ => return None,
         };
         Some(Self::Hybrid(Hybrid { coder, fidelity }))
@@ -470,7 +471,7 @@ impl Header {
     /// Returns the lowest version that can express the header.
     const fn version(&self) -> u8 {
         if self.mode.effort().is_some() || self.mode.takes_arrival() {
-            VERSION_TREE
+            VERSION_FURTHER
         } else if self.begins_run || self.timed_max > 0 {
             VERSION
         } else {
@@ -635,7 +636,7 @@ impl Header {
         let code = wire.mode ^ chained;
         let allowed = match (coder, code) {
             (DENSE, _) => KEY | PREVIOUS | COLUMNS | ROWS,
-            (TREE, _) => KEY | PREVIOUS | COLUMNS | ROWS,
+            (FURTHER, _) => KEY | PREVIOUS | COLUMNS | ROWS,
             (_, COEFFICIENTS_DENSE) => KEY | PREVIOUS,
             _ => 0,
         };
@@ -714,12 +715,12 @@ impl Header {
         if is_spread && order.is_some() {
             return None;
         }
-        let is_tree = version == VERSION_TREE;
-        if !is_known || is_tree != (coder == TREE) {
+        let is_further = version == VERSION_FURTHER;
+        if !is_known || is_further != (coder == FURTHER) {
             return None;
         }
         let mut levels = None;
-        if is_tree {
+        if is_further {
             let Mode::Hybrid(hybrid) = &mut mode else {
                 return None;
             };
@@ -872,7 +873,7 @@ impl<'i> Frame<'i> {
         let [_, _, version, header_bytes, ..] = *bytes else {
             return Err(FrameError::Incomplete);
         };
-        if !matches!(version, VERSION_PLAIN | VERSION | VERSION_TREE) {
+        if !matches!(version, VERSION_PLAIN | VERSION | VERSION_FURTHER) {
             return Err(FrameError::Version(version));
         }
         let header_bytes = usize::from(header_bytes);
