@@ -213,7 +213,7 @@ impl Encoding {
         self.dense_words = dense.as_ref().map_or(0, |dense| dense.words.len());
         self.encoder.lend_dense(dense);
         self.encoder.set_up(config)?;
-        let shares = WindowBuffers::share(memory, WINDOWS, config.window.sensor);
+        let shares = WindowBuffers::share(memory, WINDOWS, &config.windows());
         let mut windows = [const { None }; WINDOWS];
         for (window, buffers) in windows.iter_mut().zip(shares.ok_or(Refusal::Windows)?) {
             self.window_events = buffers.slots.len();

@@ -107,7 +107,7 @@ impl<'b> Machine<'b> {
 /// Runs one input.
 pub fn run(data: &[u8]) {
     let mut memory = vec![0; 2 * 120];
-    let buffers = WindowBuffers::share(&mut memory, 2, CONFIG.sensor).expect("room for both");
+    let buffers = WindowBuffers::share(&mut memory, 2, &CONFIG).expect("room for both");
     let (mut sums, mut totals) = ([Sum::ZERO; 32], [WideSum::ZERO; 32]);
     let mut magnitudes = [0; 32];
     let scratch = Scratch {

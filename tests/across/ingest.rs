@@ -182,11 +182,11 @@ impl Machine {
                 };
                 self.encoder = Some(WindowEncoder::new(config, scratch).unwrap());
                 let buffers =
-                    WindowBuffers::share(leak(0, MEMORY_WORDS), 2, config.window.sensor).unwrap();
+                    WindowBuffers::share(leak(0, MEMORY_WORDS), 2, &config.windows()).unwrap();
                 for buffers in buffers {
                     self.side
                         .free
-                        .push_back(Window::new(config.window, buffers).unwrap());
+                        .push_back(Window::new(config.windows(), buffers).unwrap());
                 }
                 self.setups += 1;
                 self.ingest.set_up(&setup, 2);
@@ -238,7 +238,7 @@ fn expected(events: &[Event]) -> Vec<u8> {
 
 fn expected_without(hot: &[(u16, u16)], events: &[Event]) -> Vec<u8> {
     let mut memory = vec![0; MEMORY_WORDS];
-    let buffers = WindowBuffers::share(&mut memory, 2, SENSOR)
+    let buffers = WindowBuffers::share(&mut memory, 2, &WindowConfig::new(SENSOR, 1))
         .unwrap()
         .next()
         .unwrap();

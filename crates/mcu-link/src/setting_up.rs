@@ -144,7 +144,7 @@ const fn reason(refusal: Refusal) -> &'static str {
         Refusal::Thresholds => "the thresholds are in the wrong order",
         Refusal::Transform => "it has no such transform",
         Refusal::Step => "the step is out of range",
-        Refusal::Mode => "it has no such mode or fidelity",
+        Refusal::Mode => "it has no such mode, coder or fidelity",
         Refusal::Readout => "no sensor has such a readout",
         Refusal::Flag => "a flag is neither 0 nor 1",
         Refusal::M => "M must be 1 to 64",

@@ -180,6 +180,16 @@ impl WindowConfig {
         }
     }
 
+    /// Returns how many segments' lists a window has memory for: none where events are kept in their order of arrival.
+    #[must_use]
+    pub const fn segments(&self) -> usize {
+        if HAS_QUICK && self.keeps_arrival {
+            0
+        } else {
+            segments(self.sensor.width, self.sensor.height)
+        }
+    }
+
     /// Returns the time from the last boundary of the grid to `t_us`; 0 without an origin.
     const fn since_boundary_us(&self, t_us: u64) -> u64 {
         let (Some(origin_us), Some(window_us)) =
@@ -211,25 +221,25 @@ impl WindowConfig {
 pub struct WindowBuffers<'b> {
     /// The events: as many slots as the window may hold events, 1 to [`SLOTS_MAX`].
     pub slots: &'b mut [Slot],
-    /// The newest event of each segment: at least [`segments`] heads.
+    /// The newest event of each segment: at least [`WindowConfig::segments`] heads.
     pub heads: &'b mut [Head],
-    /// The segments that have events: at least [`bitmap_words`] words.
+    /// The segments that have events: at least [`bitmap_words`] words of as many.
     pub bitmap: &'b mut [u32],
 }
 
 impl<'b> WindowBuffers<'b> {
-    /// Divides `memory` in equal shares between the buffers of `windows` windows of a sensor, and zeroes it. Each
-    /// window holds as many events as its share has room for. Returns `None` if a share has no room for even one
-    /// event.
+    /// Divides `memory` in equal shares between the buffers of `windows` windows of a configuration, and zeroes it.
+    /// Each window holds as many events as its share has room for. Returns `None` if a share has no room for even
+    /// one event.
     ///
     /// One firmware image can thus serve every sensor that fits: a smaller sensor has fewer segments, which
-    /// leaves more memory for events.
+    /// leaves more memory for events, and windows that keep the order of arrival have none.
     pub fn share(
         memory: &'b mut [u32],
         windows: usize,
-        sensor: Sensor,
+        config: &WindowConfig,
     ) -> Option<impl Iterator<Item = Self> + use<'b>> {
-        let segments = segments(sensor.width, sensor.height);
+        let segments = config.segments();
         let bitmap_words = bitmap_words(segments);
         let heads_words = (segments * size_of::<Head>()).div_ceil(size_of::<u32>());
         let share = memory.len() / windows.max(1);
@@ -407,7 +417,7 @@ impl<'b> Window<'b> {
     /// [`Sensor::SIDE_MAX`].
     #[must_use]
     pub const fn new(config: WindowConfig, buffers: WindowBuffers<'b>) -> Option<Self> {
-        let segments = segments(config.sensor.width, config.sensor.height);
+        let segments = config.segments();
         let WindowBuffers {
             slots,
             heads,

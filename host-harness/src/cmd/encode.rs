@@ -5,14 +5,14 @@ use std::iter;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use clap::Args;
 use eecvs::encode::{Codec, EncodeSummary, all_cores, duration, encode, encode_nothing};
 use eecvs_cli::codec::{CodecOptions, KernelName, LimitOptions};
 use eecvs_cli::memory::look_for;
 use eecvs_cli::options::{FollowOptions, OutputOptions, ReadingOptions, tell_damage};
 use eecvs_cli::order::{SortOptions, tell_disorder};
-use eecvs_cli::output::{Place, frame_file, rows};
+use eecvs_cli::output::{Place, frame_file, rows, usage};
 use eecvs_cli::progress::Progress;
 use event_files::Intact;
 use event_files::findings::Findings;
@@ -87,6 +87,10 @@ impl Encode {
         };
         look_for(reader.sensor(), &name_of(&self.input))?;
         let config = self.codec.config_of_file(reader.sensor())?;
+        ensure!(
+            !self.auto_window || duration::is_free(&config),
+            usage("--auto-window is for --mode hybrid, without --bins and --bytes-per-second")
+        );
         let reader = self.sort.apply(reader)?;
         let (reader, config) = self.codec.look(reader, config);
         let hot = self.codec.hot_pixels(reader.sensor())?;

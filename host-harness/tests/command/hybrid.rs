@@ -242,7 +242,7 @@ fn the_duration_of_windows_is_chosen_where_that_is_asked_for() {
             .eecvs(&format!(
                 "encode scene.raw -o c.eecvs --auto-window {flags}"
             ))
-            .fails(&["--auto-window", "--mode hybrid"]);
+            .misused(&["--auto-window", "--mode hybrid"]);
     }
     let both = folder.eecvs("encode scene.raw -o c.eecvs --auto-window --window-us 4096");
     assert_eq!(both.status, Some(2), "{both}");

@@ -3,6 +3,8 @@
 //! Where many events share a pixel, short windows cost the fewest bits; in a quiet scene a longer window shares its
 //! header and its active pixels between more events.
 
+use std::cell::Cell;
+use std::io::Write;
 use std::num::NonZeroUsize;
 
 use eecvs_nostd::{Axis, Config, Fidelity, Hybrid, Mode, Readout, Sensor, WindowConfig};
@@ -18,21 +20,39 @@ pub const EVENTS: usize = 1 << 18;
 pub const DURATIONS_US: [u32; 10] = [
     4_096, 8_192, 16_384, 32_768, 65_536, 131_072, 262_144, 524_288, 1_048_576, 2_097_152,
 ];
+/// The shortest of these.
+const SHORTEST_US: u32 = DURATIONS_US[0];
+/// The longest of these.
+const LONGEST_US: u32 = DURATIONS_US[DURATIONS_US.len() - 1];
 /// Logarithms of the numbers of scans in windows that are tried for a sensor that scans.
 const SCANS_LOG2: [u32; 4] = [6, 7, 8, 9];
 /// Fewest windows of the first events for which a duration is tried, where more events follow.
 const WINDOWS_MIN: u64 = 4;
 
+/// Returns whether the duration of windows can be chosen for a configuration: in mode hybrid with exact times or within
+/// a tolerance, and without a byte budget. Else it is part of what is asked for.
+#[must_use]
+pub const fn is_free(config: &Config) -> bool {
+    let is_of_times = matches!(
+        config.mode,
+        Mode::Hybrid(Hybrid {
+            fidelity: Fidelity::Lossless | Fidelity::ToleranceUs(_),
+            ..
+        })
+    );
+    is_of_times && config.bytes_per_second.is_none()
+}
+
 /// Reads a recording's first events, up to [`EVENTS`] and a batch more, and returns the reader, which delivers them
 /// again, with the configuration that has the duration with the fewest bytes of those events' frame file.
 ///
-/// It tries that of the configuration, and those of [`DURATIONS_US`] of which at least four lie in the events' span, or
-/// one where these are all events; where [`Config::readout`] is set, also windows of 64, 128, 256 and 512 scans. A live or growing source
+/// It tries that of the configuration, and those of [`DURATIONS_US`] of which at least four lie in the events' span, or,
+/// where these are all events, one, and one window of them all if it is of such a length; where [`Config::readout`] is
+/// set, also windows of 64, 128, 256 and 512 scans. A live or growing source
 /// is not waited for; a pipe is, until it has given as many events or ends.
 ///
 /// # Errors
-/// Modes other than hybrid with exact times or within a tolerance, and a byte budget: there the duration is part of
-/// what is asked for. Errors of the encoder.
+/// Configurations that are not [`is_free`], and a budget of the codec. Errors of the encoder.
 pub fn look(
     reader: Box<dyn EventReader>,
     codec: Codec<'_>,
@@ -40,15 +60,8 @@ pub fn look(
     threads: NonZeroUsize,
 ) -> Result<(Box<dyn EventReader>, Config)> {
     let config = codec.config;
-    let is_free = matches!(
-        config.mode,
-        Mode::Hybrid(Hybrid {
-            fidelity: Fidelity::Lossless | Fidelity::ToleranceUs(_),
-            ..
-        })
-    );
     ensure!(
-        is_free && config.bytes_per_second.is_none() && codec.budget.is_none(),
+        is_free(&config) && codec.budget.is_none(),
         Refused,
         "the duration of windows can be chosen for --mode hybrid, without --bins and --bytes-per-second"
     );
@@ -65,9 +78,13 @@ pub fn look(
     let given_us = config.window.window_us;
     let is_whole = events.len() < EVENTS && matches!(ahead.pause(), Pause::Ended);
     let windows_min = if is_whole { 1 } else { WINDOWS_MIN };
-    let durations = DURATIONS_US.into_iter().chain(scans).filter(|duration_us| {
-        *duration_us != given_us && u64::from(*duration_us) <= span_us / windows_min
-    });
+    let durations = DURATIONS_US
+        .into_iter()
+        .chain(scans)
+        .filter(|duration_us| u64::from(*duration_us) <= span_us / windows_min);
+    let all_us = u32::try_from(span_us.saturating_add(1)).ok();
+    let all_us = all_us.filter(|us| is_whole && (SHORTEST_US..=LONGEST_US).contains(us));
+    let durations = durations.chain(all_us).filter(|us| *us != given_us);
     let mut best = None;
     for duration_us in [given_us].into_iter().chain(durations) {
         let config = Config {
@@ -78,9 +95,17 @@ pub fn look(
             ..config
         };
         let mut reader = MemoryReader::new(ahead.sensor(), events.to_vec());
-        let mut out = FrameFileWriter::new(std::io::sink());
+        let is_over = Cell::new(false);
+        let mut out = FrameFileWriter::new(UpTo {
+            left: best.map_or(u64::MAX, |(fewest, _)| fewest),
+            is_over: &is_over,
+        });
         let codec = Codec { config, ..codec };
-        encode(&mut reader, codec, limits, threads, &mut out, &mut |_| ())?;
+        let outcome = encode(&mut reader, codec, limits, threads, &mut out, &mut |_| ());
+        if is_over.get() {
+            continue;
+        }
+        outcome?;
         let bytes = out.bytes();
         if best.is_none_or(|(fewest, _)| bytes < fewest) {
             best = Some((bytes, config));
@@ -88,6 +113,28 @@ pub fn look(
     }
     let config = best.map_or(config, |(_, config)| config);
     Ok((Box::new(ahead), config))
+}
+
+/// Writes nothing, and ends with an error once it was given too much: a duration that takes more bytes than another one
+/// is not tried to its end, which in a recording of long pauses may be far.
+struct UpTo<'c> {
+    left: u64,
+    is_over: &'c Cell<bool>,
+}
+
+impl Write for UpTo<'_> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let Some(left) = self.left.checked_sub(bytes.len() as u64) else {
+            self.is_over.set(true);
+            return Err(std::io::ErrorKind::FileTooLarge.into());
+        };
+        self.left = left;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
 }
 
 /// Returns the duration of a window that has at most `count` scans wherever it begins, in microseconds.
@@ -153,7 +200,7 @@ mod tests {
         // All of a short recording is known: its windows may be as long as it, and no longer.
         let (read, whole_us) = chosen(&sparse[..700], config(sensor)).unwrap();
         assert_eq!(read, sparse[..700]);
-        assert!((262_144..700_000).contains(&whole_us), "{whole_us}");
+        assert!((262_144..=700_000).contains(&whole_us), "{whole_us}");
         // Nothing to choose from.
         for events in [&[][..], &dense[..1]] {
             assert_eq!(chosen(events, config(sensor)).unwrap().1, 32_768);

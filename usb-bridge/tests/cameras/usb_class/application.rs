@@ -174,10 +174,10 @@ impl Encoder {
             order: &mut [],
         };
         let encoder = WindowEncoder::new(config, scratch)?;
-        let shares = WindowBuffers::share(leak(0, MEMORY_WORDS), 2, sensor);
+        let shares = WindowBuffers::share(leak(0, MEMORY_WORDS), 2, &config.windows());
         for buffers in shares.ok_or(Refusal::Windows)? {
             self.status.window_events = buffers.slots.len() as u32;
-            let window = Window::new(config.window, buffers);
+            let window = Window::new(config.windows(), buffers);
             self.queues.free.extend(window);
         }
         self.encoder = Some(encoder);
