@@ -27,7 +27,7 @@ const BUILDS: [Build; 3] = [
     Build {
         machine: "netduinoplus2",
         interrupt: "USART1",
-        flash_bytes_max: 460 << 10,
+        flash_bytes_max: 468 << 10,
         ram_bytes_max: 112 << 10,
         stack_bytes: 10 << 10,
     },
@@ -35,7 +35,7 @@ const BUILDS: [Build; 3] = [
     Build {
         machine: "usb",
         interrupt: "OTG_FS",
-        flash_bytes_max: 488 << 10,
+        flash_bytes_max: 496 << 10,
         ram_bytes_max: 120 << 10,
         stack_bytes: 10 << 10,
     },

@@ -20,6 +20,7 @@ use core::ops::Range;
 
 use crate::coder::cells::spread_us;
 use crate::coder::{Cells, Fidelity};
+use crate::encoder::config::HAS_KEYS;
 use crate::group::sort::gather_pixels;
 use crate::window::{NO_SLOT, Slot, Window};
 
@@ -175,9 +176,15 @@ impl Widths {
     }
 }
 
+/// Returns whether a window's events lie in their order of arrival: of the coders that have it, the keys coder alone
+/// takes a mean error.
+const fn is_in_order(window: &Window<'_>) -> bool {
+    HAS_KEYS && window.keeps_arrival()
+}
+
 /// Puts the events of a closed window in the order that [`spread_error`] needs.
 fn gather(window: &mut Window<'_>) {
-    if window.keeps_arrival() {
+    if is_in_order(window) {
         let events = window.in_order_mut();
         events.sort_unstable_by_key(|[offset_us, place]| (*place, *offset_us));
     } else {
@@ -191,7 +198,7 @@ fn middle_error(cells: Cells, window: &Window<'_>) -> u64 {
         let decoded_us = cells.offset_us(cells.of(offset_us));
         u64::from(offset_us.abs_diff(decoded_us))
     };
-    if window.keeps_arrival() {
+    if is_in_order(window) {
         let events = window.in_order().iter();
         return events.map(|[offset_us, _]| error(*offset_us)).sum();
     }
@@ -208,7 +215,7 @@ fn middle_error(cells: Cells, window: &Window<'_>) -> u64 {
 
 /// Returns the sum of the errors of times that are spread over their cells, for a window whose events were gathered.
 fn spread_error(cells: Cells, window: &Window<'_>) -> u64 {
-    if window.keeps_arrival() {
+    if is_in_order(window) {
         let cell = |[offset_us, place]: [u32; 2]| (place, cells.of(offset_us));
         let runs = window.in_order().chunk_by(|a, b| cell(*a) == cell(*b));
         return runs

@@ -179,7 +179,8 @@ impl Area {
             return joined;
         }
         if count < AREA_BITS && joined == before {
-            let more = bit_length(joined.pixels() / self.pixels()) as usize;
+            let times = joined.pixels().checked_div(self.pixels());
+            let more = bit_length(times.unwrap_or(0)) as usize;
             if more * count <= AREA_BITS {
                 return joined;
             }
@@ -284,7 +285,8 @@ pub fn last_upper(upper: &[u8], count: usize) -> Option<u32> {
 /// of 64 bits takes a loop.
 #[inline]
 const fn quotient_by_halves(divisor: u32) -> u32 {
-    let (high, low) = (divisor >> 16, divisor & 0xFFFF);
+    // The highest bit is set: so said, a compiler knows that nothing is divided by 0.
+    let (high, low) = (divisor >> 16 | 1 << 15, divisor & 0xFFFF);
     let mut rest = u32::MAX >> 1;
     let mut quotient = 0;
     let mut step = 0;
@@ -320,14 +322,12 @@ impl Shape {
     #[inline]
     #[must_use]
     pub const fn new(width: u32, codes: u32) -> Option<Self> {
-        let quantum = (1_u32 << width) / codes;
-        if quantum == 0 {
-            None
-        } else {
-            Some(Self {
+        match (1_u32 << (width & 31)).checked_div(codes) {
+            None | Some(0) => None,
+            Some(quantum) => Some(Self {
                 width,
                 quantum: Divisor::new(quantum),
-            })
+            }),
         }
     }
 
@@ -341,7 +341,10 @@ impl Shape {
             return None;
         }
         // floor(span / q) < 2 count holds from this quantum on.
-        let least = span / (2 * count as u32) + 1;
+        let Some(least) = span.checked_div(2 * count as u32) else {
+            return None;
+        };
+        let least = least + 1;
         let values = codes as u64 * least as u64 - 1;
         let width = u64::BITS - values.leading_zeros();
         if width > WIDTH_MAX {
