@@ -51,12 +51,16 @@ fn dense_window_events(sensor: Sensor) -> usize {
 #[test]
 fn the_readme_says_what_windows_hold() {
     let readme = include_str!("../../firmware/README.md");
+    let thousands = |events: usize| match events / 1000 {
+        0 => events.to_string(),
+        thousands => format!("{thousands},{:03}", events % 1000),
+    };
+    let in_order = thousands(WINDOW_WORDS / 2 * size_of::<u32>() / size_of::<Slot>());
+    assert!(readme.contains(&format!(
+        "windows hold {in_order} events whatever the sensor"
+    )));
     for (width, height) in [(128, 128), (320, 320), (346, 260), (640, 480)] {
         let sensor = Sensor { width, height };
-        let thousands = |events: usize| match events / 1000 {
-            0 => events.to_string(),
-            thousands => format!("{thousands},{:03}", events % 1000),
-        };
         let row = format!(
             "| {width} x {height} | {} | {} | {} |",
             thousands(window_events(WINDOW_WORDS, sensor)),

@@ -51,8 +51,9 @@ pub struct Config {
     /// Whether pixels of few events are sent as the times of these in mode `transform`, where that takes fewer bits:
     /// [`crate::pack::timed`]. Every coefficient that a decoder computes is within half a step either way.
     pub few_as_times: bool,
-    /// Largest mean error of a window's decoded times in microseconds, in a lossless hybrid mode, for which the coarsest
-    /// fidelity is then chosen from the window's own events: see `mean_error.rs`.
+    /// Largest mean error of decoded times in microseconds, in a lossless hybrid mode, over the windows from key frame to
+    /// key frame, or of each window by coders whose frames depend on none before. The coarsest fidelity for it is chosen
+    /// from the windows' own events: see `mean_error.rs`.
     pub max_emd_us: Option<NonZeroU32>,
     /// Content of the frames. In a hybrid mode, transform, M, K and quantiser are those of the volume that a
     /// decoder makes of the events.

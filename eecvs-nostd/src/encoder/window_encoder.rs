@@ -881,11 +881,14 @@ impl<'b> WindowEncoder<'b> {
         let is_haar = B::TRANSFORM as u8 == Transform::Dwt as u8;
         // A trace wants to know each stage, which a walk mixes.
         let walks_times = !has_ways && B::HAS_WALKS && !is_haar && !T::LISTENS;
-        if walks_times {
-            let (some, places) = encoder.encode_times(&mut self.group, window, writer);
-            (events, pixels) = (events + some, pixels + places);
-        }
-        while let Some(pixel) = self.group.next(window) {
+        loop {
+            if walks_times {
+                let (some, places) = encoder.encode_times(&mut self.group, window, writer);
+                (events, pixels) = (events + some, pixels + places);
+            }
+            let Some(pixel) = self.group.next(window) else {
+                break;
+            };
             let position = writer.position();
             let saturates = encoder.encode::<B, T>(pixel, window.slots(), writer, trace);
             if writer.is_full() {
@@ -898,10 +901,6 @@ impl<'b> WindowEncoder<'b> {
             pixels += 1;
             saturated = saturated.saturating_add(saturates);
             trace.enter(Stage::Group);
-            if walks_times {
-                let (some, places) = encoder.encode_times(&mut self.group, window, writer);
-                (events, pixels) = (events + some, pixels + places);
-            }
         }
         (header.events, header.pixels, header.saturated) = (events, pixels, saturated);
         is_last

@@ -252,7 +252,8 @@ fn walk_to(
         writer,
         borrowed: PhantomData,
     };
-    // SAFETY: the pointers are those of exclusive references that outlive the call. `walk_columns` reads and writes
+    // SAFETY: the pointers are those of exclusive references that outlive the call, but for `few`, whose reference is
+    // shared, and which is only read. `walk_columns` reads and writes
     // heads of segments that the window's bitmap has, and slots at heads and links; `Window` has made all of these
     // from slots that it has filled, or `Group` or this walk from entries made of those. It reads and writes
     // entries of columns below 32; reads the tables at rows below 512 and at counts up to a chunk's; and writes
@@ -285,7 +286,7 @@ const _: () =
 
 /// Packs a single event whose code is longer than 31 bits. `gap` is twice the sum of its gap and 2^g, plus 1.
 unsafe extern "C" fn single_long(walk: &mut Walk<'_, '_, '_>, gap: u32, rest: u32) {
-    // SAFETY: see `walk`; nothing else has a reference while this runs.
+    // SAFETY: see `walk_to`; nothing else has a reference while this runs.
     let (packer, writer) = unsafe { (&mut *walk.packer, &mut *walk.writer) };
     packer.single_after(gap >> 1, rest, writer);
 }
@@ -293,7 +294,7 @@ unsafe extern "C" fn single_long(walk: &mut Walk<'_, '_, '_>, gap: u32, rest: u3
 /// Packs a pixel whose levels have more than 10 bits or whose place has more than 31. Its sums are in `walk`; `gap`
 /// is as in [`single_long`].
 unsafe extern "C" fn seven_long(walk: &mut Walk<'_, '_, '_>, gap: u32, tally: u32) {
-    // SAFETY: see `walk`; nothing else has a reference while this runs.
+    // SAFETY: see `walk_to`; nothing else has a reference while this runs.
     let (packer, writer) = unsafe { (&mut *walk.packer, &mut *walk.writer) };
     let on = tally & 0xffff;
     packer.seven_after(gap >> 1, (on, (tally >> 16) - on), &walk.sums, writer);
@@ -302,7 +303,7 @@ unsafe extern "C" fn seven_long(walk: &mut Walk<'_, '_, '_>, gap: u32, tally: u3
 /// Returns the kept coefficients of a DTFT pixel of two events up to a chunk, whose list begins at `head`. Leaves
 /// its sums where [`dtft32_armv7em::put`] reads them.
 unsafe extern "C" fn choose(walk: &mut Walk<'_, '_, '_>, tally: u32, head: u32) -> u32 {
-    // SAFETY: see `walk`; nothing else has a reference while this runs, and this is called only if there are
+    // SAFETY: see `walk_to`; nothing else has a reference while this runs, and this is called only if there are
     // `Waves`.
     let (waves, window) = unsafe { (&mut *walk.waves, &mut *walk.source.window) };
     waves.choose_largest((tally, head), window.slots(), &mut ())

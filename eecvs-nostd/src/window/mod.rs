@@ -393,7 +393,7 @@ impl NextStart {
 pub struct Window<'b> {
     config: WindowConfig,
     slots: &'b mut [Slot],
-    /// One head per segment of the sensor.
+    /// One head per segment: [`WindowConfig::segments`].
     heads: &'b mut [Head],
     /// One bit per segment, starting from [`FIRST`].
     bitmap: &'b mut [u32],

@@ -520,12 +520,7 @@ impl Digest {
 }
 
 fn config(golden: &Golden) -> Option<Config> {
-    let fidelity = match golden.mode >> 2 {
-        0 => Fidelity::Lossless,
-        1 => Fidelity::ToleranceUs(golden.fidelity),
-        3 => Fidelity::SpreadUs(golden.fidelity),
-        _ => Fidelity::Bins(golden.fidelity as u16),
-    };
+    let fidelity = Fidelity::from_code(golden.mode >> 2, golden.fidelity)?;
     let hybrid = |coder| Mode::Hybrid(Hybrid { coder, fidelity });
     let mode = match golden.mode & 3 {
         0 => Mode::Transform,

@@ -6,6 +6,7 @@ use eecvs_bench::marks::Marks;
 
 use super::rate_table::figure;
 use crate::selection::{Cheapest, Row, TIMES};
+use crate::study::claims::median;
 
 /// Markers of the lines in the document between which its table goes.
 pub const MARKS: Marks = Marks {
@@ -165,20 +166,16 @@ fn saved(rows: &[&Row], ours: Of, theirs: Of) -> String {
         let (ours, theirs) = (ours(row)?, theirs(row)?);
         Some(100.0 * (1.0 - ours.bits_per_event / theirs.bits_per_event))
     };
-    let mut saved: Vec<f64> = rows.iter().filter_map(ratio).collect();
-    saved.sort_unstable_by(f64::total_cmp);
-    let (low, high) = (
-        saved.get(saved.len().saturating_sub(1) / 2),
-        saved.get(saved.len() / 2),
-    );
-    let (Some(least), Some(low), Some(high)) = (saved.first(), low, high) else {
+    let saved: Vec<f64> = rows.iter().filter_map(ratio).collect();
+    let least = saved.iter().copied().min_by(f64::total_cmp);
+    let (Some(least), Some(median)) = (least, median(saved.clone())) else {
         return "none".to_owned();
     };
     let more = saved.iter().filter(|saved| **saved < 0.0).count();
     format!(
         "{}, {}, {more} of {}",
-        percent((low + high) / 2.0),
-        percent(*least),
+        percent(median),
+        percent(least),
         saved.len()
     )
 }

@@ -56,11 +56,17 @@ impl Original {
     pub fn errors(&self, decoded: &[Event]) -> Errors {
         let mut matcher = Matcher::new(UNMATCHED_US);
         matcher.add_window(&self.events, &in_order(decoded));
-        let difference = impulses(&self.events, -1).chain(impulses(decoded, 1));
         Errors {
             emd_pixel_us: matcher.cost() as f64 / self.events.len().max(1) as f64,
-            volume: self.gaussian.power(difference.collect()) / self.power,
+            volume: self.volume(decoded),
         }
+    }
+
+    /// Returns [`Errors::volume`] alone.
+    #[must_use]
+    pub fn volume(&self, decoded: &[Event]) -> f64 {
+        let difference = impulses(&self.events, -1).chain(impulses(decoded, 1));
+        self.gaussian.power(difference.collect()) / self.power
     }
 }
 

@@ -166,6 +166,7 @@ fn a_scene_has_every_row_and_no_family_misses_what_was_asked() {
             );
         }
         let bits = |of: &Option<Cheapest>| of.as_ref().map(|of| of.bits_per_event);
+        assert_eq!(row.fast.is_some(), row.plain.is_some(), "{row:?}");
         assert!(bits(&row.fast) <= bits(&row.plain), "{row:?}");
         if row.error == TIMES {
             let asked = format!("{} us on average", row.most);

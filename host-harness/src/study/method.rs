@@ -29,7 +29,7 @@ pub enum Method {
     Coarse(Setting),
     /// Events with the coarsest times within a mean error (`--max-emd-us`), by the dense coder.
     MeanError {
-        /// The largest mean error of a window's times, in us.
+        /// The largest mean error of times, in us.
         most_us: u32,
     },
     /// Events, as the codec sends them by default.

@@ -86,7 +86,7 @@ pub fn measure(set: &Set, source: &Source, method: Method, trip: &Trip) -> Resul
         ssim: found.ssim,
         emd_time_ms: found.emd_time_ms,
         emd_pixel_us: found.emd_pixel_us,
-        volume_error: Original::new(&source.events).errors(&trip.events).volume,
+        volume_error: Original::new(&source.events).volume(&trip.events),
         exact_fraction: found.exact_fraction,
         events_decoded: found.events_b,
         has_times: trip.has_times,

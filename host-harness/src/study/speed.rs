@@ -31,7 +31,7 @@ const BATCH: usize = 16;
 /// Target name in the host's rows.
 pub const HOST: &str = "host, one thread";
 /// Mean error of times at which methods are compared, in us.
-const EQUAL_US: u32 = 512;
+pub const EQUAL_US: u32 = 512;
 /// Target name in the host's rows at equal errors: of each transform the setting of fewest bits within 512 us on average.
 pub const HOST_EQUAL: &str = "host, one thread, emd_pixel of at most 512 us";
 /// Target name in the microcontroller's rows.
@@ -348,7 +348,9 @@ mod tests {
         let equal: Vec<_> = rows.iter().filter(|row| row.target == HOST_EQUAL).collect();
         let found = |method: &str| equal.iter().any(|row| row.method == method);
         assert!(found("best") && found("best-fast") && found("dwt"));
-        let is_within = |row: &&&Speed| row.emd_pixel_us <= Some(f64::from(EQUAL_US));
+        let is_within =
+            |row: &&&Speed| row.emd_pixel_us.is_some_and(|us| us <= f64::from(EQUAL_US));
+        assert!(HOST_EQUAL.contains(&format!("{EQUAL_US} us")));
         assert_eq!(equal.iter().filter(is_within).count(), equal.len());
     }
 }

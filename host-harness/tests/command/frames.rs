@@ -136,14 +136,14 @@ fn times_are_as_near_on_average_as_was_asked() {
     }
     let line = "encode scene.raw -o frames.eecvs --overwrite --max-emd-us 50";
     folder.eecvs(&format!("{line} --transform best")).ok();
-    for (flags, status) in [
-        ("--time-tolerance-us 3", 2),
-        ("--bins 3", 2),
-        ("--coder quick", 2),
-        ("--mode transform", 2),
+    for flags in [
+        "--time-tolerance-us 3",
+        "--bins 3",
+        "--coder quick",
+        "--mode transform",
     ] {
         let refused = folder.eecvs(&format!("{line} {flags}"));
-        assert_eq!(refused.status, Some(status), "{flags}: {refused}");
+        assert_eq!(refused.status, Some(2), "{flags}: {refused}");
         assert!(
             refused.stderr.contains("--max-emd-us"),
             "{flags}: {refused}"

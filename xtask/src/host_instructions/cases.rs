@@ -44,6 +44,21 @@ const CODERS: [(&str, Coder); 5] = [
 /// A case: its name, and the events that it works on.
 pub type Case = (String, usize);
 
+const fn lossless(coder: Coder) -> Hybrid {
+    Hybrid {
+        coder,
+        fidelity: Fidelity::Lossless,
+    }
+}
+
+/// Returns the configuration of an encoder of events.
+fn events_by(hybrid: Hybrid) -> Config {
+    Config {
+        mode: Mode::Hybrid(hybrid),
+        ..config(Transform::Dct, 8)
+    }
+}
+
 /// Runs what is counted. Callgrind is told this name, which no other function may contain: apart,
 /// and one for all cases, so that it is entered once a case.
 #[inline(never)]
@@ -115,28 +130,15 @@ pub fn run(folder: &Path) -> anyhow::Result<Vec<Case>> {
         }
     }
     // Of the start of a recording, once.
-    let dense = Config {
-        mode: Mode::Hybrid(Hybrid {
-            coder: Coder::Dense,
-            fidelity: Fidelity::Lossless,
-        }),
-        ..config(Transform::Dct, 8)
-    };
+    let dense = events_by(lossless(Coder::Dense));
     let mut looked = dense;
     count_these(&mut || looked = readout::look_at(&events, dense));
     ensure!(looked.readout.is_none(), "the scene's sensor does not scan");
     cases.push(("look for scans".to_owned(), events.len()));
     for (name, coder) in CODERS {
-        let hybrid = Hybrid {
-            coder,
-            fidelity: Fidelity::Lossless,
-        };
-        let config = Config {
-            mode: Mode::Hybrid(hybrid),
-            ..config(Transform::Dct, 8)
-        };
+        let hybrid = lossless(coder);
         let mut storage = HostStorage::new(SENSOR, WINDOW_EVENTS);
-        let mut encoder = storage.encoder(config)?;
+        let mut encoder = storage.encoder(events_by(hybrid))?;
         let mut out = vec![0; FRAME_BYTES_MAX];
         let frame = encode(&mut encoder, window, &mut out).to_vec();
         count_these(&mut || {
@@ -168,16 +170,9 @@ pub fn run(folder: &Path) -> anyhow::Result<Vec<Case>> {
     }
     let at_once = at_once();
     for (number, effort) in [(1, Effort::One), (3, Effort::Three)] {
-        let hybrid = Hybrid {
-            coder: Coder::Tree(effort),
-            fidelity: Fidelity::Lossless,
-        };
-        let config = Config {
-            mode: Mode::Hybrid(hybrid),
-            ..config(Transform::Dct, 8)
-        };
+        let hybrid = lossless(Coder::Tree(effort));
         let mut storage = HostStorage::new(SENSOR, WINDOW_EVENTS);
-        let mut encoder = storage.encoder(config)?;
+        let mut encoder = storage.encoder(events_by(hybrid))?;
         let mut out = vec![0; FRAME_BYTES_MAX];
         count_these(&mut || {
             black_box(encode(&mut encoder, &at_once, &mut out));

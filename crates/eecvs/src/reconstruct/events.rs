@@ -284,10 +284,7 @@ impl TimeDecoder {
             return found.confidence;
         }
         let placed = match &self.way {
-            _ if !pixel.times.is_empty() => {
-                work.spend(cost::PIXEL);
-                sent(pixel)
-            }
+            _ if !pixel.times.is_empty() => sent(pixel),
             Way::Peaks(peaks) => peaks.pixel(pixel, work),
             Way::Bins(table) => dealt(table, pixel, work),
         };

@@ -127,7 +127,6 @@ pub(super) const fn is_crowded(events: u64, rows: u64) -> bool {
 /// bounded, whatever the coefficients are.
 #[must_use]
 pub fn pixel(header: &Header, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> Recovered {
-    work.spend(cost::PIXEL);
     if let [(u, _)] = pixel.times[..] {
         let (offset_us, is_unique) = lattice::single(header, u);
         return Recovered {
@@ -136,6 +135,7 @@ pub fn pixel(header: &Header, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> 
             residual_steps: None,
         };
     }
+    work.spend(cost::PIXEL);
     let equations = Equations::new(header, pixel);
     let events = equations.events();
     if is_crowded(events as u64, equations.rows() as u64) {

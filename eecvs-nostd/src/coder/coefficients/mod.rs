@@ -85,8 +85,7 @@ fn tell<F: Fields>(
         pixel.cell = fields.top(0, pixel.cell, common.cells_log2);
         return sound(fields);
     }
-    if common.packing.timed.has(events) {
-        let cells = common.packing.timed_cells(events);
+    if let Some(cells) = common.timed_cells(events) {
         tell_events(fields, cells, pixel)?;
         sound(fields)?;
         // A pixel has only one encoding.

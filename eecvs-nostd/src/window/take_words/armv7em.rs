@@ -42,13 +42,14 @@ struct State {
 /// Implements [`Intake::take`].
 pub fn take(intake: &mut Intake<'_>, words: &[[u8; 4]]) -> usize {
     let heads = intake.heads.len().min(32 * intake.bitmap.len()) as u32;
-    // SAFETY: `intake` has this many heads on loan, and one bit of the bitmap for each.
+    // SAFETY: words and slots are as `with_state` says; `intake` has this many heads on loan, and one bit of the bitmap
+    // for each.
     with_state(intake, words, heads, |state| unsafe { take_words(state) })
 }
 
 /// Implements [`Intake::take_in_order`].
 pub fn take_in_order(intake: &mut Intake<'_>, height: u16, words: &[[u8; 4]]) -> usize {
-    // SAFETY: neither heads nor the bitmap are used.
+    // SAFETY: words and slots are as `with_state` says; neither heads nor the bitmap are used.
     with_state(intake, words, height.into(), |state| unsafe {
         take_words_in_order(state);
     })
