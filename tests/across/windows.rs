@@ -8,7 +8,7 @@ use eecvs_nostd::evt2::{Evt2Decoder, Evt2Encoder, Word};
 use eecvs_nostd::window::{EMPTY_WINDOWS_MAX, EVENTS_MAX};
 use eecvs_nostd::{
     Coder, Encoder, Event, Fidelity, Hybrid, Mode, NoRoom, OUTPUT_BYTES_MIN, Polarity, Push,
-    Quantiser, Regime, Sensor, Transform,
+    Quantiser, Regime, Sensor, Slot, Transform, Window, WindowBuffers, WindowConfig,
 };
 use eecvs_oracle::{density, regime, window};
 use proptest::prelude::*;
@@ -62,6 +62,40 @@ proptest! {
                 );
             }
         }
+    }
+
+    #[test]
+    fn a_listed_window_is_the_one_that_its_events_were_pushed_into(
+        (config, events) in job(300), window_events in prop_oneof![1..30_usize, Just(1000)],
+    ) {
+        prop_assume!(!config.windows().keeps_arrival);
+        let pushed = encode(config, &events, window_events, FRAME_BYTES);
+        let mut storage = HostStorage::new(config.window.sensor, window_events);
+        let mut encoder = storage.encoder(config).expect("a valid configuration");
+        let mut slots = vec![Slot::EMPTY; window_events];
+        let mut arrived = arrived(config.window, &mut slots);
+        let (mut frames, mut bytes) = (Vec::new(), vec![0; FRAME_BYTES]);
+        let mut take = |arrived: &mut Window<'_>| {
+            let held = (arrived.events(), arrived.closed());
+            assert_eq!(encoder.window().list(arrived), held.1.is_some());
+            if held.1.is_some() {
+                assert_eq!((encoder.window().events(), encoder.window().closed()), held);
+                assert_eq!((arrived.events(), arrived.closed()), (0, None));
+                // Full: it takes no other.
+                assert!(!encoder.window().list(arrived));
+            }
+            while let Some(frame) = encoder.next_frame(&mut bytes).expect("room") {
+                frames.push(bytes[frame.range].to_vec());
+            }
+        };
+        for event in events {
+            while arrived.push(event) == Push::Closed {
+                take(&mut arrived);
+            }
+        }
+        arrived.flush();
+        take(&mut arrived);
+        prop_assert_eq!(frames, pushed);
     }
 
     #[test]
@@ -537,6 +571,59 @@ proptest! {
         };
         prop_assert_eq!(in_runs(&words), one_by_one(&words));
     }
+}
+
+/// A window that keeps the order of arrival, without memory for pixels.
+fn arrived(config: WindowConfig, slots: &mut [Slot]) -> Window<'_> {
+    let config = WindowConfig {
+        keeps_arrival: true,
+        ..config
+    };
+    let buffers = WindowBuffers {
+        slots,
+        heads: &mut [],
+        bitmap: &mut [],
+    };
+    Window::new(config, buffers).expect("a valid configuration")
+}
+
+#[test]
+fn a_window_lists_only_what_it_can_hold() {
+    let sensor = Sensor {
+        width: 40,
+        height: 2,
+    };
+    let config = plain_config(sensor, Transform::Dct, 8);
+    let mut slots = [Slot::EMPTY; 4];
+    let mut full = arrived(config.window, &mut slots);
+    for t_us in 0..4 {
+        assert_eq!(full.push(at(t_us, 0)), Push::Stored);
+    }
+    let lists = |sensor, window_events, full: &mut Window<'_>| {
+        let mut config = config;
+        config.window.sensor = sensor;
+        let mut storage = HostStorage::new(sensor, window_events);
+        let mut encoder = storage.encoder(config).expect("a valid configuration");
+        let lists = encoder.window().list(full);
+        assert_eq!(encoder.window().events(), if lists { 4 } else { 0 });
+        lists
+    };
+    assert!(!lists(sensor, 4, &mut full), "it is open");
+    full.flush();
+    let mut other = [Slot::EMPTY; 4];
+    assert!(
+        !arrived(config.window, &mut other).list(&mut full),
+        "it would keep the order of arrival"
+    );
+    assert!(!lists(sensor, 3, &mut full), "it has no room");
+    let wider = Sensor {
+        width: 41,
+        ..sensor
+    };
+    assert!(!lists(wider, 4, &mut full), "it is another sensor's");
+    assert_eq!(full.events(), 4);
+    assert!(lists(sensor, 4, &mut full));
+    assert_eq!(full.events(), 0);
 }
 
 #[derive(Debug, Default, PartialEq)]

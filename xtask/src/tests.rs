@@ -26,6 +26,8 @@ pub fn run(filters: &[String]) -> Result<ExitCode> {
 
 /// The campaign over every place at which an output can fail, of all commands or of those whose line has this word.
 pub fn faults(word: Option<&str>) -> Result<ExitCode> {
+    // Commands that run an image build it first, which may take longer than the campaign waits for one of them.
+    tree::run(&mut tree::command("firmware/build.sh"))?;
     let mut test = tree::cargo();
     test.args(["test", "--quiet"]).args(ALL);
     let filter = ["--", "every_output_is_old_or_whole", "--nocapture"];

@@ -54,7 +54,7 @@ impl Default for Limits {
 /// Memory of an encoder on the host, with a capacity chosen at run time.
 #[derive(Debug)]
 pub struct HostStorage {
-    windows: Vec<WindowMemory>,
+    window: WindowMemory,
     sums: Vec<Sum>,
     totals: Vec<WideSum>,
     magnitudes: Vec<u32>,
@@ -68,11 +68,14 @@ pub struct HostStorage {
 }
 
 /// Message for a system that refuses the memory.
-const NO_MEMORY: &str = "the system refuses the encoders' memory: use fewer with --threads, or smaller windows with --window-events";
+pub(crate) const NO_MEMORY: &str = "the system refuses the encoders' memory: use fewer with --threads, or smaller windows with --window-events";
+
+/// Message for an invalid configuration of windows.
+pub(crate) const NO_WINDOW: &str = "the window needs a duration of at least 1 us, room for 1 to 2^24 - 1 events and a sensor of 1 to 2048 pixels a side";
 
 /// Buffers of one window.
 #[derive(Debug)]
-struct WindowMemory {
+pub(crate) struct WindowMemory {
     /// Slots, stored as words: the system provides these zeroed, and a memory page is allocated only once an event
     /// is stored in it.
     slots: Vec<u32>,
@@ -81,8 +84,11 @@ struct WindowMemory {
 }
 
 impl WindowMemory {
-    fn new(sensor: Sensor, window_events: usize) -> std::result::Result<Self, AllocError> {
-        let segments = segments(sensor.width, sensor.height);
+    /// Allocates memory for the lists of `segments` segments and for `window_events` events.
+    pub(crate) fn new(
+        segments: usize,
+        window_events: usize,
+    ) -> std::result::Result<Self, AllocError> {
         let words = window_events.checked_mul(size_of::<Slot>() / size_of::<u32>());
         Ok(Self {
             slots: u32::new_vec_zeroed(words.ok_or(AllocError)?)?,
@@ -96,10 +102,10 @@ impl WindowMemory {
         self.slots.len() / (size_of::<Slot>() / size_of::<u32>())
     }
 
-    fn window(&mut self, config: WindowConfig) -> Option<Window<'_>> {
+    /// Creates a window over this memory; `None` if the configuration is invalid or asks for more than this memory has.
+    pub(crate) fn window(&mut self, config: WindowConfig) -> Option<Window<'_>> {
         self.heads.fill(0);
         self.bitmap.fill(0);
-        touch(self.slots.as_mut_bytes());
         let buffers = WindowBuffers {
             slots: <[Slot]>::mut_from_bytes(self.slots.as_mut_bytes()).ok()?,
             heads: &mut self.heads,
@@ -128,7 +134,7 @@ impl HostStorage {
             window_events,
             ..Limits::default()
         };
-        Self::with_windows(1, sensor, limits).unwrap_or_else(|_| {
+        Self::with_limits(sensor, limits).unwrap_or_else(|_| {
             let slots = Layout::array::<Slot>(window_events);
             handle_alloc_error(slots.unwrap_or(Layout::new::<Slot>()))
         })
@@ -142,20 +148,20 @@ impl HostStorage {
         self
     }
 
-    /// As [`Self::new`], with buffers for several windows.
+    /// As [`Self::new`], within limits.
     ///
     /// # Errors
     /// The system refuses the memory.
-    pub(crate) fn with_windows(windows: usize, sensor: Sensor, limits: Limits) -> Result<Self> {
+    pub(crate) fn with_limits(sensor: Sensor, limits: Limits) -> Result<Self> {
         let numbers = 2 * GRID_MAX;
-        let memory = (0..windows).map(|_| WindowMemory::new(sensor, limits.window_events));
-        let memory = memory.collect::<std::result::Result<_, _>>();
+        let segments = segments(sensor.width, sensor.height);
+        let window = WindowMemory::new(segments, limits.window_events);
         let words = u32::new_vec_zeroed(words(sensor, true).min(limits.dense_words));
-        let (Ok(windows), Ok(words)) = (memory, words) else {
+        let (Ok(window), Ok(words)) = (window, words) else {
             bail!(Refused, "{NO_MEMORY}");
         };
         Ok(Self {
-            windows,
+            window,
             sums: vec![Sum::ZERO; numbers],
             totals: vec![WideSum::ZERO; numbers],
             magnitudes: vec![0; numbers],
@@ -183,12 +189,11 @@ impl HostStorage {
     /// # Errors
     /// As [`Self::encoder`]; also fails if a pixel is not on the sensor.
     pub fn encoder_without(&mut self, config: Config, hot: &[(u16, u16)]) -> Result<Encoder<'_>> {
-        let (mut windows, encoder) = self.parts(config, hot)?;
-        let window = windows.pop().context("the memory has no window")?;
+        let (window, encoder) = self.parts(config, hot)?;
         Ok(Encoder::new(window, encoder))
     }
 
-    /// Creates all windows and their encoder over this memory, which is cleared. Pixels `hot`, given as (column,
+    /// Creates a window and its encoder over this memory, which is cleared. Pixels `hot`, given as (column,
     /// row), are never sent.
     ///
     /// # Errors
@@ -197,29 +202,20 @@ impl HostStorage {
         &'s mut self,
         config: Config,
         hot: &[(u16, u16)],
-    ) -> Result<(Vec<Window<'s>>, WindowEncoder<'s>)> {
+    ) -> Result<(Window<'s>, WindowEncoder<'s>)> {
         if config.has_order_section() {
-            let slots = self.windows.first().map_or(0, WindowMemory::slots);
-            self.order = vec![0; arrival::words(slots)];
+            self.order = vec![0; arrival::words(self.window.slots())];
         }
         if let Some(effort) = config.mode.effort() {
-            let slots = self.windows.first().map_or(0, WindowMemory::slots);
-            let tree = TreeStorage::new(config.window.sensor, effort, slots);
+            let tree = TreeStorage::new(config.window.sensor, effort, self.window.slots());
             self.tree = tree.ok().context(NO_MEMORY)?;
         }
         if config.mode.has_keys() && self.keys.is_none() {
             self.keys = Some(EncoderMemory::new_box_zeroed().ok().context(NO_MEMORY)?);
         }
         self.hot.resize(hot.len(), 0);
-        let windows: Option<Vec<_>> = self
-            .windows
-            .iter_mut()
-            .map(|memory| memory.window(config.windows()))
-            .collect();
-        let windows = windows.context(
-            "the window needs a duration of at least 1 us, room for 1 to 2^24 - 1 events and a \
-             sensor of 1 to 2048 pixels a side",
-        )?;
+        touch(self.window.slots.as_mut_bytes());
+        let window = self.window.window(config.windows()).context(NO_WINDOW)?;
         let scratch = Scratch {
             sums: &mut self.sums,
             totals: &mut self.totals,
@@ -243,7 +239,7 @@ impl HostStorage {
                         "the hot pixel {x},{y} is not on the sensor"
                     );
                 }
-                Ok((windows, encoder))
+                Ok((window, encoder))
             }
             Err(error) => bail!(Refused, "{}", reason(error, &config)),
         }

@@ -2,6 +2,7 @@
 
 pub mod filter;
 pub mod hot_pixels;
+mod take_events;
 mod take_words;
 
 use core::num::{NonZeroU32, NonZeroU64};
@@ -9,9 +10,10 @@ use core::num::{NonZeroU32, NonZeroU64};
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 use crate::coder::quick;
+use crate::window::take_events::Bounds;
 use crate::window::take_words::Intake;
 use event_types::evt2::{Evt2Decoder, SPAN_US, Word, X_SHIFT, is_event, low_us};
-use event_types::{Event, Sensor};
+use event_types::{Event, Polarity, Sensor};
 
 /// A buffered event of 8 bytes. An all-zero slot is valid and empty, so buffers can lie in `.bss`.
 #[derive(
@@ -718,26 +720,53 @@ impl<'b> Window<'b> {
         stored
     }
 
-    /// As [`Self::push_inside`], in the order of arrival: a loop of its own, so that nothing but the slots is written in
-    /// it.
+    /// As [`Self::push_inside`], in the order of arrival.
     fn push_inside_in_order(&mut self, start_us: u64, events: &[Event]) -> usize {
-        let window_us = u64::from(self.duration_us);
-        let sensor = self.config.sensor;
+        let bounds = Bounds {
+            sensor: self.config.sensor,
+            start_us,
+            duration_us: self.duration_us,
+        };
         let free = self.slots.get_mut(self.len as usize..).unwrap_or_default();
-        let (mut stored, mut latest_us) = (0, self.latest.event_us);
-        for (slot, event) in free.iter_mut().zip(events) {
-            let offset_us = event.t_us.wrapping_sub(start_us);
-            if event.t_us < start_us || offset_us >= window_us || !sensor.contains(event.x, event.y)
-            {
-                break;
-            }
-            *slot = Slot::placed(*event, offset_us as u32);
-            latest_us = latest_us.max(offset_us as u32);
-            stored += 1;
-        }
+        let latest_us = &mut self.latest.event_us;
+        let stored = take_events::take_in_order(bounds, free, events, latest_us);
         self.len += stored as u32;
-        self.latest.event_us = latest_us;
         stored
+    }
+
+    /// Takes over a closed window that keeps the order of arrival: lists its events by pixel, as if each had been
+    /// pushed here, with its end and its counts, and opens it again. `arrived` needs no memory for pixels, so that a host
+    /// cuts many windows ahead and lists each of them in the same memory when it encodes it.
+    ///
+    /// Returns `false`, and changes neither, if `arrived` is not such a window, if this window is not open and empty or
+    /// keeps the order of arrival itself, if their sensors differ, or if this one has fewer slots than `arrived` has
+    /// events.
+    pub fn list(&mut self, arrived: &mut Window<'_>) -> bool {
+        if !arrived.keeps_arrival()
+            || arrived.closed.is_none()
+            || self.keeps_arrival()
+            || self.closed.is_some()
+            || self.len > 0
+            || self.config.sensor != arrived.config.sensor
+            || self.slots.len() < arrived.len as usize
+        {
+            return false;
+        }
+        for slot in arrived.slots.iter().take(arrived.len as usize) {
+            let (x, y) = quick::position(slot.link);
+            let event = Event {
+                t_us: 0,
+                x,
+                y,
+                polarity: Polarity::from_bool(slot.is_on()),
+            };
+            self.store_by_pixel(event, slot.offset_us);
+        }
+        self.closed = arrived.closed;
+        self.counts = arrived.take_counts();
+        self.follow_on(arrived.next_start());
+        arrived.reopen();
+        true
     }
 
     fn close(&mut self, duration_us: u32, truncated: bool, next: NextStart) {

@@ -171,8 +171,8 @@ type Outcome = (EncodeSummary, Duration);
 /// The frames do not depend on `threads`. A live source or a byte budget uses one thread. With one thread
 /// everything runs on the calling thread; with more, a separate thread reads ahead and the calling thread writes. A
 /// window of a live source is written as soon as its time has passed, even if no event follows. Memory does not
-/// grow with the recording: each thread holds the buffers of at most 8 windows (of `key_windows` windows with the
-/// dense coder), a frame, and the frames of such windows that wait to be written.
+/// grow with the recording: each thread holds the events of at most 32 windows (of `key_windows` windows with the
+/// dense coder), the lists of one, a frame, and the frames of such windows that wait to be written.
 ///
 /// # Errors
 /// Fails if reading or writing fails, if the configuration is invalid, or if the counts do not account for every
@@ -247,15 +247,14 @@ pub fn encode_nothing<'h>(
         window_events: 1,
         ..limits
     };
-    let mut storage = HostStorage::with_windows(1, codec.config.window.sensor, limits)?;
-    let (mut windows, mut encoder) = storage.parts(codec.config, codec.hot)?;
-    let window = windows.first_mut().context("the memory has no window")?;
+    let mut storage = HostStorage::with_limits(codec.config.window.sensor, limits)?;
+    let (mut window, mut encoder) = storage.parts(codec.config, codec.hot)?;
     // The first call opens the window, the second closes it.
     window.pass(0);
     window.pass(window.duration_us().into());
     let mut frame = vec![0; limits.frame_bytes];
     loop {
-        match codec.next_frame(&mut encoder, window, &mut frame) {
+        match codec.next_frame(&mut encoder, &mut window, &mut frame) {
             Ok(Some(encoded)) => {
                 summary.add(&encoded.header, encoded.range.len());
                 write_frame(out, &encoded.header, &frame[encoded.range])?;
@@ -274,22 +273,21 @@ fn encode_here(
     out: &mut dyn FrameSink,
     progress: &mut dyn FnMut(u64),
 ) -> Result<Outcome> {
-    let mut storage = HostStorage::with_windows(1, codec.config.window.sensor, limits)?;
-    let (mut windows, mut encoder) = storage.parts(codec.config, codec.hot)?;
-    let window = windows.first_mut().context("the memory has no window")?;
+    let mut storage = HostStorage::with_limits(codec.config.window.sensor, limits)?;
+    let (mut window, mut encoder) = storage.parts(codec.config, codec.hot)?;
     let mut cutter = Cutter::new(Direct(reader), limits.reorder_us.unwrap_or(REORDER_US));
     let mut frame = vec![0; limits.frame_bytes];
     touch(&mut frame);
     let mut summary = EncodeSummary::default();
     let mut encoding = Duration::ZERO;
-    while cutter.cut(window, &mut encoding)? {
+    while cutter.cut(&mut window, &mut encoding)? {
         if let Some(budget) = codec.budget {
             // A mode without a budget ignores this one too.
             let _ = encoder.set_budget(budget.get());
         }
         loop {
             let started = Instant::now();
-            let encoded = codec.next_frame(&mut encoder, window, &mut frame);
+            let encoded = codec.next_frame(&mut encoder, &mut window, &mut frame);
             encoding += started.elapsed();
             match encoded {
                 Ok(Some(encoded)) => {

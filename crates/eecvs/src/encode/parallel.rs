@@ -7,7 +7,8 @@
 //! One thread reads ahead, N threads encode, and the calling thread writes. No thread is dedicated to cutting: an
 //! encoding thread that is idle locks the cutter, fills its own windows and, before it releases the lock, queues
 //! the receiving end of a channel for their frames. The queue is therefore in the order of the recording, whichever
-//! thread finishes first.
+//! thread finishes first. Windows are cut in their order of arrival, which takes no memory but that of their events;
+//! an encoder that wants them by pixel lists each in the one window that it encodes, whose lists stay in the cache.
 //!
 //! A frame carries its sequence number, which is known only once all frames before it are made. An encoder predicts
 //! it, since nearly every window is one frame; where the prediction was wrong, the writer seals the frame again.
@@ -26,21 +27,22 @@ use std::time::{Duration, Instant};
 
 use eecvs_nostd::coder::key_frames::Chain;
 use eecvs_nostd::frame::{CRC_BYTES, HEADER_BYTES_MAX, seal};
-use eecvs_nostd::{Encoded, Event, Header, Window, WindowEncoder};
+use eecvs_nostd::{Encoded, Event, Header, Sensor, Window, WindowConfig, WindowEncoder};
 use event_types::stream::{Context, EventReader, Result};
 use event_types::{bail, error};
 
 use super::cutter::{Batches, Cutter};
 use super::{Codec, EncodeSummary, HostStorage, Limits, NO_ROOM, Outcome, REORDER_US, write_frame};
 use crate::frame_file::FrameSink;
+use crate::storage::{NO_MEMORY, NO_WINDOW, WindowMemory};
 
 /// Batches of events read ahead.
 const BATCHES_AHEAD: usize = 4;
 /// Largest number of windows that a thread cuts in one turn: a handover costs some microseconds, as much as
 /// encoding a few hundred events.
-const WINDOWS: usize = 8;
+const WINDOWS: usize = 32;
 /// Number of events after which a turn cuts no further window.
-const EVENTS: u32 = 1 << 13;
+const EVENTS: u32 = 1 << 15;
 /// Bytes of frames after which a chunk is sent to the writer.
 const CHUNK_BYTES: usize = 1 << 18;
 
@@ -78,6 +80,39 @@ impl Made {
 /// The windows cut in one turn, as the writer receives them: the channel of their chunks, or an error.
 type Cut = Result<Receiver<Result<Chunk>>>;
 
+/// Memory of an encoding thread.
+struct Storage {
+    arrived: Vec<WindowMemory>,
+    encoder: HostStorage,
+}
+
+impl Storage {
+    /// Allocates memory for `windows` windows of a turn.
+    fn new(windows: usize, sensor: Sensor, limits: Limits) -> Result<Self> {
+        let memory = (0..windows).map(|_| WindowMemory::new(0, limits.window_events));
+        let memory = memory.collect::<std::result::Result<_, _>>();
+        Ok(Self {
+            arrived: memory.ok().context(NO_MEMORY)?,
+            encoder: HostStorage::with_limits(sensor, limits)?,
+        })
+    }
+
+    /// Creates the windows of a turn, the window that is encoded, and the encoder.
+    fn parts(
+        &mut self,
+        codec: Codec<'_>,
+    ) -> Result<(Vec<Window<'_>>, Window<'_>, WindowEncoder<'_>)> {
+        let config = WindowConfig {
+            keeps_arrival: true,
+            ..codec.config.window
+        };
+        let arrived = self.arrived.iter_mut().map(|memory| memory.window(config));
+        let arrived = arrived.collect::<Option<_>>().context(NO_WINDOW)?;
+        let (window, encoder) = self.encoder.parts(codec.config, codec.hot)?;
+        Ok((arrived, window, encoder))
+    }
+}
+
 /// State that only one encoding thread holds at a time.
 struct Front {
     cutter: Cutter<ReadAhead>,
@@ -111,11 +146,11 @@ pub fn encode(
     let chained = codec.chained();
     let windows = chained.map_or(WINDOWS, |key_windows| usize::from(key_windows).max(1));
     let mut storages: Vec<_> = (0..threads.get())
-        .map(|_| HostStorage::with_windows(windows, sensor, limits))
+        .map(|_| Storage::new(windows, sensor, limits))
         .collect::<Result<_>>()?;
     let encoders: Vec<_> = storages
         .iter_mut()
-        .map(|storage| storage.parts(codec.config, codec.hot))
+        .map(|storage| storage.parts(codec))
         .collect::<Result<_>>()?;
     let shared = Shared {
         frame_bytes: limits.frame_bytes,
@@ -148,13 +183,14 @@ pub fn encode(
             .spawn_scoped(scope, move || read(reader, &filled_in, &used))
             .context(unstarted)?;
         let mut running = Vec::new();
-        for (windows, encoder) in encoders {
+        for (arrived, window, encoder) in encoders {
             let (front, shared) = (Arc::clone(&front), &shared);
             let thread = start("encode").spawn_scoped(scope, move || {
                 let mut thread = Thread {
                     shared,
                     codec,
-                    windows,
+                    arrived,
+                    window,
                     encoder,
                     busy: Duration::ZERO,
                     room: vec![0; shared.frame_bytes],
@@ -262,7 +298,10 @@ impl Front {
 struct Thread<'s, 'b> {
     shared: &'s Shared,
     codec: Codec<'s>,
-    windows: Vec<Window<'b>>,
+    /// The windows of a turn, in their order of arrival.
+    arrived: Vec<Window<'b>>,
+    /// The window that is encoded, where the encoder wants events by pixel.
+    window: Window<'b>,
     encoder: WindowEncoder<'b>,
     busy: Duration,
     /// Room for a frame.
@@ -274,7 +313,7 @@ impl Thread<'_, '_> {
     fn turn(&mut self, front: &Mutex<Front>) -> Option<()> {
         // A poisoned lock means that another thread panicked; the caller of `encode` passes that panic on.
         let mut front = front.lock().ok()?;
-        let cut = front.cut(&mut self.windows, &mut self.busy);
+        let cut = front.cut(&mut self.arrived, &mut self.busy);
         let events_in = front.cutter.events_in();
         drop(front);
         self.shared
@@ -291,7 +330,11 @@ impl Thread<'_, '_> {
     /// Encodes the first `count` windows; returns `None` if the writer has stopped.
     fn encode(&mut self, count: usize, chunks: &Sender<Result<Chunk>>) -> Option<()> {
         let mut chunk = self.shared.chunk();
-        for window in self.windows.iter_mut().take(count) {
+        for arrived in self.arrived.iter_mut().take(count) {
+            let started = Instant::now();
+            let is_listed = self.window.list(arrived);
+            self.busy += started.elapsed();
+            let window = if is_listed { &mut self.window } else { arrived };
             loop {
                 let started = Instant::now();
                 let encoded = self

@@ -6,7 +6,6 @@
 
 use core::ops::Range;
 
-use crc::{CRC_32_ISO_HDLC, Crc, Table};
 use eecvs_nostd::Header;
 use eecvs_nostd::frame::CRC_BYTES;
 use serde::{Deserialize, Serialize};
@@ -39,18 +38,10 @@ const BODY_BYTES_MAX: usize = TOTALS_BYTES_MAX + STRETCHES_MAX * VALUE_BYTES_MAX
 /// Size of the largest mark.
 pub const MARK_BYTES_MAX: usize = PREFIX_BYTES + BODY_BYTES_MAX + CRC_BYTES;
 
-static CRC_32: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISO_HDLC);
-
 /// The mark in front of a segment's frames.
-pub const BEGIN: [u8; PREFIX_BYTES + CRC_BYTES] = {
-    let prefix = [SYNC[0], SYNC[1], VERSION, KIND_BEGIN, 0, 0, 0, 0];
-    let [a, b, c, d] = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC)
-        .checksum(&prefix)
-        .to_le_bytes();
-    [
-        SYNC[0], SYNC[1], VERSION, KIND_BEGIN, 0, 0, 0, 0, a, b, c, d,
-    ]
-};
+pub const BEGIN: [u8; PREFIX_BYTES + CRC_BYTES] = [
+    SYNC[0], SYNC[1], VERSION, KIND_BEGIN, 0, 0, 0, 0, 0x73, 0xEA, 0xD6, 0xC7,
+];
 
 /// Counts of the frames of a segment, or of a part of it.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -75,7 +66,7 @@ impl Totals {
         let (before, crc) = hashed.split_at_mut(CRC_BYTES);
         before.copy_from_slice(&self.hash.to_le_bytes());
         crc.copy_from_slice(bytes.last_chunk::<CRC_BYTES>().unwrap_or(&[0; CRC_BYTES]));
-        self.hash = CRC_32.checksum(&hashed);
+        self.hash = crc32fast::hash(&hashed);
         self.runs += u64::from(begins_run(header) || self.frames == 0);
         self.frames += 1;
         self.events += u64::from(header.events);
@@ -211,7 +202,7 @@ impl Mark {
             return Err(MarkError::Incomplete);
         };
         let (checked, crc) = mark.split_at(PREFIX_BYTES + size);
-        if CRC_32.checksum(checked).to_le_bytes() != *crc {
+        if crc32fast::hash(checked).to_le_bytes() != *crc {
             return Err(MarkError::Damaged(whole));
         }
         if kind == KIND_BEGIN {
@@ -251,7 +242,7 @@ impl End {
         if let Some(size) = mark.get_mut(PREFIX_BYTES - SIZE_BYTES..PREFIX_BYTES) {
             size.copy_from_slice(&body.to_le_bytes());
         }
-        let crc = CRC_32.checksum(&mark);
+        let crc = crc32fast::hash(&mark);
         mark.extend(crc.to_le_bytes());
         mark
     }

@@ -5,7 +5,6 @@ use std::io::Read;
 use event_types::stream::Result;
 
 use super::decoder::MESSAGE_MAX;
-use super::mcap_writer::CRC;
 use crate::input::Input;
 
 /// A file of records, some of which are in compressed chunks.
@@ -304,10 +303,10 @@ impl Chunked {
     pub fn check(&mut self, crc: u32, size: u64) -> Result<()> {
         let found = match &self.chunk {
             Some(Chunk { fault: Some(_), .. }) => return Ok(()),
-            Some(Chunk { bytes, .. }) => CRC.checksum(bytes),
+            Some(Chunk { bytes, .. }) => crc32fast::hash(bytes),
             None => {
                 let start = self.input.offset();
-                let mut digest = CRC.digest();
+                let mut digest = crc32fast::Hasher::new();
                 let mut left = size;
                 let mut block = vec![0; BLOCK_BYTES];
                 while left > 0 {

@@ -12,7 +12,7 @@
 use std::io::Write;
 use std::path::Path;
 
-use crc::{CRC_32_ISO_HDLC, Crc, Digest, Table};
+use crc32fast::Hasher;
 use event_types::Sensor;
 use event_types::stream::{Context, Result};
 use lz4_flex::frame::{BlockSize, FrameEncoder, FrameInfo};
@@ -26,9 +26,6 @@ use super::packets::{
     DEFINITION_ROS2, Message, MessageFile, PacketWriter, Packets, TOPIC, TYPE_ROS2,
 };
 use crate::output::sequential::Output;
-
-/// The CRC-32 of zip files and Ethernet, which MCAP uses.
-pub(super) static CRC: Crc<u32, Table<16>> = Crc::<u32, Table<16>>::new(&CRC_32_ISO_HDLC);
 
 /// Size in bytes at which a chunk is closed.
 const CHUNK_BYTES: usize = 1 << 20;
@@ -115,7 +112,7 @@ struct Placed {
 /// The records of a file that is being written.
 pub struct Records {
     file: Output,
-    crc: Digest<'static, u32, Table<16>>,
+    crc: Hasher,
     chunk_bytes: usize,
     chunk: Chunk,
     chunks: Vec<Placed>,
@@ -146,10 +143,9 @@ impl MessageFile for Records {
         if !self.chunk.messages.is_empty() {
             self.close()?;
         }
-        let crc = std::mem::replace(&mut self.crc, CRC.digest()).finalize();
+        let crc = std::mem::take(&mut self.crc).finalize();
         self.record(DATA_END, &crc.to_le_bytes())?;
         let start = self.file.position();
-        self.crc = CRC.digest();
         // The offset and length of each group are written after all of them.
         let mut groups = Vec::new();
         for (opcode, contents) in [
@@ -180,7 +176,7 @@ impl MessageFile for Records {
             footer.extend_from_slice(&u64::to_le_bytes(number));
         }
         self.put(&footer)?;
-        let crc = std::mem::replace(&mut self.crc, CRC.digest()).finalize();
+        let crc = std::mem::take(&mut self.crc).finalize();
         self.put(&crc.to_le_bytes())?;
         self.put(MAGIC)?;
         self.file.finish()
@@ -196,7 +192,7 @@ impl Records {
         let mut file = Self {
             file: Output::create(path)?,
             chunk_bytes,
-            crc: CRC.digest(),
+            crc: Hasher::new(),
             chunk: Chunk::default(),
             chunks: Vec::new(),
             messages: 0,
@@ -242,7 +238,7 @@ impl Records {
         for number in [first_ns, last_ns, bytes.len() as u64] {
             content.extend_from_slice(&number.to_le_bytes());
         }
-        content.extend_from_slice(&CRC.checksum(&bytes).to_le_bytes());
+        content.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
         string(&mut content, "lz4");
         content.extend_from_slice(&(packed.len() as u64).to_le_bytes());
         content.extend_from_slice(&packed);
