@@ -35,6 +35,13 @@ const TRANSFORMS: [(&str, &str); 6] = [
     ("dwt few", "Haar DWT, few as times"),
 ];
 
+const CODERS: [(&str, &str); 4] = [
+    ("fast", "events, fast coder"),
+    ("fast mean", "events, fast coder, a mean error of 128 us"),
+    ("quick", "events, quick coder"),
+    ("dense", "events, dense coder"),
+];
+
 /// Writes the tables of `counts` into the document at `path`.
 pub fn write(counts: &Counts, path: &Path) -> anyhow::Result<()> {
     let tables = tables(counts).context("a run of the tables is not among the counts")?;
@@ -75,8 +82,7 @@ fn tables(counts: &Counts) -> Option<String> {
     let transforms = TRANSFORMS
         .iter()
         .flat_map(|(transform, name)| [8, 16].map(|m| (*transform, m, format!("{name}, M = {m}"))));
-    let coders =
-        ["fast", "quick", "dense"].map(|coder| (coder, 0, format!("events, {coder} coder")));
+    let coders = CODERS.map(|(coder, name)| (coder, 0, name.to_owned()));
     for (way, m, name) in transforms.chain(coders) {
         let _ = write!(text, "| {name} |");
         for cut in CUTS {

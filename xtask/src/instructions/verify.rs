@@ -1,6 +1,7 @@
 //! The image's frames against those of the same cut on this host: bit for bit the same.
 
 use std::fs;
+use std::num::NonZeroU32;
 use std::path::Path;
 
 use anyhow::{Context, bail, ensure};
@@ -29,6 +30,12 @@ const DENSE_WORDS: usize = words(SENSOR_MAX, false);
 /// What follows a transform's name where pixels of few events are sent as times.
 const FEW: &str = " few";
 
+/// What follows a coder's name where decoded times may be off by [`MEAN_US`] on average.
+const MEAN: &str = " mean";
+
+/// In microseconds, as in the image.
+const MEAN_US: Option<NonZeroU32> = NonZeroU32::new(128);
+
 /// Encodes the run's cut anew.
 pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
     let path = cuts
@@ -49,7 +56,7 @@ pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
         Mode::Hybrid(Hybrid { coder, fidelity })
     };
     let (transform, mode) = match run.transform.as_str() {
-        "fast" => (Some(Transform::Dct), hybrid(Coder::Fast)),
+        "fast" | "fast mean" => (Some(Transform::Dct), hybrid(Coder::Fast)),
         "dense" => (Some(Transform::Dct), hybrid(Coder::Dense)),
         "quick" => (Some(Transform::Dct), hybrid(Coder::Quick)),
         name => {
@@ -63,6 +70,7 @@ pub fn verify(run: &Run, cuts: &Path) -> anyhow::Result<()> {
         transform: Some(transform.context("an unknown transform")?),
         m: run.m.max(8),
         few_as_times: run.transform.ends_with(FEW),
+        max_emd_us: MEAN_US.filter(|_| run.transform.ends_with(MEAN)),
         ..Config::new(
             WindowConfig::new(sensor, *window_us),
             Thresholds::new(0, 0).context("zero is a threshold")?,
