@@ -163,6 +163,7 @@ impl Operator for Eecvs {
         let hot = job.codec.hot_pixels(reader.sensor())?;
         let codec = Codec {
             hot: &hot,
+            max_nmse: job.codec.max_nmse(),
             ..Codec::from(config)
         };
         let mut frames = frames(put);

@@ -4,7 +4,7 @@ use std::num::NonZeroUsize;
 
 use anyhow::{Result, ensure};
 use eecvs::decode::WindowReader;
-use eecvs::encode::{Limits, encode, readout};
+use eecvs::encode::{Codec, Limits, encode, readout};
 use eecvs::frame_file::{FrameFileWriter, FrameReader};
 use eecvs::reconstruct::DecodedWindow;
 use eecvs::reconstruct::events::{EventDecoder, Finder};
@@ -48,12 +48,16 @@ impl Encoded {
     ///
     /// # Errors
     /// Fails if the configuration cannot run, or if an event is in no frame.
-    pub fn new(source: &Source, config: Config) -> Result<Self> {
-        let config = readout::look_at(&source.events, config);
+    pub fn new<'h>(source: &Source, codec: impl Into<Codec<'h>>) -> Result<Self> {
+        let codec = codec.into();
+        let codec = Codec {
+            config: readout::look_at(&source.events, codec.config),
+            ..codec
+        };
         let mut out = FrameFileWriter::new(Vec::new());
         let summary = encode(
             &mut source.reader(),
-            config,
+            codec,
             Limits::default(),
             NonZeroUsize::MIN,
             &mut out,

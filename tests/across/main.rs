@@ -26,5 +26,6 @@ mod runs;
 mod stress;
 mod structure;
 mod threads;
+mod volume_error;
 mod walks;
 mod windows;

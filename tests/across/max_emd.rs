@@ -16,12 +16,12 @@ use event_types::stream::{EventReader, MemoryReader};
 use proptest::prelude::*;
 use strategies::{encode, parse};
 
-const SENSOR: Sensor = Sensor {
+pub const SENSOR: Sensor = Sensor {
     width: 70,
     height: 5,
 };
 
-fn decode(frames: &[Vec<u8>]) -> Vec<DecodedWindow> {
+pub fn decode(frames: &[Vec<u8>]) -> Vec<DecodedWindow> {
     let bytes = frames.concat();
     let mut reader = WindowReader::new(FrameReader::new(&bytes[..]));
     let mut windows = Vec::new();
@@ -58,7 +58,7 @@ fn error_us(a: &[Event], b: &[Event]) -> u64 {
 }
 
 /// Bursts, lone events, pixels with many: `kind` of each stretch of a pixel's events.
-fn scene() -> impl Strategy<Value = Vec<Event>> {
+pub fn scene() -> impl Strategy<Value = Vec<Event>> {
     let stretch = (
         0_u16..70,
         0_u16..5,
@@ -88,7 +88,7 @@ fn scene() -> impl Strategy<Value = Vec<Event>> {
     })
 }
 
-fn coder() -> impl Strategy<Value = Coder> {
+pub fn coder() -> impl Strategy<Value = Coder> {
     proptest::sample::select(vec![
         Coder::Fast,
         Coder::Dense,

@@ -39,6 +39,17 @@ pub struct CodecOptions {
     #[arg(long, value_name = "E", conflicts_with_all = ["time_tolerance_us", "bins"])]
     max_emd_us: Option<NonZeroU32>,
 
+    /// hybrid: largest error of the smoothed volume of any window, above 0 and below 1: sum (S' - S)^2 / sum S^2, where S
+    /// are a pixel's signed events, smoothed in time by a Gaussian of 4 ms. The largest tolerance of times found within it
+    /// is chosen for each window
+    #[arg(
+        long,
+        value_name = "E",
+        value_parser = share,
+        conflicts_with_all = ["time_tolerance_us", "bins", "max_emd_us", "bytes_per_second"],
+    )]
+    max_nmse: Option<f64>,
+
     /// Entropy coder of events or coefficients [default: fast in mode hybrid, plain in mode transform]
     #[arg(long, value_enum)]
     coder: Option<CoderName>,
@@ -192,8 +203,8 @@ enum ScanName {
 enum TransformName {
     /// Selected by the window's density
     Auto,
-    /// transform: the cosine transform, and the times of events in pixels of few; hybrid: with --max-emd-us, the
-    /// events
+    /// transform: the cosine transform, and the times of events in pixels of few; hybrid: with --max-emd-us or
+    /// --max-nmse, the events
     Best,
     /// Cosine transform
     Dct,
@@ -249,6 +260,14 @@ impl KernelName {
     }
 }
 
+/// Parses a share of a volume, above 0 and below 1.
+fn share(text: &str) -> std::result::Result<f64, String> {
+    match text.parse() {
+        Ok(share) if share > 0.0 && share < 1.0 => Ok(share),
+        _ => Err("a number above 0 and below 1".to_owned()),
+    }
+}
+
 impl CodecOptions {
     /// Returns the configuration of the encoder for a sensor.
     ///
@@ -274,10 +293,11 @@ impl CodecOptions {
                         ensure!(
                             fidelity == Fidelity::Lossless
                                 && self.max_emd_us.is_none()
+                                && self.max_nmse.is_none()
                                 && !self.isolated
                                 && self.bytes_per_second.is_none(),
                             usage(
-                                "--coder quick is lossless: it excludes --time-tolerance-us, --bins, --max-emd-us, \
+                                "--coder quick is lossless: it excludes --time-tolerance-us, --bins, --max-emd-us, --max-nmse, \
                              --isolated and --bytes-per-second"
                             )
                         );
@@ -302,9 +322,10 @@ impl CodecOptions {
                 ensure!(
                     fidelity == Fidelity::Lossless
                         && self.max_emd_us.is_none()
+                        && self.max_nmse.is_none()
                         && self.bytes_per_second.is_none(),
                     usage(
-                        "--time-tolerance-us, --bins, --max-emd-us and --bytes-per-second are for --mode hybrid"
+                        "--time-tolerance-us, --bins, --max-emd-us, --max-nmse and --bytes-per-second are for --mode hybrid"
                     )
                 );
                 match self.coder {
@@ -317,9 +338,9 @@ impl CodecOptions {
         };
         let is_best = self.transform == TransformName::Best;
         ensure!(
-            mode.is_transform() || !is_best || self.max_emd_us.is_some(),
+            mode.is_transform() || !is_best || self.max_emd_us.is_some() || self.max_nmse.is_some(),
             usage(
-                "--transform best is for --mode transform, or with --max-emd-us for --mode hybrid"
+                "--transform best is for --mode transform, or with --max-emd-us or --max-nmse for --mode hybrid"
             )
         );
         ensure!(
@@ -381,6 +402,13 @@ impl CodecOptions {
         })
     }
 
+    /// Returns the largest error of the smoothed volume, which is not part of a [`Config`]: an encoder on a host chooses
+    /// tolerances by it.
+    #[must_use]
+    pub const fn max_nmse(&self) -> Option<f64> {
+        self.max_nmse
+    }
+
     /// Returns the number of windows of that duration after which a key frame follows.
     #[must_use]
     pub fn key_windows(&self, window_us: u32) -> u16 {
@@ -416,6 +444,12 @@ impl CodecOptions {
         ensure!(
             self.effort == 0,
             usage("--effort is for eecvs encode: the image has no memory for it")
+        );
+        ensure!(
+            self.max_nmse.is_none(),
+            usage(
+                "--max-nmse is for encoders on a host: give the image --time-tolerance-us or --max-emd-us"
+            )
         );
         ensure!(
             !config.has_order_section(),

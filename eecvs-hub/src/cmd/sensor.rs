@@ -291,6 +291,7 @@ impl Sensor {
         let codec = Codec {
             hot: &hot,
             budget: Some(&budget),
+            max_nmse: self.codec.max_nmse(),
             ..Codec::from(config)
         };
         let limits = Limits {

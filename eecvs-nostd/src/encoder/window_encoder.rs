@@ -230,6 +230,35 @@ impl<'b> WindowEncoder<'b> {
         Ok(())
     }
 
+    /// Changes the tolerance of times in mode hybrid, from the next window on; 0 for exact times.
+    ///
+    /// # Errors
+    /// [`ConfigError::Quick`] of the quick coder, [`ConfigError::MeanError`] in another mode or where
+    /// [`Config::max_emd_us`] chooses; the one before then stays in force.
+    pub const fn set_tolerance(&mut self, tolerance_us: u32) -> Result<(), ConfigError> {
+        let Mode::Hybrid(hybrid) = &mut self.config.mode else {
+            return Err(ConfigError::MeanError);
+        };
+        if self.config.max_emd_us.is_some() {
+            return Err(ConfigError::MeanError);
+        }
+        if matches!(hybrid.coder, Coder::Quick) {
+            return Err(ConfigError::Quick);
+        }
+        hybrid.fidelity = match tolerance_us {
+            0 => Fidelity::Lossless,
+            tolerance_us => Fidelity::ToleranceUs(tolerance_us),
+        };
+        Ok(())
+    }
+
+    /// Removes from a closed window, before its first frame, the events that [`Config::filter`] and the hot pixels keep
+    /// out, and counts them. [`Self::next_frame`] does so too: only who looks at the window in between needs this.
+    pub fn filter(&self, window: &mut Window<'_>) {
+        let filtered = self.config.filter.apply(&self.hot, window);
+        window.count_filtered(filtered);
+    }
+
     /// Replaces the memory lent to the dense coder. Call [`Self::set_up`] afterwards, as what was learned is in the
     /// memory before.
     pub const fn lend_dense(&mut self, memory: Option<DenseMemory<'b>>) {
@@ -471,9 +500,8 @@ impl<'b> WindowEncoder<'b> {
     /// mode, and removes what the budget has no room for.
     fn plan(&mut self, closed: Closed, window: &mut Window<'_>, room: usize) -> Task {
         let WindowConfig { sensor, .. } = window.config();
-        let used = window.events();
-        let filtered = self.config.filter.apply(&self.hot, window);
-        window.count_filtered(filtered);
+        self.filter(window);
+        let used = window.slots_used();
         let density = Density {
             events: window.events(),
             pixels: sensor.pixels(),

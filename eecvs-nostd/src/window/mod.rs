@@ -402,6 +402,8 @@ pub struct Window<'b> {
     /// Segments in a row.
     stride: NonZeroU32,
     len: u32,
+    /// Slots of events that were removed from their lists.
+    removed: u32,
     latest: Latest,
     /// Start of the open window, or of the next one while this one is closed; `None` before the first event.
     start_us: Option<u64>,
@@ -454,6 +456,7 @@ impl<'b> Window<'b> {
             bitmap,
             stride,
             len: 0,
+            removed: 0,
             latest: Latest::NONE,
             start_us: None,
             duration_us: config.window_us,
@@ -936,6 +939,35 @@ impl<'b> Window<'b> {
         self.len
     }
 
+    /// Passes every event held to `each`, with the time since the window's start as `t_us`: in the order of arrival if the
+    /// window keeps it, otherwise row by row.
+    pub fn each_event(&self, mut each: impl FnMut(Event)) {
+        let mut pass = |slot: &Slot, (x, y)| {
+            each(Event {
+                t_us: slot.offset_us.into(),
+                x,
+                y,
+                polarity: Polarity::from_bool(slot.is_on()),
+            });
+        };
+        if self.keeps_arrival() {
+            for slot in self.slots.iter().take(self.len as usize) {
+                pass(slot, quick::position(slot.link));
+            }
+            return;
+        }
+        let mut from = 0;
+        while let Some(segment) = self.next_used(from) {
+            let (x, y) = self.segment_origin(segment);
+            let mut at = self.head_of(segment);
+            while let Some(slot) = self.slots.get(at as usize) {
+                pass(slot, (x + slot.column() as u16, y));
+                at = slot.next();
+            }
+            from = segment + 1;
+        }
+    }
+
     /// Returns how the window ended, or `None` while it is open.
     #[must_use]
     pub const fn closed(&self) -> Option<Closed> {
@@ -951,6 +983,7 @@ impl<'b> Window<'b> {
     pub(crate) fn reopen(&mut self) {
         debug_assert!(self.bitmap.iter().all(|word| *word == 0));
         self.len = 0;
+        self.removed = 0;
         self.latest = Latest::NONE;
         self.closed = None;
     }
@@ -1122,7 +1155,13 @@ impl<'b> Window<'b> {
             *bits &= !FIRST.rotate_right(segment);
         }
         self.len -= removed;
+        self.removed += removed;
         removed
+    }
+
+    /// Returns how many slots from the first on have events or had one that was removed from its list.
+    pub(crate) const fn slots_used(&self) -> u32 {
+        self.len + self.removed
     }
 
     /// Returns the buffered events.

@@ -99,6 +99,7 @@ impl Encode {
             budget: None,
             config,
             kernel: self.kernel.kernel(),
+            max_nmse: self.codec.max_nmse(),
         };
         let limits = self.limits.limits();
         let (reader, codec) = if self.auto_window {

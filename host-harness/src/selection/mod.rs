@@ -1,7 +1,7 @@
-//! Measures what a largest mean error of times costs, against fixed settings that are no worse.
+//! Measures what a largest mean error of times, or of the smoothed volume, costs, against fixed settings that are no worse.
 //!
 //! ```text
-//! input, cropped -> every fixed setting | tolerances | largest mean errors -> file -> bits per event
+//! input, cropped -> every fixed setting | tolerances | largest errors       -> file -> bits per event
 //!                                                                               -> events -> emd_pixel, V4
 //! per error asked for: the fewest bits of each family -> row
 //! ```
@@ -15,6 +15,7 @@ pub mod settings;
 use std::num::NonZeroU32;
 
 use anyhow::{Context, Result, ensure};
+use eecvs::encode::Codec;
 use eecvs::reconstruct::events::Finder;
 use eecvs::thresholds_file::ThresholdsFile;
 use eecvs_bench::record_file::{Name, name};
@@ -309,6 +310,10 @@ impl<'s> Subject<'s> {
             mean.run(effort.tries, &mut of_best)?;
             mean.tolerance().run(effort.tries, &mut of_tolerance)?;
         }
+        for most in effort.volumes {
+            // For no mean error that is asked for.
+            best.push((0, self.within_volume(coder, *most)?));
+        }
         Ok(points)
     }
 
@@ -335,12 +340,26 @@ impl<'s> Subject<'s> {
         Ok(point)
     }
 
+    fn within_volume(&self, coder: Coder, most: f64) -> Result<Point> {
+        let setup = Codec {
+            max_nmse: Some(most),
+            ..Codec::from(self.hybrid(coder, Fidelity::Lossless))
+        };
+        let name = format!("volumes within {most}");
+        self.of_events(name, setup, Promise::Counts)
+    }
+
     fn hybrid(&self, coder: Coder, fidelity: Fidelity) -> Config {
         let mode = Mode::Hybrid(Hybrid { coder, fidelity });
         config(self.source, self.thresholds, mode, None, 16)
     }
 
-    fn of_events(&self, name: String, setup: Config, promise: Promise) -> Result<Point> {
+    fn of_events<'h>(
+        &self,
+        name: String,
+        setup: impl Into<Codec<'h>>,
+        promise: Promise,
+    ) -> Result<Point> {
         let measured = || -> Result<(Errors, usize)> {
             let Encoded { file, .. } = Encoded::new(self.source, setup)?;
             self.decoded(&file, promise)

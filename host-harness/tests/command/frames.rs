@@ -153,6 +153,50 @@ fn times_are_as_near_on_average_as_was_asked() {
     assert_eq!(refused.status, Some(2), "{refused}");
 }
 
+/// A larger error of the volume takes fewer bytes, by every coder that has a tolerance, and excludes what else says how
+/// exact times are.
+#[test]
+fn volumes_are_as_near_as_was_asked() {
+    let folder = Folder::new();
+    folder.scene("scene.raw");
+    for coder in ["fast", "dense", "dense --effort 1", "fast --keep-order"] {
+        let mut sizes = Vec::new();
+        for most in ["0.001", "0.01", "0.1 --transform best"] {
+            let line = format!(
+                "encode scene.raw -o frames.eecvs --coder {coder} --max-nmse {most} --overwrite --json"
+            );
+            let report = folder.eecvs(&line).ok().object();
+            assert_eq!(
+                count(&report, "events_in"),
+                count(&report, "events_encoded"),
+                "{coder}"
+            );
+            sizes.push(count(&report, "bytes_out"));
+        }
+        // The order of events takes more where more of them are decoded as of one time.
+        let is_less = sizes.is_sorted_by(|a, b| a > b) || coder.ends_with("order");
+        assert!(is_less, "{coder}: {sizes:?}");
+    }
+    let line = "encode scene.raw -o frames.eecvs --overwrite --max-nmse 0.1";
+    for flags in [
+        "--time-tolerance-us 3",
+        "--bins 3",
+        "--max-emd-us 3",
+        "--bytes-per-second 100000",
+        "--coder quick",
+        "--mode transform",
+    ] {
+        let refused = folder.eecvs(&format!("{line} {flags}"));
+        assert_eq!(refused.status, Some(2), "{flags}: {refused}");
+        assert!(refused.stderr.contains("--max-nmse"), "{flags}: {refused}");
+    }
+    for share in ["0", "1", "-0.1", "nan", "x"] {
+        let line = format!("encode scene.raw -o frames.eecvs --overwrite --max-nmse={share}");
+        let refused = folder.eecvs(&line);
+        assert_eq!(refused.status, Some(2), "{share}: {refused}");
+    }
+}
+
 #[test]
 fn a_lost_frame_is_told_behind_all_that_decodes() {
     let folder = Folder::new();

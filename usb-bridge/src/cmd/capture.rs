@@ -158,6 +158,7 @@ impl Capture {
                 let hot = self.codec.hot_pixels(reader.sensor())?;
                 let codec = Codec {
                     hot: &hot,
+                    max_nmse: self.codec.max_nmse(),
                     ..Codec::from(config)
                 };
                 let limits = self.limits.limits();

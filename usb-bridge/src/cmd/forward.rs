@@ -215,6 +215,7 @@ impl Forward {
         let hot = self.codec.hot_pixels(reader.sensor())?;
         let codec = Codec {
             hot: &hot,
+            max_nmse: self.codec.max_nmse(),
             ..Codec::from(config)
         };
         record::encode_live(reader, codec, self.limits.limits(), fan_out, kept)

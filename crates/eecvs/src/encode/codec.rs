@@ -5,6 +5,10 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use eecvs_nostd::kernel::{Libm, Micromath, Precise, Recurrence};
 use eecvs_nostd::{Config, Encoded, Kernel, NoRoom, Window, WindowEncoder};
+use event_types::ensure;
+use event_types::stream::Result;
+
+use super::volume_error::VolumeError;
 
 /// A budget in bytes of frames per second that another thread may change during encoding; `None` means no limit.
 #[derive(Debug, Default)]
@@ -43,6 +47,9 @@ pub struct Codec<'h> {
     /// A variable budget that replaces that of the configuration; modes without a budget ignore it. It restricts
     /// encoding to one thread.
     pub budget: Option<&'h Budget>,
+    /// The largest error of a window's smoothed volume, as [`super::volume_error`] has it, in mode hybrid: every window
+    /// gets the largest tolerance found for it. Frames coded by scans have exact times in any case.
+    pub max_nmse: Option<f64>,
 }
 
 impl From<Config> for Codec<'_> {
@@ -53,6 +60,7 @@ impl From<Config> for Codec<'_> {
             kernel: Kernel::Table,
             hot: &[],
             budget: None,
+            max_nmse: None,
         }
     }
 }
@@ -62,6 +70,31 @@ impl Codec<'_> {
     pub(super) fn chained(&self) -> Option<u16> {
         let is_dense = self.config.mode.is_dense();
         is_dense.then_some(self.config.key_windows)
+    }
+
+    /// Returns what chooses the tolerance of each window, if that is asked for.
+    pub(super) fn chooser(&self) -> Option<VolumeError> {
+        self.max_nmse.map(VolumeError::new)
+    }
+
+    /// Sets the tolerance of a closed window, before its first frame.
+    ///
+    /// # Errors
+    /// The mode or the coder has no tolerance.
+    pub(super) fn choose(
+        chooser: &mut VolumeError,
+        encoder: &mut WindowEncoder<'_>,
+        window: &mut Window<'_>,
+    ) -> Result<()> {
+        encoder.filter(window);
+        let chosen = encoder.set_tolerance(chooser.tolerance_us(window));
+        ensure!(
+            chosen.is_ok(),
+            Refused,
+            "a largest error of the volume is possible only in mode hybrid, by a coder with a tolerance, and without a \
+             largest mean error"
+        );
+        Ok(())
     }
 
     /// Calls [`WindowEncoder::next_frame`] with the selected kernel; the default kernel takes the encoder's own
@@ -74,7 +107,7 @@ impl Codec<'_> {
         encoder: &mut WindowEncoder<'_>,
         window: &mut Window<'_>,
         out: &mut [u8],
-    ) -> Result<Option<Encoded>, NoRoom> {
+    ) -> std::result::Result<Option<Encoded>, NoRoom> {
         match self.kernel {
             Kernel::Table | Kernel::Haar => encoder.next_frame(window, out),
             Kernel::Recurrence => encoder.next_frame_with::<Recurrence>(window, out),

@@ -6,6 +6,7 @@ pub mod duration;
 mod parallel;
 pub mod readout;
 pub mod step;
+pub mod volume_error;
 
 use std::num::NonZeroUsize;
 use std::time::{Duration, Instant};
@@ -280,10 +281,16 @@ fn encode_here(
     touch(&mut frame);
     let mut summary = EncodeSummary::default();
     let mut encoding = Duration::ZERO;
+    let mut chooser = codec.chooser();
     while cutter.cut(&mut window, &mut encoding)? {
         if let Some(budget) = codec.budget {
             // A mode without a budget ignores this one too.
             let _ = encoder.set_budget(budget.get());
+        }
+        if let Some(chooser) = &mut chooser {
+            let started = Instant::now();
+            Codec::choose(chooser, &mut encoder, &mut window)?;
+            encoding += started.elapsed();
         }
         loop {
             let started = Instant::now();

@@ -32,6 +32,7 @@ use event_types::stream::{Context, EventReader, Result};
 use event_types::{bail, error};
 
 use super::cutter::{Batches, Cutter};
+use super::volume_error::VolumeError;
 use super::{Codec, EncodeSummary, HostStorage, Limits, NO_ROOM, Outcome, REORDER_US, write_frame};
 use crate::frame_file::FrameSink;
 use crate::storage::{NO_MEMORY, NO_WINDOW, WindowMemory};
@@ -192,6 +193,7 @@ pub fn encode(
                     arrived,
                     window,
                     encoder,
+                    chooser: codec.chooser(),
                     busy: Duration::ZERO,
                     room: vec![0; shared.frame_bytes],
                 };
@@ -303,6 +305,7 @@ struct Thread<'s, 'b> {
     /// The window that is encoded, where the encoder wants events by pixel.
     window: Window<'b>,
     encoder: WindowEncoder<'b>,
+    chooser: Option<VolumeError>,
     busy: Duration,
     /// Room for a frame.
     room: Vec<u8>,
@@ -335,6 +338,14 @@ impl Thread<'_, '_> {
             let is_listed = self.window.list(arrived);
             self.busy += started.elapsed();
             let window = if is_listed { &mut self.window } else { arrived };
+            if let Some(chooser) = &mut self.chooser {
+                let started = Instant::now();
+                let chosen = Codec::choose(chooser, &mut self.encoder, window);
+                self.busy += started.elapsed();
+                if let Err(error) = chosen {
+                    return chunks.send(Err(error)).ok();
+                }
+            }
             loop {
                 let started = Instant::now();
                 let encoded = self
