@@ -18,6 +18,9 @@
 //! that steps back by the time before it, and reads files of type 0 only with its inner decoder. The reader seeks
 //! by bisection, as described in `times.rs`.
 
+#[cfg(target_arch = "x86_64")]
+#[allow(unsafe_code)]
+mod avx2;
 pub(crate) mod times;
 pub(crate) mod writer;
 
@@ -214,6 +217,32 @@ fn version_of_records(input: &mut Input, sensor: Sensor) -> Result<(Version, Ass
     ))
 }
 
+/// What decodes several records of version 2 at once, on a core that has it.
+#[cfg(target_arch = "x86_64")]
+type Vectors = avx2::Avx2;
+
+/// On other cores there is none.
+#[cfg(not(target_arch = "x86_64"))]
+#[derive(Debug, Clone, Copy)]
+enum Vectors {}
+
+impl Vectors {
+    /// Returns it for records with so many bits of x and y.
+    fn of(x_bits: u32, y_bits: u32) -> Option<Self> {
+        #[cfg(target_arch = "x86_64")]
+        if (x_bits, y_bits) == (14, 14) {
+            return Self::detected();
+        }
+        let _ = (x_bits, y_bits);
+        None
+    }
+
+    #[cfg(not(target_arch = "x86_64"))]
+    fn decode(self, _: &[[u8; 8]], _: u64, _: u32, _: Sensor, _: &mut [Event]) -> usize {
+        match self {}
+    }
+}
+
 /// The decoder of [`DatReader`]: its state between two records.
 pub struct DatDecoder {
     input: Input,
@@ -238,9 +267,28 @@ impl DatDecoder {
         batch: &mut Batch<'_>,
     ) -> Result<()> {
         let Self { sensor, t0_us, .. } = *self;
+        let vectors = Vectors::of(X_BITS, Y_BITS);
+        let mut scratch = [Event::UNSET; RUN_WORDS];
         while batch.room() > 0 {
             let most = batch.room().min(RUN_WORDS);
-            let (offset, run) = self.words.run(&mut self.input, most)?;
+            let (mut offset, mut run) = self.words.run(&mut self.input, most)?;
+            if let (Some(vectors), Some(time)) = (vectors, self.time.last()) {
+                let before = self.time.low(time) as u32;
+                let base_us = self.time.base() + t0_us;
+                let decoded = vectors.decode(run, base_us, before, sensor, &mut scratch);
+                let (taken, rest) = run.split_at(decoded);
+                if let Some(last) = taken.last() {
+                    let events = scratch.iter().take(decoded).copied();
+                    batch.extend(events);
+                    let (low, ..) = parse::<X_BITS, Y_BITS>(*last);
+                    self.time.extend(u64::from(low));
+                    self.events += decoded as u64;
+                    if rest.is_empty() {
+                        continue;
+                    }
+                    (offset, run) = (offset + decoded as u64 * RECORD_BYTES, rest);
+                }
+            }
             let Some(last) = run.last() else {
                 break;
             };
@@ -349,6 +397,8 @@ impl Decode for DatDecoder {
 mod tests {
     use std::io::Cursor;
 
+    use proptest::prelude::*;
+
     use super::*;
     use crate::EventReader;
     use crate::format::open_source;
@@ -379,6 +429,53 @@ mod tests {
             x,
             y,
             polarity: Polarity::from_bool(on),
+        }
+    }
+
+    proptest! {
+        /// Records that differ in the time's highest bit, at the sensor's edges, and of any polarity.
+        #[test]
+        fn vectors_decode_what_plain_code_does(
+            records in proptest::collection::vec(
+                (
+                    any::<u32>(),
+                    prop::bool::weighted(0.02),
+                    prop_oneof![60 => 0..300_u32, 1 => 299..302_u32, 1 => 0..1_u32 << 14],
+                    prop_oneof![60 => 0..200_u32, 1 => 199..202_u32, 1 => 0..1_u32 << 14],
+                    prop_oneof![60 => 0..2_u32, 1 => 0..16_u32],
+                ),
+                0..60,
+            ),
+            before: u32, base_us in 0..u64::MAX >> 1, room in 0..60_usize,
+        ) {
+            let Some(vectors) = Vectors::of(14, 14) else {
+                return Ok(());
+            };
+            let sensor = Sensor { width: 300, height: 200 };
+            let records: Vec<_> = records
+                .iter()
+                .map(|(low, differs, x, y, polarity)| {
+                    let highest = (before ^ u32::from(*differs) << 31) & 1 << 31;
+                    let low = low & !(1 << 31) | highest;
+                    record(low.into(), polarity << 28 | y << 14 | x)
+                })
+                .collect();
+            let mut events = vec![Event::UNSET; room];
+            let decoded = vectors.decode(&records, base_us, before, sensor, &mut events);
+            let expected: Vec<_> = records
+                .iter()
+                .map_while(|record| {
+                    let (low, x, y, polarity) = parse::<14, 14>(*record);
+                    let is_plain = (low ^ before) >> 31 == 0
+                        && sensor.contains(x, y)
+                        && u64::from_le_bytes(*record) >> 61 == 0;
+                    let t_us = base_us + u64::from(low);
+                    is_plain.then_some(Event { t_us, x, y, polarity })
+                })
+                .take(room)
+                .collect();
+            prop_assert_eq!(decoded, expected.len() / 4 * 4);
+            prop_assert_eq!(&events[..decoded], &expected[..decoded]);
         }
     }
 
