@@ -149,6 +149,31 @@ fn lone_events_get_the_tolerance_of_the_formula() {
     }
 }
 
+/// Events of both signs whose volume is the difference of a high order of a Gaussian: next to nothing.
+#[test]
+fn events_that_cancel_keep_their_times() {
+    let multiplicities = [1, 6, 15, 20, 15, 6, 1];
+    let mut events = Vec::new();
+    for (i, count) in multiplicities.into_iter().enumerate() {
+        let event = Event {
+            t_us: 20_000 + 10 * i as u64,
+            x: 3,
+            y: 3,
+            polarity: Polarity::from_bool(i % 2 > 0),
+        };
+        events.extend(std::iter::repeat_n(event, count));
+    }
+    let bytes = frames(
+        config(Coder::Fast, 32_768),
+        Some(0.99),
+        &events,
+        Limits::default(),
+    );
+    for window in decode(&[bytes]) {
+        assert_eq!(window.events, events);
+    }
+}
+
 #[test]
 fn coders_without_a_tolerance_are_refused() {
     for mode in [

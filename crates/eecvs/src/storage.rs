@@ -125,6 +125,14 @@ pub(crate) fn touch(bytes: &mut [u8]) {
     std::hint::black_box(&mut bytes[..touched]).fill(0);
 }
 
+/// Allocates room for a frame, zeroed.
+///
+/// # Errors
+/// The system refuses the memory.
+pub(crate) fn frame_room(frame_bytes: usize) -> Result<Vec<u8>> {
+    u8::new_vec_zeroed(frame_bytes).ok().context(NO_MEMORY)
+}
+
 impl HostStorage {
     /// Allocates memory for a sensor, with `window_events` events per window, for any transform and grid size. Ends the
     /// process if the system refuses it.
@@ -204,7 +212,8 @@ impl HostStorage {
         hot: &[(u16, u16)],
     ) -> Result<(Window<'s>, WindowEncoder<'s>)> {
         if config.has_order_section() {
-            self.order = vec![0; arrival::words(self.window.slots())];
+            let order = u32::new_vec_zeroed(arrival::words(self.window.slots()));
+            self.order = order.ok().context(NO_MEMORY)?;
         }
         if let Some(effort) = config.mode.effort() {
             let tree = TreeStorage::new(config.window.sensor, effort, self.window.slots());

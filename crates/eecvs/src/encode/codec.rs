@@ -80,14 +80,14 @@ impl Codec<'_> {
     /// Sets the tolerance of a closed window, before its first frame.
     ///
     /// # Errors
-    /// The mode or the coder has no tolerance.
+    /// The mode or the coder has no tolerance; the system refuses the memory.
     pub(super) fn choose(
         chooser: &mut VolumeError,
         encoder: &mut WindowEncoder<'_>,
         window: &mut Window<'_>,
     ) -> Result<()> {
         encoder.filter(window);
-        let chosen = encoder.set_tolerance(chooser.tolerance_us(window));
+        let chosen = encoder.set_tolerance(chooser.tolerance_us(window)?);
         ensure!(
             chosen.is_ok(),
             Refused,

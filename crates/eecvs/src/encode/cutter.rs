@@ -4,7 +4,9 @@ use std::time::{Duration, Instant};
 
 use eecvs_nostd::ingest::reorder::Reorder;
 use eecvs_nostd::{Event, NextStart, Window};
-use event_types::stream::{EventReader, Pause, Result};
+use event_types::stream::{Context, EventReader, Pause, Result};
+
+use crate::storage::NO_MEMORY;
 
 /// Events held back for reordering: 2 MiB, which is some milliseconds of the fastest cameras.
 const HELD_EVENTS: usize = 1 << 17;
@@ -55,18 +57,24 @@ pub struct Cutter<B> {
 
 impl<B: Batches> Cutter<B> {
     /// Creates a cutter before the first event; it holds events back for `reorder_us` microseconds to sort them.
-    pub fn new(batches: B, reorder_us: u32) -> Self {
+    ///
+    /// # Errors
+    /// The system refuses the memory.
+    pub fn new(batches: B, reorder_us: u32) -> Result<Self> {
         let held = if reorder_us > 0 { HELD_EVENTS } else { 0 };
-        Self {
+        let mut memory = Vec::new();
+        memory.try_reserve_exact(held).ok().context(NO_MEMORY)?;
+        memory.resize(held, Event::UNSET);
+        Ok(Self {
             batches,
             events: Vec::new(),
             used: 0,
             events_in: 0,
             start: NextStart::ANY,
-            reorder: Reorder::new(vec![Event::UNSET; held], reorder_us),
+            reorder: Reorder::new(memory, reorder_us),
             ended: false,
             failed: false,
-        }
+        })
     }
 
     /// Returns the number of events read so far.

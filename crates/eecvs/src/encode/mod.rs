@@ -17,8 +17,8 @@ use event_types::{bail, ensure};
 use serde::{Deserialize, Serialize};
 
 use crate::frame_file::FrameSink;
-use crate::storage::touch;
 pub use crate::storage::{HostStorage, Limits, WINDOW_EVENTS};
+use crate::storage::{frame_room, touch};
 pub use codec::{Budget, Codec};
 use cutter::{Cutter, Direct};
 
@@ -253,7 +253,7 @@ pub fn encode_nothing<'h>(
     // The first call opens the window, the second closes it.
     window.pass(0);
     window.pass(window.duration_us().into());
-    let mut frame = vec![0; limits.frame_bytes];
+    let mut frame = frame_room(limits.frame_bytes)?;
     loop {
         match codec.next_frame(&mut encoder, &mut window, &mut frame) {
             Ok(Some(encoded)) => {
@@ -276,8 +276,8 @@ fn encode_here(
 ) -> Result<Outcome> {
     let mut storage = HostStorage::with_limits(codec.config.window.sensor, limits)?;
     let (mut window, mut encoder) = storage.parts(codec.config, codec.hot)?;
-    let mut cutter = Cutter::new(Direct(reader), limits.reorder_us.unwrap_or(REORDER_US));
-    let mut frame = vec![0; limits.frame_bytes];
+    let mut cutter = Cutter::new(Direct(reader), limits.reorder_us.unwrap_or(REORDER_US))?;
+    let mut frame = frame_room(limits.frame_bytes)?;
     touch(&mut frame);
     let mut summary = EncodeSummary::default();
     let mut encoding = Duration::ZERO;

@@ -35,7 +35,7 @@ use super::cutter::{Batches, Cutter};
 use super::volume_error::VolumeError;
 use super::{Codec, EncodeSummary, HostStorage, Limits, NO_ROOM, Outcome, REORDER_US, write_frame};
 use crate::frame_file::FrameSink;
-use crate::storage::{NO_MEMORY, NO_WINDOW, WindowMemory};
+use crate::storage::{NO_MEMORY, NO_WINDOW, WindowMemory, frame_room};
 
 /// Batches of events read ahead.
 const BATCHES_AHEAD: usize = 4;
@@ -126,7 +126,6 @@ struct Front {
 
 /// State that all threads share.
 struct Shared {
-    frame_bytes: usize,
     events_in: AtomicU64,
     /// Frames in excess of one per window in everything written so far; wraps.
     extra_frames: AtomicU32,
@@ -151,10 +150,9 @@ pub fn encode(
         .collect::<Result<_>>()?;
     let encoders: Vec<_> = storages
         .iter_mut()
-        .map(|storage| storage.parts(codec))
+        .map(|storage| Ok((storage.parts(codec)?, frame_room(limits.frame_bytes)?)))
         .collect::<Result<_>>()?;
     let shared = Shared {
-        frame_bytes: limits.frame_bytes,
         events_in: AtomicU64::new(0),
         extra_frames: AtomicU32::new(0),
         spare: Mutex::new(Vec::new()),
@@ -170,7 +168,7 @@ pub fn encode(
                 used: used_in,
             },
             limits.reorder_us.unwrap_or(REORDER_US),
-        ),
+        )?,
         windows: 0,
         chained,
         cuts: cuts_in,
@@ -184,7 +182,7 @@ pub fn encode(
             .spawn_scoped(scope, move || read(reader, &filled_in, &used))
             .context(unstarted)?;
         let mut running = Vec::new();
-        for (arrived, window, encoder) in encoders {
+        for ((arrived, window, encoder), room) in encoders {
             let (front, shared) = (Arc::clone(&front), &shared);
             let thread = start("encode").spawn_scoped(scope, move || {
                 let mut thread = Thread {
@@ -195,7 +193,7 @@ pub fn encode(
                     encoder,
                     chooser: codec.chooser(),
                     busy: Duration::ZERO,
-                    room: vec![0; shared.frame_bytes],
+                    room,
                 };
                 // The errors have been sent to the writer.
                 while thread.turn(&front).is_some() {}
@@ -359,6 +357,9 @@ impl Thread<'_, '_> {
                     break;
                 };
                 let at = chunk.bytes.len();
+                if chunk.bytes.try_reserve(range.end).is_err() {
+                    return chunks.send(Err(error!(Refused, "{}", NO_MEMORY))).ok();
+                }
                 chunk.bytes.extend_from_slice(self.room.get(..range.end)?);
                 chunk.frames.push(Made { header, at, range });
                 if chunk.bytes.len() >= CHUNK_BYTES {

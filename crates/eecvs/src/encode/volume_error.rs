@@ -15,6 +15,9 @@ use std::iter::Peekable;
 
 use eecvs_nostd::coder::Cells;
 use eecvs_nostd::{Fidelity, Window};
+use event_types::stream::{Context, Result};
+
+use crate::storage::NO_MEMORY;
 
 /// Sigma of the Gaussian in microseconds.
 pub const SIGMA_US: u32 = 4000;
@@ -26,6 +29,10 @@ const REACH: usize = 12;
 const POINTS: usize = 2 * REACH;
 /// Tolerances grow by this share of themselves, in eighths of an octave or so.
 const GROWTH: u32 = 11;
+
+/// What the sums of a pixel's events are off by at the most, per square of their number: rounding, and impulses that no
+/// longer count.
+const NOISE: f64 = 1e-12;
 
 /// A pixel's event: its pixel, its time since the window's start, and its sign.
 type Impulse = (u32, u32, f64);
@@ -64,12 +71,16 @@ impl VolumeError {
 
     /// Returns the largest tolerance found for a closed window with which its error is at most that asked for; 0 if there
     /// is none, or no event.
-    #[must_use]
-    pub fn tolerance_us(&mut self, window: &Window<'_>) -> u32 {
-        let Some(closed) = window.closed() else {
-            return 0;
+    ///
+    /// # Errors
+    /// The system refuses the memory for the window's events.
+    pub fn tolerance_us(&mut self, window: &Window<'_>) -> Result<u32> {
+        let Some(closed) = window.closed().filter(|_| window.events() > 0) else {
+            return Ok(0);
         };
         self.impulses.clear();
+        let reserved = self.impulses.try_reserve(window.events() as usize);
+        reserved.ok().context(NO_MEMORY)?;
         window.each_event(|event| {
             let pixel = u32::from(event.y) << 16 | u32::from(event.x);
             let sign = f64::from(event.polarity.sign());
@@ -77,7 +88,7 @@ impl VolumeError {
         });
         self.impulses
             .sort_unstable_by_key(|(pixel, t_us, _)| (*pixel, *t_us));
-        let most = self.most * self.power(|_| None);
+        let most = self.most * self.power(|_| None) - self.noise();
         // With the last of these all of the window is one cell.
         self.tolerances_us.clear();
         let (mut tolerance_us, largest_us) = (0, closed.duration_us / 2);
@@ -100,7 +111,15 @@ impl VolumeError {
                 high = middle;
             }
         }
-        found
+        Ok(found)
+    }
+
+    /// Returns more than the sums are off by. Events of both signs may cancel so far that nothing else is left of them:
+    /// their times then stay exact.
+    fn noise(&self) -> f64 {
+        let pixels = self.impulses.chunk_by(|a, b| a.0 == b.0);
+        let squares = pixels.map(|pixel| (pixel.len() as f64).powi(2));
+        NOISE * squares.sum::<f64>()
     }
 
     /// Returns the sum over the pixels of the integral of the squared volume, but for a factor, less that of the events
