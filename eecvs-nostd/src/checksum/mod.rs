@@ -1,11 +1,10 @@
 //! Checksums of frames and packets.
 //!
 //! CRC-16 (IBM-3740) of headers and packets is computed by the crc crate; CRC-32 (ISO-HDLC, as in Ethernet and zip)
-//! of frames on a 64-bit host by crc32fast, which multiplies without carries in a program that gives it `std`, and
-//! takes 3 instructions per byte otherwise. On a Cortex-M4 the crc crate's fastest way takes 7 instructions per byte; four
-//! of its tables, used a word at a time, take 3.6, and three tables for 8, 12 and 12 bits of a word take fewer, as
-//! the tables' addresses stay in registers, unlike those of eight or sixteen tables. `fold` takes 2.2, and four
-//! tables for what it leaves.
+//! of frames on a 64-bit host by crc32fast, which multiplies without carries in a program that gives it `std`. On a
+//! Cortex-M4 the crc crate's fastest way takes 7 instructions per byte; four of its tables, used a word at a time, take
+//! 3.6, and three tables for 8, 12 and 12 bits of a word take fewer, as the tables' addresses stay in registers, unlike
+//! those of eight or sixteen tables. `fold` takes 2.2, and four tables for what it leaves.
 
 #[cfg(eecvs_dsp)]
 #[allow(unsafe_code)]

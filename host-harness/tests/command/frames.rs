@@ -156,7 +156,7 @@ fn times_are_as_near_on_average_as_was_asked() {
 /// A larger error of the volume takes fewer bytes, by every coder that has a tolerance, and excludes what else says how
 /// exact times are.
 #[test]
-fn volumes_are_as_near_as_was_asked() {
+fn a_larger_error_of_the_volume_takes_fewer_bytes() {
     let folder = Folder::new();
     folder.scene("scene.raw");
     for coder in ["fast", "dense", "dense --effort 1", "fast --keep-order"] {

@@ -2,6 +2,7 @@
 
 use std::num::NonZeroU32;
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
 
 use eecvs_nostd::kernel::{Libm, Micromath, Precise, Recurrence};
 use eecvs_nostd::{Config, Encoded, Kernel, NoRoom, Window, WindowEncoder};
@@ -72,29 +73,9 @@ impl Codec<'_> {
         is_dense.then_some(self.config.key_windows)
     }
 
-    /// Returns what chooses the tolerance of each window, if that is asked for.
-    pub(super) fn chooser(&self) -> Option<VolumeError> {
-        self.max_nmse.map(VolumeError::new)
-    }
-
-    /// Sets the tolerance of a closed window, before its first frame.
-    ///
-    /// # Errors
-    /// The mode or the coder has no tolerance; the system refuses the memory.
-    pub(super) fn choose(
-        chooser: &mut VolumeError,
-        encoder: &mut WindowEncoder<'_>,
-        window: &mut Window<'_>,
-    ) -> Result<()> {
-        encoder.filter(window);
-        let chosen = encoder.set_tolerance(chooser.tolerance_us(window)?);
-        ensure!(
-            chosen.is_ok(),
-            Refused,
-            "a largest error of the volume is possible only in mode hybrid, by a coder with a tolerance, and without a \
-             largest mean error"
-        );
-        Ok(())
+    /// Returns what sets the tolerance of each window, if that is asked for.
+    pub(super) fn chooser(&self) -> Chooser {
+        Chooser(self.max_nmse.map(VolumeError::new))
     }
 
     /// Calls [`WindowEncoder::next_frame`] with the selected kernel; the default kernel takes the encoder's own
@@ -115,5 +96,37 @@ impl Codec<'_> {
             Kernel::Micromath => encoder.next_frame_with::<Micromath>(window, out),
             Kernel::Libm => encoder.next_frame_with::<Libm>(window, out),
         }
+    }
+}
+
+/// Sets the tolerance of each window, if [`Codec::max_nmse`] asks for that.
+#[derive(Debug)]
+pub(super) struct Chooser(Option<VolumeError>);
+
+impl Chooser {
+    /// Sets the tolerance of a closed window, before its first frame; adds the time taken to `busy`.
+    ///
+    /// # Errors
+    /// The mode or the coder has no tolerance; the system refuses the memory.
+    pub fn choose(
+        &mut self,
+        encoder: &mut WindowEncoder<'_>,
+        window: &mut Window<'_>,
+        busy: &mut Duration,
+    ) -> Result<()> {
+        let Some(volume_error) = &mut self.0 else {
+            return Ok(());
+        };
+        let started = Instant::now();
+        encoder.filter(window);
+        let chosen = encoder.set_tolerance(volume_error.tolerance_us(window)?);
+        *busy += started.elapsed();
+        ensure!(
+            chosen.is_ok(),
+            Refused,
+            "a largest error of the volume is possible only in mode hybrid, by a coder with a tolerance, and without a \
+             largest mean error"
+        );
+        Ok(())
     }
 }

@@ -287,11 +287,7 @@ fn encode_here(
             // A mode without a budget ignores this one too.
             let _ = encoder.set_budget(budget.get());
         }
-        if let Some(chooser) = &mut chooser {
-            let started = Instant::now();
-            Codec::choose(chooser, &mut encoder, &mut window)?;
-            encoding += started.elapsed();
-        }
+        chooser.choose(&mut encoder, &mut window, &mut encoding)?;
         loop {
             let started = Instant::now();
             let encoded = codec.next_frame(&mut encoder, &mut window, &mut frame);

@@ -31,8 +31,8 @@ use eecvs_nostd::{Encoded, Event, Header, Sensor, Window, WindowConfig, WindowEn
 use event_types::stream::{Context, EventReader, Result};
 use event_types::{bail, error};
 
+use super::codec::Chooser;
 use super::cutter::{Batches, Cutter};
-use super::volume_error::VolumeError;
 use super::{Codec, EncodeSummary, HostStorage, Limits, NO_ROOM, Outcome, REORDER_US, write_frame};
 use crate::frame_file::FrameSink;
 use crate::storage::{NO_MEMORY, NO_WINDOW, WindowMemory, frame_room};
@@ -303,7 +303,7 @@ struct Thread<'s, 'b> {
     /// The window that is encoded, where the encoder wants events by pixel.
     window: Window<'b>,
     encoder: WindowEncoder<'b>,
-    chooser: Option<VolumeError>,
+    chooser: Chooser,
     busy: Duration,
     /// Room for a frame.
     room: Vec<u8>,
@@ -336,13 +336,11 @@ impl Thread<'_, '_> {
             let is_listed = self.window.list(arrived);
             self.busy += started.elapsed();
             let window = if is_listed { &mut self.window } else { arrived };
-            if let Some(chooser) = &mut self.chooser {
-                let started = Instant::now();
-                let chosen = Codec::choose(chooser, &mut self.encoder, window);
-                self.busy += started.elapsed();
-                if let Err(error) = chosen {
-                    return chunks.send(Err(error)).ok();
-                }
+            let chosen = self
+                .chooser
+                .choose(&mut self.encoder, window, &mut self.busy);
+            if let Err(error) = chosen {
+                return chunks.send(Err(error)).ok();
             }
             loop {
                 let started = Instant::now();

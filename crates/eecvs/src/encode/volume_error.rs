@@ -8,8 +8,8 @@
 //! ```
 //!
 //! S is summed at points half a sigma apart. The spectrum of its square is a Gaussian too, of which that sampling folds
-//! back less than 10^-16, so the sums are the integrals; impulses count up to six sigma away. The cost is some 25 products
-//! an event and trial, however many events a pixel has.
+//! back less than 10^-16, so the sums are the integrals; impulses count up to six sigma away. A trial costs
+//! as many products as there are such points, for each event and for its decoded twin, however many events a pixel has.
 
 use std::iter::Peekable;
 
