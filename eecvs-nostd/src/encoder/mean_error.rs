@@ -43,6 +43,8 @@ const BORROWED: u64 = 16;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct MeanError {
     left_us: u64,
+    /// Of it what the last window left.
+    own_us: u64,
     middle: u8,
     spread: u8,
 }
@@ -51,20 +53,25 @@ impl MeanError {
     /// State before the first window of a chain.
     pub(crate) const START: Self = Self {
         left_us: 0,
+        own_us: 0,
         middle: EXPECTED as u8,
         spread: MIDDLES as u8,
     };
 
     /// Returns the coarsest fidelity found for a closed window of `duration_us`, with which the decoded times of the
     /// chain's windows so far are off by at most `max_us` on average; `spreads` tells whether events may be spread.
+    /// Where the window may begin a chain (`may_be_key`), it has to do without what those before left.
     #[inline(never)]
     pub(crate) fn coarsest(
         &mut self,
         max_us: NonZeroU32,
         duration_us: u32,
-        spreads: bool,
+        (spreads, may_be_key): (bool, bool),
         window: &mut Window<'_>,
     ) -> Fidelity {
+        if may_be_key {
+            self.left_us = 0;
+        }
         let asked_us = u64::from(max_us.get()) * u64::from(window.events());
         let all_us = asked_us + self.left_us.min(asked_us / BORROWED);
         let widths = Widths {
@@ -91,8 +98,15 @@ impl MeanError {
             }
         }
         let (fidelity, error_us) = found;
+        self.own_us = asked_us.saturating_sub(error_us);
         self.left_us = (self.left_us.saturating_add(asked_us)).saturating_sub(error_us);
         fidelity
+    }
+
+    /// Notes that a key frame was sent, as part `part` of the last window: those to come have what a decoder that
+    /// begins there has seen.
+    pub(crate) const fn note_key(&mut self, part: u32) {
+        self.left_us = if part == 0 { self.own_us } else { 0 };
     }
 }
 

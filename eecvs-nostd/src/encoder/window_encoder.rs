@@ -10,7 +10,7 @@ use crate::coder::dense::{Dense, DenseMemory, EVENT_BYTES_MAX};
 use crate::coder::key_frames::Chain;
 use crate::coder::keys;
 use crate::coder::quick::{self, Simd};
-use crate::coder::tree::{Shape, Tree};
+use crate::coder::tree::{Shape, TIME_BITS_MAX, Tree};
 #[cfg(feature = "coefficients")]
 use crate::coder::window_coefficients::{CoefficientEncoder, Numbers, TakenCoefficients};
 use crate::coder::window_events::{EventEncoder, dense_gathered};
@@ -485,6 +485,9 @@ impl<'b> WindowEncoder<'b> {
             header: *header,
             range,
         };
+        if header.is_key {
+            self.mean_error.note_key(header.part);
+        }
         header.part += 1;
         header.thinned = 0;
         header.is_key &= !header.mode.is_dense();
@@ -515,6 +518,12 @@ impl<'b> WindowEncoder<'b> {
             HAS_DENSE && memory.as_ref().is_some_and(|memory| memory.serves(sensor));
         let mut mode = self.config.mode;
         let mut thinned = 0;
+        if let Mode::Hybrid(hybrid) = &mut mode
+            && let Coder::Tree(effort) = hybrid.coder
+            && !(HAS_TREE && self.has_tree(sensor, effort, window))
+        {
+            hybrid.coder = Coder::Dense;
+        }
         if let (Some(max_us), Mode::Hybrid(hybrid)) = (self.config.max_emd_us, &mut mode) {
             // Frames that depend on none before them do without what windows before left.
             if !self.config.mode.is_dense() || self.chain.ends(self.config.key_windows) {
@@ -530,19 +539,19 @@ impl<'b> WindowEncoder<'b> {
             let most = (window.events() as usize).saturating_mul(SPREAD_BYTES_MAX);
             let is_whole = most.saturating_add(HEADER_BYTES_MAX + CRC_BYTES) <= room;
             let spreads = is_whole && !self.config.keep_order && !scans;
+            // A coder that has no room, or has too many bits of a time to code, hands over to another.
+            let may_be_key = self.breaks
+                || self.chained != Some(hybrid.coder)
+                || !is_whole
+                || closed.duration_us >> TIME_BITS_MAX > 0;
             let state = &mut self.mean_error;
-            hybrid.fidelity = state.coarsest(max_us, closed.duration_us, spreads, window);
+            let may = (spreads, may_be_key);
+            hybrid.fidelity = state.coarsest(max_us, closed.duration_us, may, window);
         }
         if let (Some(rate), Mode::Hybrid(hybrid)) = (&mut self.rate, &mut mode) {
             let plan = rate.plan(hybrid.fidelity, closed, window);
             hybrid.fidelity = plan.fidelity;
             thinned = plan.thinned;
-        }
-        if let Mode::Hybrid(hybrid) = &mut mode
-            && let Coder::Tree(effort) = hybrid.coder
-            && !(HAS_TREE && self.has_tree(sensor, effort, window))
-        {
-            hybrid.coder = Coder::Dense;
         }
         if window.keeps_arrival() {
             if !(HAS_KEYS && mode.has_keys() && self.scratch.keys.is_some()) {
