@@ -129,6 +129,7 @@ pub(crate) fn touch(bytes: &mut [u8]) {
 ///
 /// # Errors
 /// The system refuses the memory.
+#[cfg(feature = "encode")]
 pub(crate) fn frame_room(frame_bytes: usize) -> Result<Vec<u8>> {
     u8::new_vec_zeroed(frame_bytes).ok().context(NO_MEMORY)
 }

@@ -176,7 +176,7 @@ pub fn convert(
         reader
     };
     let mut reader = Intact::new(reader);
-    let result = copy(&mut reader, writer.as_mut(), conversion, format)
+    let result = copy(&mut reader, writer.as_mut(), conversion, (format, sensor))
         .with_context(|| format!("{}: cannot be converted", output.display()));
     // A conversion without a single event read is an error, not an empty recording.
     let converted = result?;
@@ -203,7 +203,7 @@ fn copy(
     reader: &mut dyn crate::EventReader,
     writer: &mut dyn crate::EventWriter,
     conversion: &Conversion,
-    format: &Format,
+    (format, sensor): (&Format, Sensor),
 ) -> Result<Converted> {
     let filter = conversion.filter;
     let is_part = filter.from_us.is_some() || filter.to_us.is_some();
@@ -235,7 +235,7 @@ fn copy(
             fitted.clear();
             fitted.extend(passing.iter().filter_map(|event| fit.apply(*event)));
             passing = &fitted;
-        } else if !fits(format.limits, passing, last_us) {
+        } else if !fits(format.limits, sensor, passing, last_us) {
             refuse(format, passing, converted.events_out, last_us)?;
         }
         last_us = passing.last().map(|event| event.t_us).or(last_us);

@@ -95,15 +95,19 @@ impl Fit {
     }
 }
 
-/// Returns whether nothing of `events` is beyond `limits`; `last_us` is the time of the event before them.
+/// Returns whether nothing of `events`, which lie on `sensor`, is beyond `limits`; `last_us` is the time of the event
+/// before them.
 #[must_use]
-pub fn fits(limits: Limits, events: &[Event], last_us: Option<u64>) -> bool {
-    // Without a branch per event, several are compared at once.
-    let is_within = events.iter().fold(true, |all, event| {
-        all & (event.x <= limits.x_max)
-            & (event.y <= limits.y_max)
-            & (event.t_us <= limits.t_max_us)
-    });
+pub fn fits(limits: Limits, sensor: Sensor, events: &[Event], last_us: Option<u64>) -> bool {
+    // No time is above all times' bits together.
+    let is_early = || events.iter().fold(0, |all, event| all | event.t_us) <= limits.t_max_us;
+    let is_on_time = || events.iter().all(|event| event.t_us <= limits.t_max_us);
+    let is_near = || {
+        let mut events = events.iter();
+        events.all(|event| event.x <= limits.x_max && event.y <= limits.y_max)
+    };
+    let is_within =
+        (is_early() || is_on_time()) && (Fit::sensor(limits, sensor) == sensor || is_near());
     let steps_back = || {
         let first = events.first().zip(last_us);
         first.is_some_and(|(first, last_us)| first.t_us < last_us)

@@ -43,8 +43,8 @@ const BORROWED: u64 = 16;
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct MeanError {
     left_us: u64,
-    /// Of it what the last window left.
-    own_us: u64,
+    /// Of it what the last window left, or less.
+    own_us: u32,
     middle: u8,
     spread: u8,
 }
@@ -98,7 +98,8 @@ impl MeanError {
             }
         }
         let (fidelity, error_us) = found;
-        self.own_us = asked_us.saturating_sub(error_us);
+        let own_us = asked_us.saturating_sub(error_us);
+        self.own_us = own_us.min(u32::MAX.into()) as u32;
         self.left_us = (self.left_us.saturating_add(asked_us)).saturating_sub(error_us);
         fidelity
     }
@@ -106,7 +107,7 @@ impl MeanError {
     /// Notes that a key frame was sent, as part `part` of the last window: those to come have what a decoder that
     /// begins there has seen.
     pub(crate) const fn note_key(&mut self, part: u32) {
-        self.left_us = if part == 0 { self.own_us } else { 0 };
+        self.left_us = if part == 0 { self.own_us as u64 } else { 0 };
     }
 }
 

@@ -539,11 +539,10 @@ impl<'b> WindowEncoder<'b> {
             let most = (window.events() as usize).saturating_mul(SPREAD_BYTES_MAX);
             let is_whole = most.saturating_add(HEADER_BYTES_MAX + CRC_BYTES) <= room;
             let spreads = is_whole && !self.config.keep_order && !scans;
-            // A coder that has no room, or has too many bits of a time to code, hands over to another.
-            let may_be_key = self.breaks
-                || self.chained != Some(hybrid.coder)
-                || !is_whole
-                || closed.duration_us >> TIME_BITS_MAX > 0;
+            // The tree coder hands over to another where it has no room, or times of too many bits.
+            let may_hand_over = matches!(hybrid.coder, Coder::Tree(_))
+                && (!is_whole || closed.duration_us >> TIME_BITS_MAX > 0);
+            let may_be_key = self.breaks || self.chained != Some(hybrid.coder) || may_hand_over;
             let state = &mut self.mean_error;
             let may = (spreads, may_be_key);
             hybrid.fidelity = state.coarsest(max_us, closed.duration_us, may, window);

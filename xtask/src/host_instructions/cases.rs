@@ -25,12 +25,21 @@ const READERS: [(&str, &str); 3] = [
     ("read evt2", "events.evt2.raw"),
     ("read evt3", "events.raw"),
 ];
-/// Name of a case that converts `events.dat`, and the name of its output.
-const CONVERSIONS: [(&str, &str); 2] = [
-    ("convert dat to csv", "converted.csv"),
-    ("convert dat to dat", "converted.dat"),
+/// Names of formats as in a case's name, with the extension of the input and of the output.
+const CONVERSIONS: [(&str, &str); 10] = [
+    ("csv", "dat"),
+    ("dat", "aedat4"),
+    ("dat", "csv"),
+    ("dat", "dat"),
+    ("dat", "es"),
+    ("dat", "evt2"),
+    ("dat", "evt3"),
+    ("dat", "mcap"),
+    ("dat", "parquet"),
+    ("parquet", "dat"),
 ];
-const CONVERTED: &str = "events.dat";
+/// Extensions of the files that are converted.
+const CONVERTED: [&str; 3] = ["csv", "dat", "parquet"];
 const M: [u8; 2] = [8, 16];
 /// Coders of events, lossless. Frames are key frames.
 const CODERS: [(&str, Coder); 5] = [
@@ -71,7 +80,9 @@ fn count_these(work: &mut dyn FnMut()) {
 /// Writes what [`run`] reads: emulating under Valgrind would take a minute.
 pub fn prepare(folder: &Path) -> anyhow::Result<()> {
     let scene = moderate::scene()?;
-    for file in READERS.map(|(_, file)| file).into_iter().chain([CONVERTED]) {
+    let read = READERS.map(|(_, file)| file.to_owned()).into_iter();
+    let converted = CONVERTED.map(|format| format!("events.{format}"));
+    for file in read.chain(converted) {
         let mut writer = event_files::create(&folder.join(file), SENSOR)?;
         writer.write(&scene[..FILE_EVENTS.min(scene.len())])?;
         writer.finish()?;
@@ -96,11 +107,13 @@ pub fn run(folder: &Path) -> anyhow::Result<Vec<Case>> {
         cases.push((name.to_owned(), read.len()));
         events = read;
     }
-    for (name, file) in CONVERSIONS {
-        let (from, to) = (folder.join(CONVERTED), folder.join(file));
+    for (from, to) in CONVERSIONS {
+        let name = format!("convert {from} to {to}");
+        let (from, to) = (format!("events.{from}"), format!("converted.{to}"));
+        let (from, to) = (folder.join(from), folder.join(to));
         // A run before this one left it.
         if to.exists() {
-            fs::remove_file(&to).context(file)?;
+            fs::remove_file(&to).context(name.clone())?;
         }
         let mut converted = Ok(Converted::default());
         count_these(&mut || {
@@ -108,7 +121,7 @@ pub fn run(folder: &Path) -> anyhow::Result<Vec<Case>> {
         });
         let count = converted?.events_out;
         ensure!(count == events.len() as u64, "{name}: {count} events");
-        cases.push((name.to_owned(), events.len()));
+        cases.push((name, events.len()));
     }
     let window = moderate::window(&events)?;
     for transform in Transform::ALL {

@@ -217,7 +217,7 @@ fn version_of_records(input: &mut Input, sensor: Sensor) -> Result<(Version, Ass
     ))
 }
 
-/// What decodes several records of version 2 at once, on a core that has it.
+/// What decodes and encodes several records of version 2 at once, on a core that has it.
 #[cfg(target_arch = "x86_64")]
 type Vectors = avx2::Avx2;
 
@@ -226,19 +226,17 @@ type Vectors = avx2::Avx2;
 #[derive(Debug, Clone, Copy)]
 enum Vectors {}
 
+#[cfg(not(target_arch = "x86_64"))]
 impl Vectors {
-    /// Returns it for records with so many bits of x and y.
-    fn of(x_bits: u32, y_bits: u32) -> Option<Self> {
-        #[cfg(target_arch = "x86_64")]
-        if (x_bits, y_bits) == (14, 14) {
-            return Self::detected();
-        }
-        let _ = (x_bits, y_bits);
+    const fn detected() -> Option<Self> {
         None
     }
 
-    #[cfg(not(target_arch = "x86_64"))]
     fn decode(self, _: &[[u8; 8]], _: u64, _: u32, _: Sensor, _: &mut [Event]) -> usize {
+        match self {}
+    }
+
+    fn encode(self, _: &[Event], _: u64, _: u32, _: Sensor, _: &mut [[u8; 8]]) -> usize {
         match self {}
     }
 }
@@ -267,7 +265,7 @@ impl DatDecoder {
         batch: &mut Batch<'_>,
     ) -> Result<()> {
         let Self { sensor, t0_us, .. } = *self;
-        let vectors = Vectors::of(X_BITS, Y_BITS);
+        let vectors = Vectors::detected().filter(|_| (X_BITS, Y_BITS) == (14, 14));
         let mut scratch = [Event::UNSET; RUN_WORDS];
         while batch.room() > 0 {
             let most = batch.room().min(RUN_WORDS);
@@ -448,7 +446,7 @@ mod tests {
             ),
             before: u32, base_us in 0..u64::MAX >> 1, room in 0..60_usize,
         ) {
-            let Some(vectors) = Vectors::of(14, 14) else {
+            let Some(vectors) = Vectors::detected() else {
                 return Ok(());
             };
             let sensor = Sensor { width: 300, height: 200 };

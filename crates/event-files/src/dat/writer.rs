@@ -6,7 +6,7 @@ use event_types::stream::Result;
 use event_types::{Event, Polarity, Sensor, bail};
 
 use crate::EventWriter;
-use crate::dat::{EVENT_CD, RECORD_BYTES};
+use crate::dat::{EVENT_CD, RECORD_BYTES, Vectors};
 use crate::output::sequential::Output;
 use crate::wrapping::Wrapping;
 
@@ -25,12 +25,44 @@ pub struct DatWriter {
     /// Counter of the times; `None` until the first event, whose time the header needs.
     time: Option<Wrapping>,
     events: u64,
+    vectors: Option<Vectors>,
     /// Records that are being made.
     records: Vec<[u8; RECORD_BYTES as usize]>,
 }
 
 /// Records that are made before they are written.
 const RECORDS: usize = 512;
+/// Largest side of a sensor whose events several records at once can hold.
+const SIDE_MAX: u16 = 1 << 14;
+
+/// Events that are written one by one where one of them needs a closer look.
+const FEW: usize = 4;
+
+/// Records that are made at once by plain code.
+const TOGETHER: usize = 64;
+
+/// As [`Vectors::encode`], on any core: [`TOGETHER`] events or what is left of them, or none.
+fn make(
+    events: &[Event],
+    zero_us: u64,
+    before: u64,
+    sensor: Sensor,
+    records: &mut [[u8; RECORD_BYTES as usize]],
+) -> usize {
+    let events = events.get(..TOGETHER).unwrap_or(events);
+    // If no time is half a period or more from another, none has wrapped.
+    let (steps, is_inside) = events.iter().fold((0, true), |(steps, is_inside), event| {
+        let step = event.t_us.wrapping_sub(zero_us) ^ before;
+        (steps | step, is_inside & sensor.contains(event.x, event.y))
+    });
+    if steps >> 31 != 0 || !is_inside {
+        return 0;
+    }
+    for (made, event) in records.iter_mut().zip(events) {
+        *made = record(event, event.t_us.wrapping_sub(zero_us));
+    }
+    events.len()
+}
 
 /// Returns the record of an event whose time has these 32 bits.
 fn record(event: &Event, low: u64) -> [u8; RECORD_BYTES as usize] {
@@ -53,7 +85,8 @@ impl DatWriter {
             t0_us: 0,
             time: None,
             events: 0,
-            records: Vec::new(),
+            vectors: Vectors::detected().filter(|_| sensor.width.max(sensor.height) <= SIDE_MAX),
+            records: vec![[0; RECORD_BYTES as usize]; RECORDS],
         })
     }
 
@@ -76,32 +109,37 @@ impl DatWriter {
         Ok(Wrapping::new(32, 0))
     }
 
-    /// Writes up to [`RECORDS`] events, if no time of theirs wraps; returns false if it wrote none.
-    fn run(&mut self, events: &[Event]) -> Result<bool> {
-        let (Some(time), Some(last)) = (self.time.as_mut(), events.last()) else {
-            return Ok(false);
+    /// Writes events from the front that lie on the sensor and whose times do not wrap, several at once, and returns
+    /// their number: at most [`RECORDS`], and none if the first needs a closer look.
+    fn run(&mut self, events: &[Event]) -> Result<usize> {
+        let Some(time) = self.time.as_mut() else {
+            return Ok(0);
         };
         let zero_us = self.t0_us + time.base();
         let before = time.last().map_or(0, |last| time.low(last));
-        // If no time is half a period or more from another, none has wrapped.
-        let steps = events.iter().fold(0, |steps, event| {
-            steps | (event.t_us.wrapping_sub(zero_us) ^ before)
-        });
-        if steps >> 31 != 0 {
-            return Ok(false);
-        }
-        self.records.clear();
-        let made = events.iter();
-        self.records
-            .extend(made.map(|event| record(event, event.t_us.wrapping_sub(zero_us))));
+        let made = match self.vectors {
+            Some(vectors) => {
+                // The lower 32 bits of a time.
+                let before = before as u32;
+                vectors.encode(events, zero_us, before, self.sensor, &mut self.records)
+            }
+            None => make(events, zero_us, before, self.sensor, &mut self.records),
+        };
+        let (Some(records), Some(last)) = (
+            self.records.get(..made),
+            made.checked_sub(1).and_then(|last| events.get(last)),
+        ) else {
+            return Ok(0);
+        };
         time.extend(last.t_us - zero_us);
-        self.file.put(self.records.as_flattened())?;
-        self.events += events.len() as u64;
-        Ok(true)
+        self.file.put(records.as_flattened())?;
+        self.events += made as u64;
+        Ok(made)
     }
 
     /// Writes an event, and before the first one the header.
     fn put(&mut self, event: &Event) -> Result<()> {
+        crate::check_inside(self.file.name(), self.events, event, self.sensor)?;
         let mut time = match self.time.take() {
             Some(time) => time,
             None => self.header(event.t_us)?,
@@ -127,13 +165,14 @@ impl DatWriter {
 
 impl EventWriter for DatWriter {
     fn write(&mut self, events: &[Event]) -> Result<()> {
-        crate::check_all_inside(self.file.name(), self.events, events, self.sensor)?;
-        for events in events.chunks(RECORDS) {
-            if !self.run(events)? {
-                for event in events {
-                    self.put(event)?;
-                }
+        let mut rest = events;
+        while !rest.is_empty() {
+            let (_, left) = rest.split_at(self.run(rest)?);
+            let (few, left) = left.split_at(left.len().min(FEW));
+            for event in few {
+                self.put(event)?;
             }
+            rest = left;
         }
         Ok(())
     }
@@ -180,6 +219,7 @@ mod tests {
                 0..1500,
             ),
             batch in 1..1500_usize,
+            outside in prop_oneof![Just(usize::MAX), Just(639), Just(1279)],
         ) {
             let mut t_us = start;
             let events: Vec<Event> = steps
@@ -189,17 +229,20 @@ mod tests {
                     t_us = t_us.saturating_add_signed(*step);
                     Event {
                         t_us,
-                        x: (i % 640) as u16,
+                        x: (i % 640 + usize::from(outside == i)) as u16,
                         y: (i % 479) as u16,
                         polarity: Polarity::from_bool(i % 3 == 0),
                     }
                 })
                 .collect();
-            let together = written(|writer| {
-                events.chunks(batch).try_for_each(|events| writer.write(events))
-            });
             let one_by_one = written(|writer| events.iter().try_for_each(|event| writer.put(event)));
-            prop_assert_eq!(together, one_by_one);
+            for vectors in [None, Vectors::detected()] {
+                let together = written(|writer| {
+                    writer.vectors = vectors;
+                    events.chunks(batch).try_for_each(|events| writer.write(events))
+                });
+                prop_assert_eq!(&together, &one_by_one);
+            }
         }
     }
 

@@ -4,9 +4,10 @@ pub mod evt2;
 pub mod evt21;
 pub mod evt21_word;
 pub mod evt3;
-pub mod evt3_group;
 pub mod evt4;
 pub mod header;
+#[cfg(target_arch = "x86_64")]
+mod lanes;
 pub(crate) mod row;
 pub(crate) mod vector;
 pub(crate) mod writer;

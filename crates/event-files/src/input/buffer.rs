@@ -60,7 +60,7 @@ impl InputBuffer {
     }
 
     /// Returns those of the next bytes that the buffer holds.
-    fn held(&self) -> &[u8] {
+    pub fn held(&self) -> &[u8] {
         let held = self.bytes.get(..self.filled).unwrap_or_default();
         let passed = self.offset.checked_sub(self.bytes_at);
         let passed = passed.and_then(|passed| usize::try_from(passed).ok());

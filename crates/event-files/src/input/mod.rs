@@ -103,6 +103,24 @@ impl Input {
         }
     }
 
+    /// Returns the next bytes that lie in the buffer, which is filled first if it has none; none at the end.
+    ///
+    /// # Errors
+    /// I/O.
+    pub(crate) fn block(&mut self) -> Result<&[u8]> {
+        let offset = self.offset();
+        // The bytes cannot be returned from the call that may fail.
+        if let Err(error) = self.buffer.fill_buf() {
+            return Err(self.unreadable(offset, error));
+        }
+        Ok(self.buffer.held())
+    }
+
+    /// Moves past bytes of [`Input::block`].
+    pub(crate) fn consume(&mut self, bytes: usize) {
+        self.buffer.consume(bytes);
+    }
+
     /// Moves to the current end and returns its offset; unlike [`Input::length`], it sees that a file has grown.
     ///
     /// # Errors

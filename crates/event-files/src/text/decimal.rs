@@ -15,6 +15,24 @@ pub struct Decimal {
 pub struct OutOfRange;
 
 impl Decimal {
+    /// Returns `digits` * 10^-`places`, as [`Decimal::parse`] does for digits with so many behind a point.
+    #[inline]
+    pub const fn of_digits(digits: u64, places: usize) -> Self {
+        Self {
+            negative: false,
+            digits,
+            exponent: -(places as i32),
+            fractional: places > 0,
+        }
+    }
+
+    /// Returns the digits of a number that is written with nothing else.
+    #[inline]
+    pub const fn integer(self) -> Option<u64> {
+        let is_plain = !self.negative && !self.fractional && self.exponent == 0;
+        if is_plain { Some(self.digits) } else { None }
+    }
+
     /// Parses `[+-]digits[.digits][e[+-]digits]`, with at least one digit and nothing else; `None` otherwise.
     ///
     /// From about the 20th significant digit on, where `digits` would overflow, digits only shift the exponent:

@@ -27,6 +27,7 @@
 
 pub(crate) mod decimal;
 pub mod layout;
+mod plain;
 pub(crate) mod utf16;
 pub(crate) mod writer;
 
@@ -41,6 +42,7 @@ use crate::table::time_unit;
 use crate::text::decimal::Decimal;
 pub use crate::text::layout::Layout;
 use crate::text::layout::{Found, Header, polarity, times_of};
+use crate::text::plain::{Fields, Plain, Sign};
 use crate::text::utf16::Utf16;
 pub(crate) use crate::text::utf16::is_utf16;
 use crate::text::writer::TextWriter;
@@ -51,6 +53,9 @@ const LINE_MAX: usize = 4096;
 
 /// Largest number of fields kept of a line; a file with more columns is not an event file.
 const FIELDS_MAX: usize = 32;
+
+/// Most lines that are parsed together.
+const TOGETHER: usize = 256;
 
 /// Number of event lines from which the layout is found.
 const SAMPLE_LINES: usize = time_unit::SAMPLE_TIMES;
@@ -181,27 +186,31 @@ impl TextReader {
         lines.restart(&start)?;
         let mut decoder = TextDecoder {
             lines,
-            layout,
-            unit,
-            has_whole_times,
-            offset_us: reading.time_offset_us,
+            plain: Plain::new(&layout),
+            rules: Rules {
+                layout,
+                unit,
+                has_whole_times,
+                offset_us: reading.time_offset_us,
+                polarities,
+                is_rounded: false,
+                assumptions,
+                sensor: LARGEST,
+            },
             leaves_out: reading.bad_events == BadEvents::LeaveOut,
-            polarities,
-            is_rounded: false,
             is_cut_noted: false,
-            assumptions,
-            sensor: LARGEST,
             events: 0,
             skipped: start.skipped.clone(),
         };
-        decoder.sensor = match stated {
+        decoder.rules.sensor = match stated {
             Some(sensor) => sensor,
             None => {
                 let sensor = decoder.largest()?;
                 decoder.skipped = start.skipped.clone();
-                decoder.polarities = polarities;
+                decoder.rules.polarities = polarities;
                 decoder.lines.restart(&start)?;
-                decoder.assumptions.push(Assumption::size_taken(sensor));
+                let assumptions = &mut decoder.rules.assumptions;
+                assumptions.push(Assumption::size_taken(sensor));
                 sensor
             }
         };
@@ -230,12 +239,13 @@ impl Polarities {
         }
     }
 
-    /// Adds the polarity of an event; returns whether it is still one of two.
-    fn takes(&mut self, field: &[u8]) -> bool {
-        match field {
-            b"0" if self.third => return false,
-            b"0" => self.zero = true,
-            b"-1" => self.minus = true,
+    /// Adds the polarity of an event, if it is written as such a number; returns whether it is still one of two.
+    #[inline]
+    fn takes(&mut self, sign: Option<Sign>) -> bool {
+        match sign {
+            Some(Sign::Zero) if self.third => return false,
+            Some(Sign::Zero) => self.zero = true,
+            Some(Sign::MinusOne) => self.minus = true,
             _ => {}
         }
         !(self.zero && self.minus)
@@ -286,6 +296,12 @@ impl Lines {
             self.line.pop();
         }
         Ok(read > 0)
+    }
+
+    /// Moves past `count` lines of `bytes` bytes in all.
+    fn pass(&mut self, bytes: usize, count: u64) {
+        self.input.consume(bytes);
+        self.number += count;
     }
 
     /// Returns whether the current line is empty or a comment.
@@ -473,21 +489,27 @@ fn has_decimal_comma(line: &[u8]) -> bool {
 /// The decoder of [`TextReader`]: its state between two lines.
 pub struct TextDecoder {
     lines: Lines,
+    plain: Plain,
+    rules: Rules,
+    leaves_out: bool,
+    /// Whether the last line has no line break and an assumption says so.
+    is_cut_noted: bool,
+    events: u64,
+    skipped: Skipped,
+}
+
+/// What makes an event of a line's fields.
+struct Rules {
     layout: Layout,
     unit: TimeUnit,
     /// Whether the unit was inferred from times without fractions.
     has_whole_times: bool,
     offset_us: i64,
-    leaves_out: bool,
     polarities: Polarities,
     /// Whether a time has been rounded and an assumption says so.
     is_rounded: bool,
-    /// Whether the last line has no line break and an assumption says so.
-    is_cut_noted: bool,
     assumptions: Vec<Assumption>,
     sensor: Sensor,
-    events: u64,
-    skipped: Skipped,
 }
 
 /// The reason why a line is not an event.
@@ -520,10 +542,18 @@ impl TextDecoder {
     /// Returns the smallest sensor that holds every event from here to the end or the first damage.
     fn largest(&mut self) -> Result<Sensor> {
         let (mut width, mut height) = (0, 0);
-        // The reader reports damage after the first event, after it has returned the events before it.
-        while let Ok(Some(event)) = self.next_event() {
-            width = width.max(event.x + 1);
-            height = height.max(event.y + 1);
+        let mut events = Vec::with_capacity(crate::BATCH_EVENTS);
+        loop {
+            events.clear();
+            // The reader reports damage after the first event, after it has returned the events before it.
+            let is_sound = self.decode_lines(&mut Batch::new(&mut events)).is_ok();
+            for event in &events {
+                width = width.max(event.x + 1);
+                height = height.max(event.y + 1);
+            }
+            if events.is_empty() || !is_sound {
+                break;
+            }
         }
         if width == 0 && !self.lines.line.is_empty() {
             // The first line is not an event.
@@ -535,6 +565,61 @@ impl TextDecoder {
                 .error("no event, so no sensor size: give --width W --height H")
                 .of_kind(ErrorKind::Undecided)
         })
+    }
+
+    /// Appends events until the batch has no room left, or the file ends.
+    fn decode_lines(&mut self, batch: &mut Batch<'_>) -> Result<()> {
+        loop {
+            self.decode_plain(batch)?;
+            if batch.room() == 0 {
+                return Ok(());
+            }
+            // A line that is not plain, or lies in two blocks, or ends the file.
+            let Some(event) = self.next_event()? else {
+                return Ok(());
+            };
+            batch.push(event);
+        }
+    }
+
+    /// Appends the events of plain lines up to the first other one, the end of the block that was read, or that of the
+    /// batch's room.
+    fn decode_plain(&mut self, batch: &mut Batch<'_>) -> Result<()> {
+        let Self {
+            lines,
+            plain,
+            rules,
+            ..
+        } = self;
+        let block = lines.input.block()?;
+        let mut scratch = [Event::UNSET; TOGETHER];
+        let (mut taken, mut count) = (0, 0);
+        while batch.room() > 0 {
+            let rest = block.get(taken..).unwrap_or_default();
+            if rules.is_as_written() {
+                let most = batch.room().min(TOGETHER);
+                let room = scratch.get_mut(..most).unwrap_or_default();
+                let run = plain.parse_many(rest, rules.sensor, room);
+                batch.extend(scratch.iter().take(run.lines).copied());
+                rules.polarities.zero |= run.has_zero;
+                taken += run.bytes;
+                count += run.lines as u64;
+                if run.lines > 0 {
+                    continue;
+                }
+            }
+            let fields = plain.parse(rest);
+            let event = fields.and_then(|fields| Some((rules.event(fields).ok()?, fields.bytes)));
+            let Some((event, bytes)) = event else {
+                break;
+            };
+            batch.push(event);
+            taken += bytes;
+            count += 1;
+        }
+        lines.pass(taken, count);
+        self.events += count;
+        Ok(())
     }
 
     fn next_event(&mut self) -> Result<Option<Event>> {
@@ -568,18 +653,18 @@ impl TextDecoder {
     fn note_cut(&mut self) {
         let Layout {
             columns, t, x, y, ..
-        } = self.layout;
+        } = self.rules.layout;
         let is_number = [t, x, y].contains(&(columns - 1));
         if is_number && !self.lines.is_ended && !self.is_cut_noted {
             self.is_cut_noted = true;
-            self.assumptions.push(Assumption::last_line_whole());
+            self.rules.assumptions.push(Assumption::last_line_whole());
         }
     }
 
     /// Returns the error for the current line.
     fn refusal(&self, bad: &Bad) -> event_types::stream::Error {
         let what = match bad {
-            Bad::Fields(count) => format!("{count} fields instead of {}", self.layout.columns),
+            Bad::Fields(count) => format!("{count} fields instead of {}", self.rules.layout.columns),
             Bad::NoTime => "the time is not a number".to_owned(),
             Bad::Fraction => "a time with a fraction after whole microseconds: give --time-unit, or name the column \
                               t_s or t_us"
@@ -595,15 +680,21 @@ impl TextDecoder {
                     .to_owned()
             }
             Bad::Outside(x, y) => {
-                let Sensor { width, height } = self.sensor;
+                let Sensor { width, height } = self.rules.sensor;
                 format!("x = {x}, y = {y} is outside the sensor ({width}x{height})")
             }
         };
         self.lines.error(format!("event {}: {what}", self.events))
     }
 
+    /// Parses the current line, of any kind.
     fn parse(&mut self) -> Result<Event, Bad> {
-        let line = self.lines.line.as_slice();
+        self.rules.parse(&self.lines.line)
+    }
+}
+
+impl Rules {
+    fn parse(&mut self, line: &[u8]) -> Result<Event, Bad> {
         let mut fields = [&line[..0]; FIELDS_MAX];
         let mut count = 0;
         let parts = line.split(|byte| is_separator(*byte));
@@ -626,28 +717,65 @@ impl TextDecoder {
             return Err(Bad::Fields(count));
         }
         let field = |column: usize| unquoted(fields.get(column).copied().unwrap_or_default());
-        let (t, p) = (field(t), field(p));
-        let time = Decimal::parse(t).ok_or(Bad::NoTime)?;
-        if self.has_whole_times && !time.is_whole() {
-            return Err(Bad::Fraction);
-        }
-        let t_us = time
-            .signed(self.unit.shift())
-            .ok()
-            .and_then(|t_us| t_us.checked_add(self.offset_us))
-            .and_then(|t_us| u64::try_from(t_us).ok())
-            .ok_or(Bad::TimeRange)?;
-        if !self.is_rounded && !time.is_whole_at(self.unit.shift()) {
-            self.is_rounded = true;
-            self.assumptions
-                .push(Assumption::times_rounded("to the nearest"));
-        }
+        let time = Decimal::parse(field(t)).ok_or(Bad::NoTime)?;
+        let t_us = self.time(time)?;
         let side = |field: &[u8]| Decimal::parse(field).and_then(Decimal::whole);
         let (Some(x), Some(y)) = (side(field(x)), side(field(y))) else {
             return Err(Bad::NoPixel);
         };
+        let p = field(p);
         let on = polarity(p).ok_or(Bad::NoPolarity)?;
-        if !self.polarities.takes(p) {
+        self.finish(t_us, (x, y), on, Sign::of(p))
+    }
+
+    /// Returns whether a time in whole numbers is in microseconds, and a polarity of 0 is taken.
+    fn is_as_written(&self) -> bool {
+        let Polarities { minus, third, .. } = self.polarities;
+        self.unit == TimeUnit::Us && self.offset_us == 0 && !minus && !third
+    }
+
+    /// Returns the event of a plain line.
+    #[inline]
+    fn event(&mut self, fields: Fields) -> Result<Event, Bad> {
+        let t_us = match (fields.time.integer(), self.unit) {
+            (Some(t_us), TimeUnit::Us) if self.offset_us == 0 => t_us,
+            _ => self.time(fields.time)?,
+        };
+        let on = fields.polarity == Sign::One;
+        self.finish(t_us, (fields.x, fields.y), on, Some(fields.polarity))
+    }
+
+    /// Returns a time in microseconds.
+    #[inline]
+    fn time(&mut self, time: Decimal) -> Result<u64, Bad> {
+        if self.has_whole_times && !time.is_whole() {
+            return Err(Bad::Fraction);
+        }
+        let shift = self.unit.shift();
+        let t_us = time
+            .signed(shift)
+            .ok()
+            .and_then(|t_us| t_us.checked_add(self.offset_us))
+            .and_then(|t_us| u64::try_from(t_us).ok())
+            .ok_or(Bad::TimeRange)?;
+        if !self.is_rounded && !time.is_whole_at(shift) {
+            self.is_rounded = true;
+            self.assumptions
+                .push(Assumption::times_rounded("to the nearest"));
+        }
+        Ok(t_us)
+    }
+
+    /// Returns the event of a time, a pixel and a polarity.
+    #[inline]
+    fn finish(
+        &mut self,
+        t_us: u64,
+        (x, y): (u64, u64),
+        on: bool,
+        sign: Option<Sign>,
+    ) -> Result<Event, Bad> {
+        if !self.polarities.takes(sign) {
             return Err(Bad::ThirdPolarity);
         }
         match (u16::try_from(x), u16::try_from(y)) {
@@ -668,11 +796,11 @@ impl Decode for TextDecoder {
     }
 
     fn sensor(&self) -> Sensor {
-        self.sensor
+        self.rules.sensor
     }
 
     fn assumptions(&self) -> &[Assumption] {
-        &self.assumptions
+        &self.rules.assumptions
     }
 
     fn skipped(&self) -> &Skipped {
@@ -680,19 +808,15 @@ impl Decode for TextDecoder {
     }
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> Result<()> {
-        while batch.room() > 0 {
-            let Some(event) = self.next_event()? else {
-                break;
-            };
-            batch.push(event);
-        }
-        Ok(())
+        self.decode_lines(batch)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use std::io::Cursor;
+
+    use proptest::prelude::*;
 
     use super::*;
     use crate::EventReader;
@@ -831,5 +955,71 @@ mod tests {
         assert_eq!((events[1].t_us, events[1].x, events[1].y), (9, 37, 91));
         let txyp = lines(|i| format!("{} {} {} {}\n", i * 9, i * 37 % 300, i * 91 % 200, i % 2));
         assert_eq!(read(&txyp).expect("events").1, events);
+    }
+
+    /// Lines of all kinds, most of them plain.
+    fn lines() -> impl Strategy<Value = Vec<String>> {
+        let digits = |most: u64| (0..most).prop_map(|number| number.to_string());
+        let time = prop_oneof![
+            40 => digits(1 << 40),
+            1 => any::<u64>().prop_map(|number| number.to_string()),
+            2 => (0..1000_u32, 0..99_999_u32).prop_map(|(whole, part)| format!("{whole}.{part}")),
+            1 => prop::sample::select(vec!["-5", "+7", "1e3", "5.", ".5", "00012", "x", "1 2"]).prop_map(str::to_owned),
+        ];
+        let side = prop_oneof![
+            60 => digits(300),
+            1 => digits(70_000),
+            1 => prop::sample::select(vec!["7.0", "-1", "0007", "\"7\"", "1e1"]).prop_map(str::to_owned),
+        ];
+        let p = prop::sample::select(vec![
+            "0", "1", "0", "1", "0", "1", "0", "1", "-1", "on", "2", "+1", "01",
+        ]);
+        let between = prop::sample::select(vec![
+            ",", ",", ",", ",", ",", ",", ";", " ", "\t", ", ", ",,",
+        ]);
+        let end = prop::sample::select(vec![
+            "\n", "\n", "\n", "\n", "\r\n", " \n", ",\n", "\n\n", "\n# a\n", "\r",
+        ]);
+        let line = (time, side.clone(), side, p, between, end)
+            .prop_map(|(t, x, y, p, by, end)| format!("{t}{by}{x}{by}{y}{by}{p}{end}"));
+        proptest::collection::vec(line, 0..400)
+    }
+
+    proptest! {
+        /// Plain lines are what the parser of all lines makes of them, and so is what is said of the others.
+        #[test]
+        fn plain_lines_are_lines(
+            lines in lines(), cut in 0..30_usize, pad in 0..70_000_usize,
+            sized: bool, leaves_out: bool, unit in prop_oneof![Just(None), Just(Some(TimeUnit::Us)), Just(Some(TimeUnit::S))],
+        ) {
+            let mut text = lines.concat();
+            text.truncate(text.len().saturating_sub(cut));
+            // Lines lie in two blocks wherever that is.
+            let text = format!("t,x,y,p\n{}\n{text}", format!("#{}\n", "-".repeat(60)).repeat(pad / 62));
+            let reading = Reading {
+                size: sized.then_some(Sensor { width: 290, height: 280 }),
+                time_unit: unit,
+                bad_events: if leaves_out { BadEvents::LeaveOut } else { BadEvents::Refuse },
+                ..Reading::default()
+            };
+            let read = |change: fn(Plain) -> Plain| {
+                let source = Box::new(Cursor::new(text.clone().into_bytes()));
+                let mut reader = TextReader::new(source, "test", reading.clone()).map_err(|error| error.to_string())?;
+                reader.decoder.plain = change(reader.decoder.plain.clone());
+                let mut events = Vec::new();
+                let error = loop {
+                    match reader.read(&mut events) {
+                        Ok(0) => break None,
+                        Ok(_) => {}
+                        Err(error) => break Some(error.to_string()),
+                    }
+                };
+                let notes: Vec<String> = reader.assumptions().iter().map(|it| format!("{it:?}")).collect();
+                Ok::<_, String>((reader.sensor(), events, error, notes, reader.skipped().clone()))
+            };
+            let wanted = read(|_| Plain::none());
+            prop_assert_eq!(&read(Plain::without_vectors), &wanted);
+            prop_assert_eq!(&read(|plain| plain), &wanted);
+        }
     }
 }

@@ -5,12 +5,12 @@
 //! change, so that a receiver is correct again 16 us after a loss. In a silence of up to 2^32 us every value of
 //! `TIME_HIGH` is written, one per 4,096 us; in a longer silence one every 2 s. Five or more consecutive events of
 //! the same time, row and polarity in increasing columns form a vector, as in files
-//! ([`event_files::evt::evt3_group`]). The order of events is kept.
+//! ([`event_files::evt::evt3::group`]). The order of events is kept.
 
 use anyhow::{Context, Result};
 use eecvs_nostd::{Event, Sensor};
+use event_files::evt::evt3::group::Group;
 use event_files::evt::evt3::{ADDR_Y, TIME_BITS, TIME_HIGH, TIME_LOW};
-use event_files::evt::evt3_group::Group;
 
 use super::high_time::Way;
 use crate::device::WriteStream;

@@ -9,6 +9,10 @@
 //! alike whether or not there is a wrap between them, and no definition limits how many words may be skipped
 //! safely.
 
+#[cfg(target_arch = "x86_64")]
+#[allow(unsafe_code)]
+mod avx2;
+
 use std::hint::select_unpredictable;
 use std::path::Path;
 
@@ -70,11 +74,14 @@ impl Evt2Reader {
         Ok(Self::around(Evt2Decoder {
             input,
             words: Words::default(),
-            sensor,
             camera: header.camera,
-            decoder: WordDecoder::new(base_us + t0_us),
-            events: 0,
-            skipped: Skipped::default(),
+            vectors: Vectors::detected(),
+            state: State {
+                sensor,
+                decoder: WordDecoder::new(base_us + t0_us),
+                events: 0,
+                skipped: Skipped::default(),
+            },
         }))
     }
 }
@@ -83,11 +90,48 @@ impl Evt2Reader {
 pub struct Evt2Decoder {
     input: Input,
     words: Words<4>,
-    sensor: Sensor,
     camera: Option<String>,
+    vectors: Option<Vectors>,
+    state: State,
+}
+
+/// What the words so far have stated, and what they held.
+struct State {
+    sensor: Sensor,
     decoder: WordDecoder,
     events: u64,
     skipped: Skipped,
+}
+
+/// What decodes several words at once, on a core that has it.
+#[cfg(target_arch = "x86_64")]
+type Vectors = avx2::Avx2;
+
+/// On other cores there is none.
+#[cfg(not(target_arch = "x86_64"))]
+#[derive(Debug, Clone, Copy)]
+enum Vectors {}
+
+#[cfg(not(target_arch = "x86_64"))]
+impl Vectors {
+    const fn detected() -> Option<Self> {
+        None
+    }
+
+    fn decode(self, _: &[[u8; 4]], _: u64, _: u32, _: Sensor, _: &mut [Event]) -> Decoded {
+        match self {}
+    }
+}
+
+/// What was decoded of a run of words.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Decoded {
+    /// Number of words.
+    words: usize,
+    /// Number of events among them.
+    events: usize,
+    /// Upper time bits after them.
+    high: u32,
 }
 
 impl Decode for Evt2Decoder {
@@ -96,7 +140,7 @@ impl Decode for Evt2Decoder {
     }
 
     fn sensor(&self) -> Sensor {
-        self.sensor
+        self.state.sensor
     }
 
     fn camera(&self) -> Option<&str> {
@@ -104,7 +148,7 @@ impl Decode for Evt2Decoder {
     }
 
     fn skipped(&self) -> &Skipped {
-        &self.skipped
+        &self.state.skipped
     }
 
     fn leave_out_bad_events(&mut self) -> bool {
@@ -120,64 +164,101 @@ impl Decode for Evt2Decoder {
             if run.is_empty() {
                 break;
             }
-            let plain = plain(&self.decoder, self.sensor, run);
-            let mut taken = 0;
+            let (mut taken, mut few) = (0, FEW);
             while let Some(rest) = run.get(taken..).filter(|rest| !rest.is_empty()) {
-                let is_plain = plain.get(taken..).unwrap_or_default();
-                let (words, events) = decode_plain(&mut self.decoder, rest, is_plain, &mut scratch);
-                batch.extend(scratch.iter().take(events).copied());
-                self.events += events as u64;
-                taken += words;
-                let Some(word) = run.get(taken) else {
-                    break;
-                };
-                let word = u32::from_le_bytes(*word);
-                match self.decoder.decode(word) {
-                    Word::Event(Event { x, y, .. }) if !self.sensor.contains(x, y) => {
-                        let offset = offset + 4 * taken as u64;
-                        let (pixel, skipped) = ((i64::from(x), i64::from(y)), &mut self.skipped);
-                        self.input
-                            .outside(offset, self.events, pixel, self.sensor, skipped)?;
-                        self.events += 1;
-                    }
-                    Word::Event(event) => {
-                        batch.push(event);
-                        self.events += 1;
-                    }
-                    Word::Time => {}
-                    Word::Untimed => self.skipped.add("events before the first time", 1),
-                    Word::Other => self.skipped.add(
-                        match word >> 28 {
-                            0xa => "triggers",
-                            0xe => "other words",
-                            0xf => "continued words",
-                            _ => "unknown words",
-                        },
-                        1,
-                    ),
-                }
-                taken += 1;
-                if word >> 28 == TIME_HIGH {
-                    // Which words are plain depends on the current time.
-                    break;
-                }
+                let decoded = self.state.decode_plain(self.vectors, rest, &mut scratch);
+                batch.extend(scratch.iter().take(decoded.events).copied());
+                taken += decoded.words;
+                // Words that are not plain come together: the more of them, the more are decoded one by one.
+                few = if decoded.words > 0 { FEW } else { 2 * few };
+                let rest = run.get(taken..).unwrap_or_default();
+                let rest = rest.get(..few).unwrap_or(rest);
+                let offset = offset + 4 * taken as u64;
+                self.state.decode_each(rest, offset, &self.input, batch)?;
+                taken += rest.len();
             }
-            let left = run.len() - taken;
-            self.words.back(left);
+        }
+        Ok(())
+    }
+}
+
+/// Number of words that are decoded one by one where one is not plain.
+const FEW: usize = 8;
+
+impl State {
+    /// Decodes words that are plain from the front ([`plain`]), most of those before the first that is not, puts their
+    /// events into `scratch`, and returns what it did.
+    fn decode_plain(
+        &mut self,
+        vectors: Option<Vectors>,
+        words: &[[u8; 4]],
+        scratch: &mut [Event; RUN_WORDS],
+    ) -> Decoded {
+        let Some((start, start_us)) = self.decoder.time_high() else {
+            return Decoded {
+                words: 0,
+                events: 0,
+                high: 0,
+            };
+        };
+        // All plain times lie within half a period after the decoder's time, so no step between two of them is a wrap.
+        let zero_us = start_us.wrapping_sub(u64::from(start) << TIME_LOW_BITS);
+        let sensor = self.sensor;
+        let decoded = match vectors {
+            Some(vectors) => vectors.decode(words, zero_us, start, sensor, scratch),
+            None => decode_plain(words, zero_us, start, sensor, scratch),
+        };
+        if decoded.high != start {
+            self.decoder.decode(TIME_HIGH << 28 | decoded.high);
+        }
+        self.events += decoded.events as u64;
+        decoded
+    }
+
+    /// Decodes words of any type one by one, the first of which lies at byte `offset`.
+    fn decode_each(
+        &mut self,
+        words: &[[u8; 4]],
+        offset: u64,
+        input: &Input,
+        batch: &mut Batch<'_>,
+    ) -> Result<()> {
+        for (index, word) in words.iter().enumerate() {
+            let word = u32::from_le_bytes(*word);
+            match self.decoder.decode(word) {
+                Word::Event(Event { x, y, .. }) if !self.sensor.contains(x, y) => {
+                    let offset = offset + 4 * index as u64;
+                    let (pixel, skipped) = ((i64::from(x), i64::from(y)), &mut self.skipped);
+                    input.outside(offset, self.events, pixel, self.sensor, skipped)?;
+                    self.events += 1;
+                }
+                Word::Event(event) => {
+                    batch.push(event);
+                    self.events += 1;
+                }
+                Word::Time => {}
+                Word::Untimed => self.skipped.add("events before the first time", 1),
+                Word::Other => self.skipped.add(
+                    match word >> 28 {
+                        0xa => "triggers",
+                        0xe => "other words",
+                        0xf => "continued words",
+                        _ => "unknown words",
+                    },
+                    1,
+                ),
+            }
         }
         Ok(())
     }
 }
 
 /// Returns which of the first [`RUN_WORDS`] words are plain: events inside the sensor, and times less than half a
-/// period after the decoder's current time. Without a current time no word is plain.
+/// period after `start`.
 ///
 /// The compiler vectorises the loop to four words at a time.
-fn plain(decoder: &WordDecoder, sensor: Sensor, words: &[[u8; 4]]) -> [bool; RUN_WORDS] {
+fn plain(start: u32, sensor: Sensor, words: &[[u8; 4]]) -> [bool; RUN_WORDS] {
     let mut plain = [false; RUN_WORDS];
-    let Some((start, _)) = decoder.time_high() else {
-        return plain;
-    };
     let (width, height) = (u32::from(sensor.width), u32::from(sensor.height));
     for (is_plain, word) in plain.iter_mut().zip(words) {
         let word = u32::from_le_bytes(*word);
@@ -190,23 +271,19 @@ fn plain(decoder: &WordDecoder, sensor: Sensor, words: &[[u8; 4]]) -> [bool; RUN
     plain
 }
 
-/// Decodes the words up to the first that is not plain according to [`plain`], puts their events into `scratch`,
-/// and returns the numbers of words and of events.
+/// Decodes the words up to the first that is not plain according to [`plain`], and puts their events into `scratch`.
 ///
 /// The order of the words' types is unpredictable, so nothing here branches on it.
 fn decode_plain(
-    decoder: &mut WordDecoder,
     words: &[[u8; 4]],
-    plain: &[bool],
+    zero_us: u64,
+    start: u32,
+    sensor: Sensor,
     scratch: &mut [Event; RUN_WORDS],
-) -> (usize, usize) {
-    let Some((start, start_us)) = decoder.time_high() else {
-        return (0, 0);
-    };
-    // All plain times lie within half a period after the decoder's time, so no step between two of them is a wrap.
-    let zero_us = start_us.wrapping_sub(u64::from(start) << TIME_LOW_BITS);
+) -> Decoded {
+    let plain = plain(start, sensor, words);
     let mut high = start;
-    let words = words.get(..plain_words(plain)).unwrap_or(words);
+    let words = words.get(..plain_words(&plain)).unwrap_or(words);
     let mut events = 0;
     for word in words {
         let word = u32::from_le_bytes(*word);
@@ -224,10 +301,11 @@ fn decode_plain(
         high = select_unpredictable(is_time, word & HIGH_MASK, high);
         events += usize::from(!is_time);
     }
-    if high != start {
-        decoder.decode(TIME_HIGH << 28 | high);
+    Decoded {
+        words: words.len(),
+        events,
+        high,
     }
-    (words.len(), events)
 }
 
 /// A writer of EVT 2.0 files.
@@ -312,17 +390,23 @@ mod tests {
             let header = b"% evt 2.0\n% geometry 64x48\n% end\n";
             let bytes = words.iter().flat_map(|word| word.to_le_bytes());
             let bytes: Vec<u8> = header.iter().copied().chain(bytes).collect();
-            let source = Box::new(std::io::Cursor::new(bytes));
-            let mut reader = Evt2Reader::new(source, "test", None).unwrap();
-            let mut got = Vec::new();
-            while reader.read(&mut got).unwrap() > 0 {}
+            let read = |vectors| {
+                let source = Box::new(std::io::Cursor::new(bytes.clone()));
+                let mut reader = Evt2Reader::new(source, "test", None).unwrap();
+                reader.decoder.vectors = vectors;
+                let mut events = Vec::new();
+                while reader.read(&mut events).unwrap() > 0 {}
+                (events, reader.skipped().clone())
+            };
+            let (got, skipped) = read(None);
             let mut decoder = WordDecoder::new(0);
             let decoded = words.iter().filter_map(|word| match decoder.decode(*word) {
                 Word::Event(event) => Some(event),
                 _ => None,
             });
             let want: Vec<Event> = decoded.collect();
-            prop_assert_eq!(got, want);
+            prop_assert_eq!(&got, &want);
+            prop_assert_eq!(read(Vectors::detected()), (got, skipped));
         }
 
         /// The writer uses its own counter to find out how a reader will interpret a time.

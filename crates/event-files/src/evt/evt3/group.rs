@@ -7,8 +7,8 @@
 
 use event_types::{Event, Polarity};
 
-use super::evt3::{ADDR_X, VECT_8, VECT_12, VECT_BASE_X};
-use super::vector::Run;
+use super::{ADDR_X, VECT_8, VECT_12, VECT_BASE_X};
+use crate::evt::vector::Run;
 
 /// Words of a vector, including that of its first column.
 const VECTOR_WORDS: usize = 4;

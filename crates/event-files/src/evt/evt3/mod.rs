@@ -10,7 +10,7 @@
 //! | A `EXT_TRIGGER`, 7 and F CONTINUED, E OTHERS | skipped and counted |
 //!
 //! Sensors send vectors as `VECT_BASE_X` and then always `VECT_12`, `VECT_12`, `VECT_8`, and so does the writer
-//! (`evt3_group.rs`). The reader also takes vectors of any other words, which other decoders misread: files that
+//! (`group.rs`). The reader also takes vectors of any other words, which other decoders misread: files that
 //! earlier writers made have a lone `VECT_12`. Sensors also send every `TIME_HIGH`; the writer leaves some out only
 //! in a silence of more than 16.8 s: OpenEB's robust decoder reports those as lost, though it loses no event.
 //!
@@ -27,13 +27,18 @@
 //! debug builds) on a long run of vectors, it returns no offsets, and it drops unknown words and events without a
 //! time uncounted. Hence this decoder, which the tests compare with `evt3`.
 
+#[cfg(target_arch = "x86_64")]
+#[allow(unsafe_code)]
+mod avx2;
+pub mod group;
+
 use std::hint::select_unpredictable;
 use std::path::Path;
 
 use event_types::stream::Result;
 use event_types::{Event, Polarity, Sensor};
 
-use crate::evt::evt3_group::Group;
+use crate::evt::evt3::group::Group;
 use crate::evt::header as raw_header;
 use crate::evt::header::RawFile;
 use crate::evt::row::{Outside, Row};
@@ -115,6 +120,7 @@ impl Evt3Reader {
             input,
             words: Words::default(),
             camera: header.camera,
+            vectors: Vectors::detected(),
             decoder,
             skipped: Skipped::default(),
         }))
@@ -126,8 +132,52 @@ pub struct Evt3Decoder {
     input: Input,
     words: Words<2>,
     camera: Option<String>,
+    vectors: Option<Vectors>,
     decoder: WordDecoder,
     skipped: Skipped,
+}
+
+/// What decodes several words at once, on a core that has it.
+#[cfg(target_arch = "x86_64")]
+type Vectors = avx2::Avx2;
+
+/// On other cores there is none.
+#[cfg(not(target_arch = "x86_64"))]
+#[derive(Debug, Clone, Copy)]
+enum Vectors {}
+
+#[cfg(not(target_arch = "x86_64"))]
+impl Vectors {
+    const fn detected() -> Option<Self> {
+        None
+    }
+
+    fn decode(self, _: &[[u8; 2]], _: &mut Plain, _: &mut [Event]) -> Decoded {
+        match self {}
+    }
+}
+
+/// What words before plain ones have stated. Plain are a row or a column on the sensor, lower bits of time, the current
+/// upper bits of time, and a word that is only counted.
+#[derive(Debug, Clone, Copy)]
+struct Plain {
+    sensor: Sensor,
+    /// Upper bits of time as a word states them, and the time that they stand for, in microseconds.
+    high: u16,
+    high_us: u64,
+    low: u16,
+    y: u16,
+}
+
+/// What was decoded of a run of plain words.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Decoded {
+    /// Number of words.
+    words: usize,
+    /// Number of events among them.
+    events: usize,
+    /// Whether there may be words that are only counted.
+    has_others: bool,
 }
 
 impl Decode for Evt3Decoder {
@@ -160,33 +210,37 @@ impl Decode for Evt3Decoder {
             if run.is_empty() {
                 break;
             }
-            let plain = self.decoder.plain(run);
-            let mut taken = 0;
+            let (mut taken, mut few) = (0, FEW);
             while let Some(rest) = run.get(taken..).filter(|rest| !rest.is_empty()) {
-                let is_plain = plain.get(taken..).unwrap_or_default();
-                let count = self
-                    .decoder
-                    .decode_plain(rest, is_plain, &mut scratch, batch);
-                count_skipped(rest.get(..count).unwrap_or_default(), &mut self.skipped);
-                taken += count;
-                let Some(word) = run.get(taken) else {
-                    break;
-                };
+                let most = batch.room();
+                let rest = rest.get(..most).unwrap_or(rest);
+                let decoded = self.decoder.decode_plain(self.vectors, rest, &mut scratch);
+                batch.extend(scratch.iter().take(decoded.events).copied());
+                if decoded.has_others {
+                    count_skipped(
+                        rest.get(..decoded.words).unwrap_or_default(),
+                        &mut self.skipped,
+                    );
+                }
+                taken += decoded.words;
+                // Words that are not plain come together: the more of them, the more are decoded one by one.
+                few = if decoded.words > 0 { FEW } else { 2 * few };
+                for word in run.iter().skip(taken).take(few) {
+                    if batch.room() < VECTOR_EVENTS {
+                        break;
+                    }
+                    let word = u16::from_le_bytes(*word);
+                    let decoded = self.decoder.decode(word, batch, &mut self.skipped);
+                    if let Err(Outside { x, y, .. }) = decoded {
+                        let offset = offset + 2 * taken as u64;
+                        let WordDecoder { events, sensor, .. } = self.decoder;
+                        let pixel = (x.into(), y.into());
+                        self.input
+                            .outside(offset, events, pixel, sensor, &mut self.skipped)?;
+                    }
+                    taken += 1;
+                }
                 if batch.room() < VECTOR_EVENTS {
-                    break;
-                }
-                let word = u16::from_le_bytes(*word);
-                let decoded = self.decoder.decode(word, batch, &mut self.skipped);
-                if let Err(Outside { x, y, .. }) = decoded {
-                    let offset = offset + 2 * taken as u64;
-                    let WordDecoder { events, sensor, .. } = self.decoder;
-                    let pixel = (x.into(), y.into());
-                    self.input
-                        .outside(offset, events, pixel, sensor, &mut self.skipped)?;
-                }
-                taken += 1;
-                if word >> 12 == TIME_HIGH {
-                    // Which words are plain depends on the current time.
                     break;
                 }
             }
@@ -196,6 +250,9 @@ impl Decode for Evt3Decoder {
         Ok(())
     }
 }
+
+/// Number of words that are decoded one by one where one is not plain.
+const FEW: usize = 8;
 
 /// Counts the words that contribute nothing to an event: triggers, continued words and vendor words.
 fn count_skipped(words: &[[u8; 2]], skipped: &mut Skipped) {
@@ -312,74 +369,38 @@ impl WordDecoder {
         self.emit(x, bits, polarity, batch, skipped)
     }
 
-    /// Returns which of the first [`RUN_WORDS`] words are plain: a row or a column on the sensor, lower bits of
-    /// time, the current upper bits of time, or a word that is only counted.
-    ///
-    /// The compiler vectorises the loop to eight words at a time.
-    fn plain(&self, words: &[[u8; 2]]) -> [bool; RUN_WORDS] {
-        let mut plain = [false; RUN_WORDS];
-        let high = self
-            .high
-            .last()
-            .map_or(0, |high| self.high.low(high) as u16);
-        let Sensor { width, height } = self.sensor;
-        for (is_plain, word) in plain.iter_mut().zip(words) {
-            let word = u16::from_le_bytes(*word);
-            let (kind, coordinate) = (word >> 12, word & 0x7ff);
-            *is_plain = (kind == ADDR_X) & (coordinate < width)
-                | (kind == ADDR_Y) & (coordinate < height)
-                | (kind == TIME_LOW)
-                | (kind == TRIGGER)
-                | (kind & 0x7 == CONTINUED)
-                | (kind == OTHER)
-                | (word == TIME_HIGH << 12 | high);
-        }
-        plain
-    }
-
-    /// Decodes the words up to the first that is not plain according to [`WordDecoder::plain`], but never more
-    /// than the batch has room for, and returns their number. Decodes none while events have no time, or no row on
-    /// the sensor.
-    ///
-    /// The order of the words' types is unpredictable, so nothing here branches on it.
+    /// Decodes words that are plain from the front ([`Plain`]), most of those before the first that is not, puts their
+    /// events into `scratch`, and returns what it did: nothing while events have no time, or no row on the sensor.
     fn decode_plain(
         &mut self,
+        vectors: Option<Vectors>,
         words: &[[u8; 2]],
-        plain: &[bool],
         scratch: &mut [Event; RUN_WORDS],
-        batch: &mut Batch<'_>,
-    ) -> usize {
-        let (Some(high), Some(mut y)) = (self.high.last(), self.y) else {
-            return 0;
-        };
-        if y >= self.sensor.height {
-            return 0;
-        }
-        let high_us = (high << TIME_BITS) + self.t0_us;
-        let mut low = self.low;
-        let taken = plain_words(plain).min(batch.room());
-        let words = words.get(..taken).unwrap_or(words);
-        let mut count = 0;
-        for word in words {
-            let word = u16::from_le_bytes(*word);
-            let (kind, coordinate) = (word >> 12, word & 0x7ff);
-            // Only an event keeps its slot; the slot of any other word is overwritten.
-            if let Some(event) = scratch.get_mut(count) {
-                *event = Event {
-                    t_us: high_us + u64::from(low),
-                    x: coordinate,
-                    y,
-                    polarity: Polarity::from_bool(word & 0x800 != 0),
+    ) -> Decoded {
+        let (high, y) = match (self.high.last(), self.y) {
+            (Some(high), Some(y)) if y < self.sensor.height => (high, y),
+            _ => {
+                return Decoded {
+                    words: 0,
+                    events: 0,
+                    has_others: false,
                 };
             }
-            count += usize::from(kind == ADDR_X);
-            low = select_unpredictable(kind == TIME_LOW, word & 0xfff, low);
-            y = select_unpredictable(kind == ADDR_Y, coordinate, y);
-        }
-        (self.low, self.y) = (low, Some(y));
-        self.events += count as u64;
-        batch.extend(scratch.iter().take(count).copied());
-        words.len()
+        };
+        let mut plain = Plain {
+            sensor: self.sensor,
+            high: self.high.low(high) as u16,
+            high_us: (high << TIME_BITS) + self.t0_us,
+            low: self.low,
+            y,
+        };
+        let decoded = match vectors {
+            Some(vectors) => vectors.decode(words, &mut plain, scratch),
+            None => plain.decode(words, scratch),
+        };
+        (self.low, self.y) = (plain.low, Some(plain.y));
+        self.events += decoded.events as u64;
+        decoded
     }
 
     /// Decodes the next word; the batch must have room for the [`VECTOR_EVENTS`] of a vector.
@@ -425,6 +446,60 @@ impl WordDecoder {
             _ => skipped.add("unknown words", 1),
         }
         Ok(())
+    }
+}
+
+impl Plain {
+    /// Returns which of the first [`RUN_WORDS`] words are plain.
+    ///
+    /// The compiler vectorises the loop to eight words at a time.
+    fn of(&self, words: &[[u8; 2]]) -> [bool; RUN_WORDS] {
+        let mut plain = [false; RUN_WORDS];
+        let Sensor { width, height } = self.sensor;
+        for (is_plain, word) in plain.iter_mut().zip(words) {
+            let word = u16::from_le_bytes(*word);
+            let (kind, coordinate) = (word >> 12, word & 0x7ff);
+            *is_plain = (kind == ADDR_X) & (coordinate < width)
+                | (kind == ADDR_Y) & (coordinate < height)
+                | (kind == TIME_LOW)
+                | (kind == TRIGGER)
+                | (kind & 0x7 == CONTINUED)
+                | (kind == OTHER)
+                | (word == TIME_HIGH << 12 | self.high);
+        }
+        plain
+    }
+
+    /// Decodes the words up to the first that is not plain, and puts their events into `scratch`.
+    ///
+    /// The order of the words' types is unpredictable, so nothing here branches on it.
+    fn decode(&mut self, words: &[[u8; 2]], scratch: &mut [Event; RUN_WORDS]) -> Decoded {
+        let taken = plain_words(&self.of(words));
+        let words = words.get(..taken).unwrap_or(words);
+        let Self { mut low, mut y, .. } = *self;
+        let mut count = 0;
+        for word in words {
+            let word = u16::from_le_bytes(*word);
+            let (kind, coordinate) = (word >> 12, word & 0x7ff);
+            // Only an event keeps its slot; the slot of any other word is overwritten.
+            if let Some(event) = scratch.get_mut(count) {
+                *event = Event {
+                    t_us: self.high_us + u64::from(low),
+                    x: coordinate,
+                    y,
+                    polarity: Polarity::from_bool(word & 0x800 != 0),
+                };
+            }
+            count += usize::from(kind == ADDR_X);
+            low = select_unpredictable(kind == TIME_LOW, word & 0xfff, low);
+            y = select_unpredictable(kind == ADDR_Y, coordinate, y);
+        }
+        (self.low, self.y) = (low, y);
+        Decoded {
+            words: words.len(),
+            events: count,
+            has_others: true,
+        }
     }
 }
 
@@ -539,16 +614,21 @@ mod tests {
             let header = b"% evt 3.0\n% geometry 64x48\n% end\n";
             let bytes = words.iter().flat_map(|word| word.to_le_bytes());
             let bytes: Vec<u8> = header.iter().copied().chain(bytes).collect();
-            let source = Box::new(std::io::Cursor::new(bytes));
-            let mut reader = Evt3Reader::new(source, "test", None).unwrap();
-            let mut got = Vec::new();
-            let error = loop {
-                match reader.read(&mut got) {
-                    Ok(0) => break None,
-                    Ok(_) => {}
-                    Err(error) => break Some(error.to_string()),
-                }
+            let read = |vectors| {
+                let source = Box::new(std::io::Cursor::new(bytes.clone()));
+                let mut reader = Evt3Reader::new(source, "test", None).unwrap();
+                reader.decoder.vectors = vectors;
+                let mut events = Vec::new();
+                let error = loop {
+                    match reader.read(&mut events) {
+                        Ok(0) => break None,
+                        Ok(_) => {}
+                        Err(error) => break Some(error.to_string()),
+                    }
+                };
+                (events, error, reader.skipped().clone())
             };
+            let (got, error, found) = read(None);
 
             let mut decoder = WordDecoder::new(SENSOR, 0);
             let (mut want, mut skipped) = (Vec::new(), Skipped::default());
@@ -556,8 +636,9 @@ mod tests {
             let outside = words
                 .iter()
                 .position(|word| decoder.decode(*word, &mut batch, &mut skipped).is_err());
-            prop_assert_eq!(got, want);
-            prop_assert_eq!(reader.skipped(), &skipped);
+            prop_assert_eq!(&got, &want);
+            prop_assert_eq!(&found, &skipped);
+            prop_assert_eq!(read(Vectors::detected()), (got, error.clone(), found));
             let place = outside.map(|word| format!("byte {}:", header.len() + 2 * word));
             match (error, place) {
                 (None, None) => {}
