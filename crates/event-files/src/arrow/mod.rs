@@ -874,15 +874,10 @@ impl Decode for ArrowDecoder {
         while batch.room() > 0 {
             let (rows, ended) = self.read_rows(batch.room())?;
             let start = self.rows.as_ref().map_or(0, |rows| rows.start);
-            for row in &rows {
-                match self.numbers.event(row) {
-                    Ok(event) => event.into_iter().for_each(|event| batch.push(event)),
-                    Err((which, what)) => {
-                        let name = SHORT.get(which).copied().unwrap_or_default();
-                        return Err(self.error(start, format!("column {name}: {what}")));
-                    }
-                }
-                self.events += 1;
+            let appended = self.numbers.append(&rows, &mut self.events, batch);
+            if let Err((which, what)) = appended {
+                let name = SHORT.get(which).copied().unwrap_or_default();
+                return Err(self.error(start, format!("column {name}: {what}")));
             }
             match ended {
                 Some(error) => return Err(error),

@@ -27,7 +27,15 @@ pub struct RawWriter {
     /// Smallest step forwards of the upper bits whose word is written twice.
     jump: u64,
     events: u64,
+    /// Bytes to be written together, and how many there are so far: fewer than [`TOGETHER`] between two calls.
+    bytes: Box<[u8; TOGETHER + ROOM]>,
+    filled: usize,
 }
+
+/// Bytes that are written together, or some more.
+const TOGETHER: usize = 8192;
+/// How many bytes more.
+const ROOM: usize = 8;
 
 impl RawWriter {
     /// Creates the file. Of a time, the lowest `low_bits` are in an event's word, the `high_bits` above in another
@@ -52,6 +60,8 @@ impl RawWriter {
             walk_max: 0,
             jump: u64::MAX,
             events: 0,
+            bytes: Box::new([0; TOGETHER + ROOM]),
+            filled: 0,
         })
     }
 
@@ -79,7 +89,49 @@ impl RawWriter {
     /// # Errors
     /// I/O.
     pub fn put(&mut self, bytes: &[u8]) -> Result<()> {
+        for part in bytes.chunks(ROOM) {
+            let mut whole = [0; ROOM];
+            for (to, from) in whole.iter_mut().zip(part) {
+                *to = *from;
+            }
+            self.put_first(whole, part.len())?;
+        }
+        Ok(())
+    }
+
+    /// Writes the first `count` of these bytes.
+    ///
+    /// # Errors
+    /// I/O.
+    #[inline]
+    pub fn put_first(&mut self, bytes: [u8; ROOM], count: usize) -> Result<()> {
+        let room = self.bytes.get_mut(self.filled..);
+        if let Some(room) = room.and_then(<[u8]>::first_chunk_mut) {
+            *room = bytes;
+        }
+        self.filled += count.min(ROOM);
+        if self.filled < TOGETHER {
+            return Ok(());
+        }
+        self.put_all()
+    }
+
+    /// Writes the bytes so far.
+    #[inline(never)]
+    fn put_all(&mut self) -> Result<()> {
+        let filled = std::mem::take(&mut self.filled);
+        let bytes = self.bytes.get(..filled).unwrap_or_default();
         self.file.put(bytes)
+    }
+
+    /// Counts an event, and returns true, if it lies on the sensor and the upper bits of its time are the current ones.
+    #[inline]
+    pub fn goes_on(&mut self, event: &Event) -> bool {
+        let last = self.high.as_ref().and_then(Wrapping::last);
+        let goes_on =
+            last == Some(event.t_us >> self.low_bits) && self.sensor.contains(event.x, event.y);
+        self.events += u64::from(goes_on);
+        goes_on
     }
 
     /// Prepares to write the next events, which share one time: checks that they lie on the sensor, and writes the
@@ -150,6 +202,7 @@ impl RawWriter {
         if self.events == 0 {
             self.header(0)?;
         }
+        self.put_all()?;
         self.file.finish()
     }
 }

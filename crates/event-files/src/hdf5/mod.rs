@@ -230,13 +230,8 @@ impl Decode for Hdf5Decoder {
             let count = (self.plan.events - self.events).min(batch.room() as u64);
             let rows = self.plan.read_whole(self.events, count);
             let rows = rows.map_err(|error| self.plan.error(&self.file, self.events, &error))?;
-            for row in &rows {
-                match self.rows.event(row) {
-                    Ok(event) => event.into_iter().for_each(|event| batch.push(event)),
-                    Err((which, what)) => return Err(self.error(which, &what)),
-                }
-                self.events += 1;
-            }
+            let appended = self.rows.append(&rows, &mut self.events, batch);
+            appended.map_err(|(which, what)| self.error(which, &what))?;
             // All rows of a batch may have been left out.
             if !batch.is_empty() || rows.is_empty() {
                 return Ok(());

@@ -149,14 +149,9 @@ impl Decode for MatDecoder {
                 .unwrap_or(usize::MAX)
                 .min(batch.room());
             let (whole, ended) = layout::fill(&mut self.columns, count);
-            for row in 0..whole {
-                let numbers = self.row(row);
-                match self.rows.event(&numbers) {
-                    Ok(event) => event.into_iter().for_each(|event| batch.push(event)),
-                    Err((which, what)) => return Err(self.error(which, what)),
-                }
-                self.events += 1;
-            }
+            let rows: Vec<Row> = (0..whole).map(|row| self.row(row)).collect();
+            let appended = self.rows.append(&rows, &mut self.events, batch);
+            appended.map_err(|(which, what)| self.error(which, what))?;
             match ended {
                 // The rest of the file, after the events, may be damaged.
                 None if count == 0 => return self.file.damage().map_or(Ok(()), Err),

@@ -122,6 +122,14 @@ impl Dtype {
         self.scale
     }
 
+    /// Returns the bits of a number of a little-endian type of integers, and whether it is signed.
+    pub const fn whole_bits(self) -> Option<(u32, bool)> {
+        match (self.kind, self.bytes, self.big_endian) {
+            (b'i' | b'u', bytes @ 1..=8, false) => Some((8 * bytes as u32, self.kind == b'i')),
+            _ => None,
+        }
+    }
+
     /// Returns whether the numbers are unsigned 32-bit integers.
     pub fn is_u32(self) -> bool {
         self.kind == b'u' && self.bytes == 4

@@ -264,16 +264,9 @@ impl Decode for NpzDecoder {
         loop {
             let count = count(self.plan.events - self.events, batch.room());
             let (whole, ended) = fill(&mut self.streams, count);
-            for row in 0..whole {
-                let numbers = self.row(row);
-                match self.rows.event(&numbers) {
-                    Ok(event) => event.into_iter().for_each(|event| batch.push(event)),
-                    Err((which, what)) => {
-                        return Err(self.error(self.plan.fields[which].stream, what));
-                    }
-                }
-                self.events += 1;
-            }
+            let rows: Vec<Row> = (0..whole).map(|row| self.row(row)).collect();
+            let appended = self.rows.append(&rows, &mut self.events, batch);
+            appended.map_err(|(which, what)| self.error(self.plan.fields[which].stream, what))?;
             match ended {
                 // The CRC-32 does not show where the damage is, so it is checked after all events have been
                 // returned.

@@ -161,12 +161,33 @@ impl Column {
     fn take(&mut self, count: usize) -> (Vec<Option<Number>>, Option<String>) {
         let mut numbers = Vec::with_capacity(count);
         while numbers.len() < count {
-            match self.next() {
-                Ok(number) => numbers.push(number),
-                Err(what) => return (numbers, Some(what)),
+            if let Err(what) = self.take_some(count - numbers.len(), &mut numbers) {
+                return (numbers, Some(what));
             }
         }
         (numbers, None)
+    }
+
+    /// Appends at least one and at most `count` of the next numbers.
+    fn take_some(&mut self, count: usize, numbers: &mut Vec<Option<Number>>) -> Result<(), String> {
+        while self.left == 0 {
+            self.open_page()?;
+        }
+        if self.present.is_some() {
+            numbers.push(self.next()?);
+            return Ok(());
+        }
+        let count = usize::try_from(self.left).unwrap_or(usize::MAX).min(count);
+        let before = numbers.len();
+        if let Some(values) = &mut self.values {
+            values.take(count, &self.dictionary, numbers);
+        }
+        let taken = numbers.len() - before;
+        self.left -= taken as u64;
+        if taken < count {
+            return Err("a damaged page".to_owned());
+        }
+        Ok(())
     }
 
     fn next(&mut self) -> Result<Option<Number>, String> {
@@ -579,12 +600,9 @@ impl Decode for ParquetDecoder {
     fn decode(&mut self, batch: &mut Batch<'_>) -> Result<()> {
         while batch.room() > 0 {
             let (rows, ended) = self.read_rows(batch.room());
-            for row in &rows {
-                match self.numbers.event(row) {
-                    Ok(event) => event.into_iter().for_each(|event| batch.push(event)),
-                    Err((which, what)) => return Err(self.error(which, self.events, what)),
-                }
-                self.events += 1;
+            let appended = self.numbers.append(&rows, &mut self.events, batch);
+            if let Err((which, what)) = appended {
+                return Err(self.error(which, self.events, what));
             }
             match ended {
                 Some(error) => return Err(error),

@@ -22,7 +22,21 @@ pub const DICTIONARY: i64 = 8;
 const SPLIT: i64 = 9;
 
 /// Returns the `width` bits from bit `at` on, the lowest first.
+#[inline]
 fn bits(bytes: &[u8], at: usize, width: usize) -> Option<u64> {
+    let first = at / 8;
+    // The most frequent case.
+    if at % 8 + width < 64
+        && let Some(eight) = bytes.get(first..).and_then(<[u8]>::first_chunk)
+    {
+        return Some(u64::from_le_bytes(*eight) >> (at % 8) & ((1 << width) - 1));
+    }
+    bits_at_end(bytes, at, width)
+}
+
+/// As [`bits`], of any width, anywhere.
+#[inline(never)]
+fn bits_at_end(bytes: &[u8], at: usize, width: usize) -> Option<u64> {
     let mut value = 0_u128;
     let first = at / 8;
     let last = (at + width).div_ceil(8);
@@ -31,6 +45,22 @@ fn bits(bytes: &[u8], at: usize, width: usize) -> Option<u64> {
     }
     let mask = (1_u128 << width) - 1;
     Some((value >> (at % 8) & mask) as u64)
+}
+
+/// Returns `count` numbers of `width` bits from bit `at` on, or as many as there are.
+fn packed(
+    bytes: &[u8],
+    at: usize,
+    width: usize,
+    count: usize,
+) -> impl ExactSizeIterator<Item = u64> {
+    let left = (8 * bytes.len()).checked_sub(at);
+    let there = match left {
+        Some(left) => left.checked_div(width).unwrap_or(count),
+        None => 0,
+    };
+    let each = move |i: usize| bits(bytes, at + i * width, width).unwrap_or_default();
+    (0..count.min(there)).map(each)
 }
 
 /// A decoder of runs of one value, and of packed values in groups of eight.
@@ -64,6 +94,53 @@ impl Runs {
 
     /// Returns the next value; `None` at the end or if the data is damaged.
     pub fn next(&mut self) -> Option<u64> {
+        self.open_run()?;
+        self.left -= 1;
+        match &mut self.run {
+            Run::Of(value) => Some(*value),
+            Run::Packed(at) => {
+                let value = bits(&self.bytes, *at, self.width)?;
+                *at += self.width;
+                Some(value)
+            }
+        }
+    }
+
+    /// Appends up to `count` of the next values as `each` makes them to `out`; fewer at the end, if the data is damaged,
+    /// or if `each` refuses one.
+    fn take<T>(
+        &mut self,
+        count: usize,
+        out: &mut Vec<T>,
+        each: impl Fn(u64) -> Option<T>,
+    ) -> Option<()>
+    where
+        T: Copy,
+    {
+        let mut wanted = count;
+        while wanted > 0 {
+            self.open_run()?;
+            let now = usize::try_from(self.left).unwrap_or(usize::MAX).min(wanted);
+            wanted -= now;
+            self.left -= now as u64;
+            match &mut self.run {
+                Run::Of(value) => {
+                    let value = each(*value)?;
+                    out.extend(std::iter::repeat_n(value, now));
+                }
+                Run::Packed(at) => {
+                    for _ in 0..now {
+                        out.push(each(bits(&self.bytes, *at, self.width)?)?);
+                        *at += self.width;
+                    }
+                }
+            }
+        }
+        Some(())
+    }
+
+    /// Moves to the next run that is not empty, if the current one has ended.
+    fn open_run(&mut self) -> Option<()> {
         while self.left == 0 {
             let mut rest = self.bytes.get(self.at..)?;
             let length = rest.len();
@@ -83,15 +160,7 @@ impl Runs {
                 self.run = Run::Of(value);
             }
         }
-        self.left -= 1;
-        match &mut self.run {
-            Run::Of(value) => Some(*value),
-            Run::Packed(at) => {
-                let value = bits(&self.bytes, *at, self.width)?;
-                *at += self.width;
-                Some(value)
-            }
-        }
+        Some(())
     }
 }
 
@@ -154,6 +223,41 @@ impl Deltas {
         let step = self.least.wrapping_add(delta as i64);
         self.last = self.last.wrapping_add(step);
         Some(self.last)
+    }
+
+    /// Appends up to `count` of the next values as `each` makes them to `out`; fewer at the end, or if the data is damaged.
+    fn take<T>(&mut self, count: usize, out: &mut Vec<T>, each: impl Fn(i64) -> T) -> Option<()> {
+        let mut wanted = count;
+        while wanted > 0 {
+            if self.is_first || self.part.2 == 0 {
+                out.push(each(self.next()?));
+                wanted -= 1;
+                continue;
+            }
+            let (at, width, left) = &mut self.part;
+            let now = wanted
+                .min(*left)
+                .min(usize::try_from(self.left).unwrap_or(usize::MAX));
+            if now == 0 {
+                return None;
+            }
+            let packed = packed(&self.bytes, *at, *width, now);
+            let there = packed.len();
+            *at += there * *width;
+            let (mut last, least) = (self.last, self.least);
+            out.extend(packed.map(|delta| {
+                last = last.wrapping_add(least.wrapping_add(delta as i64));
+                each(last)
+            }));
+            self.last = last;
+            if there < now {
+                return None;
+            }
+            *left -= now;
+            self.left -= now as u64;
+            wanted -= now;
+        }
+        Some(())
     }
 
     fn open_part(&mut self) -> Option<()> {
@@ -227,6 +331,55 @@ impl Values {
                 ));
             }
         })
+    }
+
+    /// Appends up to `count` of the next values to `out`, each as [`Values::next`] returns it; fewer mean damage or the end.
+    pub fn take(
+        &mut self,
+        count: usize,
+        dictionary: &[Option<Number>],
+        out: &mut Vec<Option<Number>>,
+    ) {
+        let whole = |value: u64| Some(Some(Number::Whole(value as i64)));
+        match self {
+            Self::Plain(bytes, dtype, at) => {
+                let rest = bytes.get(*at..).unwrap_or_default();
+                let count = count.min(rest.len() / dtype.bytes.max(1));
+                let taken = count * dtype.bytes;
+                dtype.numbers(rest.get(..taken).unwrap_or_default(), out);
+                *at += taken;
+            }
+            Self::Runs(runs) => {
+                let _ = runs.take(count, out, whole);
+            }
+            Self::Dictionary(runs) => {
+                let _ = runs.take(count, out, |place| {
+                    dictionary.get(usize::try_from(place).ok()?).copied()
+                });
+            }
+            Self::Deltas(deltas, dtype) => {
+                let _ = match dtype.whole_bits() {
+                    Some((bits, true)) => deltas.take(count, out, |value| {
+                        let unused = 64 - bits;
+                        Some(Number::Whole(value << unused >> unused))
+                    }),
+                    Some((bits, false)) if bits < 64 => deltas.take(count, out, |value| {
+                        Some(Number::Whole(value & ((1 << bits) - 1)))
+                    }),
+                    _ => deltas.take(count, out, |value| dtype.number(&value.to_le_bytes())),
+                };
+            }
+            Self::Bits(bytes, at) => {
+                let rest = (8 * bytes.len()).saturating_sub(*at);
+                let ends = *at + count.min(rest);
+                let bit = |at: usize| Some(Number::Whole((bytes[at / 8] >> (at % 8) & 1).into()));
+                out.extend((*at..ends).map(bit));
+                *at = ends;
+            }
+            Self::Split(..) => {
+                out.extend((0..count).map_while(|_| self.next(dictionary)));
+            }
+        }
     }
 
     /// Returns the next value; `Some(None)` is a number above 2^63 - 1, `None` means damage or the end.
@@ -333,7 +486,64 @@ pub fn runs(values: impl IntoIterator<Item = u32>, width: u8) -> Vec<u8> {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
+
+    fn stored() -> impl Strategy<Value = Stored> {
+        let number =
+            |(kind, bytes)| Stored::Number(Dtype::new(kind, false, bytes).expect("a type"));
+        prop_oneof![
+            1 => Just(Stored::Bool),
+            6 => prop::sample::select(vec![(b'i', 8), (b'i', 4), (b'u', 2), (b'u', 8), (b'f', 4), (b'i', 1)]).prop_map(number),
+        ]
+    }
+
+    proptest! {
+        /// Also of damaged pages.
+        #[test]
+        fn values_together_are_values_one_by_one(
+            steps in proptest::collection::vec(prop_oneof![20 => -3..300_i64, 1 => any::<i64>()], 0..400),
+            noise in proptest::collection::vec((0..1000_usize, any::<u8>()), 0..3),
+            cut in 0..20_usize, encoding in prop::sample::select(vec![PLAIN, RLE, DELTA, DICTIONARY, SPLIT]),
+            stored in stored(), width in 0..12_u8, counts in proptest::collection::vec(1..200_usize, 1..6),
+        ) {
+            let mut bytes = match encoding {
+                DELTA => deltas(&steps),
+                RLE => [vec![0; 4], runs(steps.iter().map(|step| u32::from(*step > 7)), 1)].concat(),
+                DICTIONARY => {
+                    let places = steps.iter().map(|step| *step as u32 & ((1 << width) - 1));
+                    let packed = steps.iter().flat_map(|step| step.to_le_bytes());
+                    let packed: Vec<u8> = packed.take(11 * usize::from(width)).collect();
+                    [vec![width], runs(places, width), vec![11 << 1 | 1], packed].concat()
+                }
+                _ => steps.iter().flat_map(|step| step.to_le_bytes()).collect(),
+            };
+            for (at, with) in noise {
+                if let Some(byte) = bytes.get_mut(at) {
+                    *byte ^= with;
+                }
+            }
+            bytes.truncate(bytes.len().saturating_sub(cut));
+            let dictionary: Vec<Option<Number>> = (0..900)
+                .map(|place| (place % 50 > 0).then_some(Number::Whole(place)))
+                .collect();
+            let new = || Values::new(bytes.clone(), encoding, stored);
+            let (Ok(mut together), Ok(mut each)) = (new(), new()) else {
+                return Ok(());
+            };
+            for count in counts {
+                let mut got = Vec::new();
+                together.take(count, &dictionary, &mut got);
+                let want: Vec<_> = (0..count).map_while(|_| each.next(&dictionary)).collect();
+                // A float may be no number, which equals none.
+                prop_assert_eq!(format!("{got:?}"), format!("{want:?}"));
+                if got.len() < count {
+                    break;
+                }
+            }
+        }
+    }
 
     #[test]
     fn differences_go_back() {

@@ -10,6 +10,7 @@
 use event_types::stream::Result;
 use event_types::{Event, Polarity, Sensor, error};
 
+use crate::input::Batch;
 use crate::numpy::npy_header::{Dtype, Number};
 use crate::reading::{BadEvents, Reading, TimeUnit};
 use crate::table::event_numbers::{P, Row, T, X, Y, coordinate};
@@ -188,6 +189,8 @@ pub struct RowEvents {
     clock: Option<(i64, i64)>,
     /// Whether a time has been rounded and an assumption says so.
     is_rounded: bool,
+    /// Whether whole numbers are times in microseconds, columns, rows and polarities.
+    is_as_written: bool,
 }
 
 impl RowEvents {
@@ -248,7 +251,11 @@ impl RowEvents {
                 why: "the recording has three polarities".to_owned(),
             });
         }
+        let offset_us = times.offset_us.saturating_add(reading.time_offset_us);
+        let is_as_written =
+            scale == Scale::US && offset_us == 0 && !times.is_u32 && base == Base::default();
         Ok(Self {
+            is_as_written,
             sensor: Sensor {
                 width: 1,
                 height: 1,
@@ -257,7 +264,7 @@ impl RowEvents {
             skipped: Skipped::default(),
             assumptions,
             scale,
-            offset_us: times.offset_us.saturating_add(reading.time_offset_us),
+            offset_us,
             leave_out,
             zero_is_none,
             met: Met::default(),
@@ -285,11 +292,78 @@ impl RowEvents {
     /// Converts a row to its event; `None` if the row was left out. The error is which of t, x, y and p is wrong,
     /// and how.
     #[inline]
-    pub fn event(&mut self, row: &Row) -> Result<Option<Event>, (usize, String)> {
+    fn event(&mut self, row: &Row) -> Result<Option<Event>, (usize, String)> {
         match self.whole(row) {
             Ok(event) => Ok(Some(event)),
             Err(bad) => self.bad(row, &bad),
         }
+    }
+
+    /// Appends the events of rows, for which the batch must have room, and adds the number of rows to `count`, those that
+    /// are left out included. The error is which of t, x, y and p of the next row is wrong, and how.
+    pub fn append(
+        &mut self,
+        rows: &[Row],
+        count: &mut u64,
+        batch: &mut Batch<'_>,
+    ) -> Result<(), (usize, String)> {
+        let mut rest = rows;
+        loop {
+            let plain = self.plain(rest, batch);
+            *count += plain as u64;
+            let Some((row, more)) = rest.get(plain..).and_then(<[Row]>::split_first) else {
+                return Ok(());
+            };
+            if let Some(event) = self.event(row)? {
+                batch.push(event);
+            }
+            *count += 1;
+            rest = more;
+        }
+    }
+
+    /// Appends the events of the first rows that stand as they are, and returns their number: rows of whole
+    /// microseconds, a pixel of the sensor, and a polarity of 1, or of 0 where that is off. [`RowEvents::event`] makes the
+    /// same of them.
+    fn plain(&mut self, rows: &[Row], batch: &mut Batch<'_>) -> usize {
+        if !self.is_as_written {
+            return 0;
+        }
+        let sensor = self.sensor;
+        let zero_is_off = !self.met.minus && !self.zero_is_none;
+        let mut met = self.met;
+        let event = |row: &Row| {
+            let [
+                Some(Number::Whole(t)),
+                Some(Number::Whole(x)),
+                Some(Number::Whole(y)),
+                Some(Number::Whole(p)),
+            ] = *row
+            else {
+                return None;
+            };
+            let is_on = p == 1;
+            let is_inside =
+                (0..sensor.width.into()).contains(&x) && (0..sensor.height.into()).contains(&y);
+            if t < 0 || !is_inside || !(is_on || p == 0 && zero_is_off) {
+                return None;
+            }
+            met.one |= is_on;
+            met.zero |= !is_on;
+            Some(Event {
+                t_us: t as u64,
+                x: x as u16,
+                y: y as u16,
+                polarity: Polarity::from_bool(is_on),
+            })
+        };
+        let mut taken = 0;
+        for event in rows.iter().map_while(event) {
+            batch.push(event);
+            taken += 1;
+        }
+        self.met = met;
+        taken
     }
 
     #[cold]
@@ -525,6 +599,8 @@ impl Extent {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     fn row(t: i64, p: i64) -> Row {
@@ -545,6 +621,55 @@ mod tests {
             }
         }
         Ok((times, events))
+    }
+
+    proptest! {
+        /// Rows that stand as they are are what the rules make of them.
+        #[test]
+        fn plain_rows_are_rows(
+            rows in proptest::collection::vec(
+                (
+                    prop_oneof![30 => 0..1_i64 << 40, 1 => -5..5_i64],
+                    prop_oneof![30 => 0..8_i64, 1 => -1..70_000_i64],
+                    prop_oneof![30 => 0..8_i64, 1 => -1..70_000_i64],
+                    prop_oneof![60 => 0..2_i64, 1 => -1..3_i64],
+                    prop_oneof![60 => Just(9_usize), 1 => 0..8_usize],
+                ),
+                0..60,
+            ),
+            leaves_out: bool, unit in prop_oneof![4 => Just(TimeUnit::Us), 1 => Just(TimeUnit::Ms)],
+            time_offset_us in prop_oneof![4 => Just(0), 1 => -5..5_i64], is_u32 in prop::bool::weighted(0.2),
+        ) {
+            let rows: Vec<Row> = rows
+                .into_iter()
+                .map(|(t, x, y, p, odd)| {
+                    let mut row = [t, x, y, p].map(|value| Some(Number::Whole(value)));
+                    if let Some(value) = row.get_mut(odd) {
+                        *value = Some(Number::Float(1.0));
+                    } else if let Some(value) = odd.checked_sub(4).and_then(|odd| row.get_mut(odd)) {
+                        *value = None;
+                    }
+                    row
+                })
+                .collect();
+            let reading = Reading {
+                bad_events: if leaves_out { BadEvents::LeaveOut } else { BadEvents::Refuse },
+                time_unit: Some(unit),
+                time_offset_us,
+                ..Reading::default()
+            };
+            let times = Times { is_u32, ..Times::default() };
+            let sensor = Sensor { width: 8, height: 7 };
+            let new = || RowEvents::new(&reading, times, Base::default(), &[]).map(|rows| RowEvents { sensor, ..rows });
+            let mut plain = new().unwrap();
+            let mut by_rules = RowEvents { is_as_written: false, ..new().unwrap() };
+            let (mut got, mut want, mut counts) = (Vec::new(), Vec::new(), [0, 0]);
+            let ended = plain.append(&rows, &mut counts[0], &mut Batch::new(&mut got));
+            let end = by_rules.append(&rows, &mut counts[1], &mut Batch::new(&mut want));
+            prop_assert_eq!((got, ended, counts[0]), (want, end, counts[1]));
+            prop_assert_eq!(plain.skipped, by_rules.skipped);
+            prop_assert_eq!(format!("{:?}", plain.met), format!("{:?}", by_rules.met));
+        }
     }
 
     #[test]

@@ -331,12 +331,14 @@ impl EventWriter for Evt2Writer {
         for event in events {
             // `high` is below 2^28.
             let time = |high: u64| (TIME_HIGH << 28 | high as u32).to_le_bytes();
-            self.0.begin(std::slice::from_ref(event), time)?;
+            if !self.0.goes_on(event) {
+                self.0.begin(std::slice::from_ref(event), time)?;
+            }
             let word = u32::from(event.polarity == Polarity::On) << 28
                 | ((event.t_us & 0x3f) as u32) << 22
                 | u32::from(event.x) << 11
                 | u32::from(event.y);
-            self.0.put(&word.to_le_bytes())?;
+            self.0.put_first(u64::from(word).to_le_bytes(), 4)?;
         }
         Ok(())
     }

@@ -22,6 +22,19 @@ pub struct Group {
     words: [u16; VECTOR_WORDS],
 }
 
+/// Returns the word of a single event.
+#[inline]
+pub(super) fn word(event: &Event) -> u16 {
+    ADDR_X << 12 | u16::from(event.polarity == Polarity::On) << 11 | event.x
+}
+
+/// Returns whether no event follows `event` with its time, row and polarity, so that it is written as a word.
+#[inline]
+pub(super) fn is_alone(event: &Event, later: &[Event]) -> bool {
+    let group = |event: &Event| (event.t_us, event.y, event.polarity);
+    later.first().is_none_or(|next| group(next) != group(event))
+}
+
 impl Group {
     /// Takes the first events of `events` that one vector can hold in their order (the same time, row and polarity,
     /// with x rising within 32 columns of a sensor of `width` columns), or the first event alone if its vector would
@@ -32,7 +45,7 @@ impl Group {
         let polarity = u16::from(first.polarity == Polarity::On) << 11;
         let single = Self {
             events: 1,
-            words: [ADDR_X << 12 | polarity | first.x, 0, 0, 0],
+            words: [word(first), 0, 0, 0],
         };
         let run = Run::of(events, width);
         if run.count <= VECTOR_WORDS {
@@ -52,6 +65,7 @@ impl Group {
     }
 
     /// Returns the words.
+    #[inline]
     #[must_use]
     pub fn words(&self) -> &[u16] {
         let count = if self.events == 1 { 1 } else { VECTOR_WORDS };

@@ -527,9 +527,25 @@ impl Evt3Writer {
             y: None,
         })
     }
+}
 
-    fn word(&mut self, kind: u16, value: u16) -> Result<()> {
-        self.raw.put(&(kind << 12 | value).to_le_bytes())
+impl Evt3Writer {
+    /// Writes the lower bits of an event's time and its row, where they have changed, and then `word`.
+    #[inline]
+    fn put(&mut self, event: &Event, new_high: bool, word: u16) -> Result<()> {
+        let low = (event.t_us & 0xfff) as u16;
+        // Decoders differ in the low bits that they assume after a new `TIME_HIGH`, so they are always written.
+        let is_low_due = new_high || low != self.low;
+        let is_row_due = self.y != Some(event.y);
+        (self.low, self.y) = (low, Some(event.y));
+        let low_bits = 16 * u32::from(is_low_due);
+        let bits = low_bits + 16 * u32::from(is_row_due);
+        // What is not due is overwritten by what follows.
+        let words = u64::from(TIME_LOW << 12 | low) & ((1 << low_bits) - 1)
+            | (u64::from(ADDR_Y << 12 | event.y) << low_bits) & ((1 << bits) - 1)
+            | u64::from(word) << bits;
+        self.raw
+            .put_first(words.to_le_bytes(), bits as usize / 8 + 2)
     }
 }
 
@@ -537,24 +553,25 @@ impl EventWriter for Evt3Writer {
     fn write(&mut self, events: &[Event]) -> Result<()> {
         let mut rest = events;
         let width = self.raw.sensor().width;
-        while let (Some(first), Some(group)) = (rest.first(), Group::of(rest, width)) {
+        while let Some((first, later)) = rest.split_first() {
+            // The most frequent case.
+            if group::is_alone(first, later) && self.raw.goes_on(first) {
+                self.put(first, false, group::word(first))?;
+                rest = later;
+                continue;
+            }
+            let Some(group) = Group::of(rest, width) else {
+                break;
+            };
             let (now, later) = rest.split_at(group.events);
             // `high` is below 2^12, and so are the lower bits.
             let time = |high: u64| (TIME_HIGH << 12 | high as u16).to_le_bytes();
             let new_high = self.raw.begin(now, time)?;
-            let low = (first.t_us & 0xfff) as u16;
-            // Decoders differ in the low bits that they assume after a new `TIME_HIGH`, so they are always
-            // written.
-            if new_high || low != self.low {
-                self.word(TIME_LOW, low)?;
-                self.low = low;
-            }
-            if self.y != Some(first.y) {
-                self.word(ADDR_Y, first.y)?;
-                self.y = Some(first.y);
-            }
-            for word in group.words() {
-                self.raw.put(&word.to_le_bytes())?;
+            if let Some((word, more)) = group.words().split_first() {
+                self.put(first, new_high, *word)?;
+                for word in more {
+                    self.raw.put(&word.to_le_bytes())?;
+                }
             }
             rest = later;
         }
