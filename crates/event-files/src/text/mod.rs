@@ -27,38 +27,33 @@
 
 pub(crate) mod decimal;
 pub mod layout;
+mod lines;
 mod plain;
+mod rules;
+mod start;
 pub(crate) mod utf16;
 pub(crate) mod writer;
 
 use event_types::stream::{ErrorKind, Result};
-use event_types::{Event, Polarity, Sensor};
+use event_types::{Event, Sensor};
 
 use crate::format::{Format, Limits, Opening};
-use crate::input::marked::MARK;
-use crate::input::{Batch, Decode, Input, OUTSIDE, ReadSeek, Reader};
-use crate::reading::{Columns, Reading, TimeUnit};
+use crate::input::{Batch, Decode, Input, ReadSeek, Reader};
+use crate::reading::{Reading, TimeUnit};
 use crate::table::time_unit;
-use crate::text::decimal::Decimal;
 pub use crate::text::layout::Layout;
-use crate::text::layout::{Found, Header, polarity, times_of};
-use crate::text::plain::{Fields, Plain, Sign};
+use crate::text::layout::{Found, times_of};
+use crate::text::lines::{Lines, split};
+use crate::text::plain::Plain;
+use crate::text::rules::{Bad, Polarities, Rules};
+use crate::text::start::Start;
 use crate::text::utf16::Utf16;
 pub(crate) use crate::text::utf16::is_utf16;
 use crate::text::writer::TextWriter;
 use crate::{Assumption, BadEvents, Skipped, format};
 
-/// Longest line in bytes.
-const LINE_MAX: usize = 4096;
-
-/// Largest number of fields kept of a line; a file with more columns is not an event file.
-const FIELDS_MAX: usize = 32;
-
 /// Most lines that are parsed together.
 const TOGETHER: usize = 256;
-
-/// Number of event lines from which the layout is found.
-const SAMPLE_LINES: usize = time_unit::SAMPLE_TIMES;
 
 /// This format in the table of formats.
 pub const FORMAT: Format = Format {
@@ -183,7 +178,7 @@ impl TextReader {
             }
         };
         let polarities = Polarities::of(&fields, layout.p);
-        lines.restart(&start)?;
+        lines.go_to(start.data, start.data_line)?;
         let mut decoder = TextDecoder {
             lines,
             plain: Plain::new(&layout),
@@ -208,7 +203,7 @@ impl TextReader {
                 let sensor = decoder.largest()?;
                 decoder.skipped = start.skipped.clone();
                 decoder.rules.polarities = polarities;
-                decoder.lines.restart(&start)?;
+                decoder.lines.go_to(start.data, start.data_line)?;
                 let assumptions = &mut decoder.rules.assumptions;
                 assumptions.push(Assumption::size_taken(sensor));
                 sensor
@@ -218,273 +213,10 @@ impl TextReader {
     }
 }
 
-/// The values of OFF that have occurred in a file.
-#[derive(Debug, Clone, Copy, Default)]
-struct Polarities {
-    zero: bool,
-    minus: bool,
-    /// Whether the first lines have both 0 and -1; in `CeleX` files 0 means no change.
-    third: bool,
-}
-
-impl Polarities {
-    fn of(lines: &[Vec<&[u8]>], column: usize) -> Self {
-        let has = |value: &[u8]| {
-            let mut fields = lines.iter().filter_map(|line| line.get(column));
-            fields.any(|field| *field == value)
-        };
-        Self {
-            third: has(b"0") && has(b"-1"),
-            ..Self::default()
-        }
-    }
-
-    /// Adds the polarity of an event, if it is written as such a number; returns whether it is still one of two.
-    #[inline]
-    fn takes(&mut self, sign: Option<Sign>) -> bool {
-        match sign {
-            Some(Sign::Zero) if self.third => return false,
-            Some(Sign::Zero) => self.zero = true,
-            Some(Sign::MinusOne) => self.minus = true,
-            _ => {}
-        }
-        !(self.zero && self.minus)
-    }
-}
-
 const LARGEST: Sensor = Sensor {
     width: Sensor::SIDE_MAX,
     height: Sensor::SIDE_MAX,
 };
-
-/// The lines of a file, with their numbers.
-struct Lines {
-    input: Input,
-    line: Vec<u8>,
-    /// Number of the current line, from 1, and its offset.
-    number: u64,
-    offset: u64,
-    /// Whether the current line has a line break.
-    is_ended: bool,
-}
-
-impl Lines {
-    fn new(input: Input) -> Self {
-        Self {
-            input,
-            line: Vec::with_capacity(LINE_MAX),
-            number: 0,
-            offset: 0,
-            is_ended: true,
-        }
-    }
-
-    /// Moves to the next line; returns `false` at the end.
-    fn advance(&mut self) -> Result<bool> {
-        self.line.clear();
-        self.offset = self.input.offset();
-        let read = self.input.line(&mut self.line, LINE_MAX)?;
-        self.number += 1;
-        self.is_ended = self.line.last() == Some(&b'\n');
-        if read == LINE_MAX && self.line.last() != Some(&b'\n') {
-            return Err(self.error("the line is longer than 4096 bytes: not event text"));
-        }
-        if self.number == 1 && self.line.starts_with(MARK) {
-            self.line.drain(..MARK.len());
-        }
-        while self.line.last().is_some_and(u8::is_ascii_whitespace) {
-            self.line.pop();
-        }
-        Ok(read > 0)
-    }
-
-    /// Moves past `count` lines of `bytes` bytes in all.
-    fn pass(&mut self, bytes: usize, count: u64) {
-        self.input.consume(bytes);
-        self.number += count;
-    }
-
-    /// Returns whether the current line is empty or a comment.
-    fn is_comment(&self) -> bool {
-        let first = self.line.iter().find(|byte| !byte.is_ascii_whitespace());
-        matches!(first, None | Some(b'#' | b'%'))
-    }
-
-    fn error(&self, what: impl std::fmt::Display) -> event_types::stream::Error {
-        self.input
-            .error_at(self.offset, format!("line {}: {what}", self.number))
-    }
-
-    fn restart(&mut self, start: &Start) -> Result<()> {
-        self.input.seek(start.data)?;
-        self.number = start.data_line - 1;
-        Ok(())
-    }
-}
-
-/// What the start of a file states.
-struct Start {
-    size: Option<(u64, u64)>,
-    /// The layout that column names or the caller state.
-    layout: Option<Layout>,
-    /// The first event lines.
-    sample: Vec<Vec<u8>>,
-    /// Offset and number of the first event line.
-    data: u64,
-    data_line: u64,
-    skipped: Skipped,
-}
-
-impl Start {
-    fn read(lines: &mut Lines, reading: &Reading) -> Result<Self> {
-        let columns = reading.columns.as_ref();
-        let mut start = Self {
-            size: None,
-            layout: columns.and_then(Layout::of_places),
-            sample: Vec::new(),
-            data: 0,
-            data_line: 1,
-            skipped: Skipped::default(),
-        };
-        let parse = |fields: &[&[u8]]| match columns {
-            Some(Columns::Names(names)) => Header::of_names(fields, names),
-            _ => Header::parse(fields),
-        };
-        let mut comment: Option<Header> = None;
-        let mut has_names = false;
-        while start.sample.len() < SAMPLE_LINES {
-            match lines.advance() {
-                Ok(true) => {}
-                Ok(false) => break,
-                // The reader meets the error again, after the events before it.
-                Err(_) if !start.sample.is_empty() => break,
-                Err(error) => return Err(error),
-            }
-            let is_before = start.sample.is_empty();
-            if lines.is_comment() {
-                if is_before {
-                    let text = lines.line.trim_ascii_start().get(1..).unwrap_or_default();
-                    comment = comment.or_else(|| parse(&names(text)));
-                    start
-                        .skipped
-                        .add("comment lines", u64::from(!lines.line.is_empty()));
-                }
-                continue;
-            }
-            if is_before {
-                let fields = split(&lines.line);
-                let numbers: Vec<_> = fields.iter().map(|field| Decimal::parse(field)).collect();
-                // After column names, two numbers are an event with missing fields.
-                if let ([Some(width), Some(height)], None) = (numbers.as_slice(), start.size)
-                    && !has_names
-                    && comment.is_none()
-                {
-                    start.size = width.whole().zip(height.whole());
-                    if start.size.is_some() {
-                        continue;
-                    }
-                }
-                if numbers.iter().all(Option::is_none) && !has_names {
-                    has_names = true;
-                    if let Some(header) = parse(&names(&lines.line)) {
-                        start.take(&header);
-                    } else if start.layout.is_none() {
-                        return Err(lines.error(match columns {
-                            Some(_) => "these are not the column names that --columns gives",
-                            None => {
-                                "no events and no column names t, x, y, p: name the columns with \
-                                 --columns"
-                            }
-                        }).of_kind(ErrorKind::Undecided));
-                    }
-                    continue;
-                }
-                if fields.iter().take(2).any(|field| field.contains(&b':')) {
-                    let what = "a date or a time of day: write times as numbers, such as seconds since 1970";
-                    return Err(lines.error(what));
-                }
-                if has_decimal_comma(&lines.line) {
-                    let what = "a comma within a field, as in numbers with a decimal comma: write \
-                                decimal points";
-                    return Err(lines.error(what));
-                }
-                // The words of a comment may be names by chance.
-                if let Some(header) = &comment
-                    && header.layout().columns == fields.len()
-                {
-                    start.take(header);
-                }
-                if start.layout.is_none() && matches!(columns, Some(Columns::Names(_))) {
-                    return Err(lines
-                        .error("no earlier line has the column names that --columns gives")
-                        .of_kind(ErrorKind::Undecided));
-                }
-                (start.data, start.data_line) = (lines.offset, lines.number);
-            }
-            start.sample.push(lines.line.clone());
-        }
-        if start.sample.is_empty() {
-            (start.data, start.data_line) = (lines.input.offset(), lines.number);
-            if let Some(header) = &comment {
-                start.take(header);
-            }
-        }
-        Ok(start)
-    }
-
-    /// Takes from the column names what is not known yet.
-    fn take(&mut self, header: &Header) {
-        self.layout = self.layout.take().or_else(|| Some(header.layout().clone()));
-        self.size = self.size.or(header.sensor);
-    }
-}
-
-const fn is_separator(byte: u8) -> bool {
-    matches!(byte, b' ' | b'\t' | b',' | b';')
-}
-
-/// Returns a field without the quotes around it.
-fn unquoted(field: &[u8]) -> &[u8] {
-    match field {
-        [b'"', inner @ .., b'"'] => inner,
-        field => field,
-    }
-}
-
-/// Returns the fields of a line.
-fn split(line: &[u8]) -> Vec<&[u8]> {
-    line.split(|byte| is_separator(*byte))
-        .filter(|field| !field.is_empty())
-        .take(FIELDS_MAX)
-        .map(unquoted)
-        .collect()
-}
-
-/// Returns the column names of a line; between commas, semicolons or tabs, a name may be empty or have several
-/// words.
-fn names(line: &[u8]) -> Vec<&[u8]> {
-    let separator = [b',', b';', b'\t']
-        .into_iter()
-        .find(|byte| line.contains(byte));
-    match separator {
-        Some(separator) => {
-            let names = line.split(|byte| *byte == separator);
-            names.take(FIELDS_MAX).collect()
-        }
-        None => split(line),
-    }
-}
-
-/// Returns whether a comma stands between two digits in a line with another separator.
-fn has_decimal_comma(line: &[u8]) -> bool {
-    let is_decimal = line.windows(3).any(|letters| {
-        matches!(letters, [before, b',', after] if before.is_ascii_digit() && after.is_ascii_digit())
-    });
-    // A space beside a comma is only padding.
-    let separates = |letters: &[u8]| matches!(letters, [before, b' ', after] if !is_separator(*before) && !is_separator(*after));
-    let others = line.contains(&b';') || line.contains(&b'\t') || line.windows(3).any(separates);
-    is_decimal && others
-}
 
 /// The decoder of [`TextReader`]: its state between two lines.
 pub struct TextDecoder {
@@ -496,46 +228,6 @@ pub struct TextDecoder {
     is_cut_noted: bool,
     events: u64,
     skipped: Skipped,
-}
-
-/// What makes an event of a line's fields.
-struct Rules {
-    layout: Layout,
-    unit: TimeUnit,
-    /// Whether the unit was inferred from times without fractions.
-    has_whole_times: bool,
-    offset_us: i64,
-    polarities: Polarities,
-    /// Whether a time has been rounded and an assumption says so.
-    is_rounded: bool,
-    assumptions: Vec<Assumption>,
-    sensor: Sensor,
-}
-
-/// The reason why a line is not an event.
-enum Bad {
-    Fields(usize),
-    NoTime,
-    Fraction,
-    TimeRange,
-    NoPixel,
-    NoPolarity,
-    ThirdPolarity,
-    Outside(u64, u64),
-}
-
-impl Bad {
-    const fn kind(&self) -> &'static str {
-        match self {
-            Self::Fields(_) => "lines of another number of fields",
-            Self::NoTime | Self::NoPixel => "events with a value that is no number",
-            Self::Fraction => "events with a time of another unit",
-            Self::TimeRange => "events before time 0",
-            Self::NoPolarity => "events of no polarity",
-            Self::ThirdPolarity => "events of a third polarity",
-            Self::Outside(..) => OUTSIDE,
-        }
-    }
 }
 
 impl TextDecoder {
@@ -663,130 +355,13 @@ impl TextDecoder {
 
     /// Returns the error for the current line.
     fn refusal(&self, bad: &Bad) -> event_types::stream::Error {
-        let what = match bad {
-            Bad::Fields(count) => format!("{count} fields instead of {}", self.rules.layout.columns),
-            Bad::NoTime => "the time is not a number".to_owned(),
-            Bad::Fraction => "a time with a fraction after whole microseconds: give --time-unit, or name the column \
-                              t_s or t_us"
-                .to_owned(),
-            Bad::TimeRange => {
-                "the time is negative or above 2^63 us: see --time-offset-us".to_owned()
-            }
-            Bad::NoPixel => "x and y must be whole numbers that are not negative".to_owned(),
-            Bad::NoPolarity => "the polarity is not one of 0, 1, -1, true, false".to_owned(),
-            Bad::ThirdPolarity => {
-                "the polarities include both 0 and -1: more than two; --leave-out-bad-events \
-                 leaves the third out"
-                    .to_owned()
-            }
-            Bad::Outside(x, y) => {
-                let Sensor { width, height } = self.rules.sensor;
-                format!("x = {x}, y = {y} is outside the sensor ({width}x{height})")
-            }
-        };
+        let what = self.rules.told(bad);
         self.lines.error(format!("event {}: {what}", self.events))
     }
 
     /// Parses the current line, of any kind.
     fn parse(&mut self) -> Result<Event, Bad> {
         self.rules.parse(&self.lines.line)
-    }
-}
-
-impl Rules {
-    fn parse(&mut self, line: &[u8]) -> Result<Event, Bad> {
-        let mut fields = [&line[..0]; FIELDS_MAX];
-        let mut count = 0;
-        let parts = line.split(|byte| is_separator(*byte));
-        for field in parts.filter(|field| !field.is_empty()) {
-            match fields.get_mut(count) {
-                Some(slot) => *slot = field,
-                None => break,
-            }
-            count += 1;
-        }
-        let Layout {
-            columns,
-            t,
-            x,
-            y,
-            p,
-            ..
-        } = self.layout;
-        if count != columns {
-            return Err(Bad::Fields(count));
-        }
-        let field = |column: usize| unquoted(fields.get(column).copied().unwrap_or_default());
-        let time = Decimal::parse(field(t)).ok_or(Bad::NoTime)?;
-        let t_us = self.time(time)?;
-        let side = |field: &[u8]| Decimal::parse(field).and_then(Decimal::whole);
-        let (Some(x), Some(y)) = (side(field(x)), side(field(y))) else {
-            return Err(Bad::NoPixel);
-        };
-        let p = field(p);
-        let on = polarity(p).ok_or(Bad::NoPolarity)?;
-        self.finish(t_us, (x, y), on, Sign::of(p))
-    }
-
-    /// Returns whether a time in whole numbers is in microseconds, and a polarity of 0 is taken.
-    fn is_as_written(&self) -> bool {
-        let Polarities { minus, third, .. } = self.polarities;
-        self.unit == TimeUnit::Us && self.offset_us == 0 && !minus && !third
-    }
-
-    /// Returns the event of a plain line.
-    #[inline]
-    fn event(&mut self, fields: Fields) -> Result<Event, Bad> {
-        let t_us = match (fields.time.integer(), self.unit) {
-            (Some(t_us), TimeUnit::Us) if self.offset_us == 0 => t_us,
-            _ => self.time(fields.time)?,
-        };
-        let on = fields.polarity == Sign::One;
-        self.finish(t_us, (fields.x, fields.y), on, Some(fields.polarity))
-    }
-
-    /// Returns a time in microseconds.
-    #[inline]
-    fn time(&mut self, time: Decimal) -> Result<u64, Bad> {
-        if self.has_whole_times && !time.is_whole() {
-            return Err(Bad::Fraction);
-        }
-        let shift = self.unit.shift();
-        let t_us = time
-            .signed(shift)
-            .ok()
-            .and_then(|t_us| t_us.checked_add(self.offset_us))
-            .and_then(|t_us| u64::try_from(t_us).ok())
-            .ok_or(Bad::TimeRange)?;
-        if !self.is_rounded && !time.is_whole_at(shift) {
-            self.is_rounded = true;
-            self.assumptions
-                .push(Assumption::times_rounded("to the nearest"));
-        }
-        Ok(t_us)
-    }
-
-    /// Returns the event of a time, a pixel and a polarity.
-    #[inline]
-    fn finish(
-        &mut self,
-        t_us: u64,
-        (x, y): (u64, u64),
-        on: bool,
-        sign: Option<Sign>,
-    ) -> Result<Event, Bad> {
-        if !self.polarities.takes(sign) {
-            return Err(Bad::ThirdPolarity);
-        }
-        match (u16::try_from(x), u16::try_from(y)) {
-            (Ok(x), Ok(y)) if self.sensor.contains(x, y) => Ok(Event {
-                t_us,
-                x,
-                y,
-                polarity: Polarity::from_bool(on),
-            }),
-            _ => Err(Bad::Outside(x, y)),
-        }
     }
 }
 
@@ -816,6 +391,7 @@ impl Decode for TextDecoder {
 mod tests {
     use std::io::Cursor;
 
+    use event_types::Polarity;
     use proptest::prelude::*;
 
     use super::*;

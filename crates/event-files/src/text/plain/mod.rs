@@ -9,8 +9,8 @@ mod avx2;
 use event_types::{Event, Sensor};
 
 use crate::text::decimal::Decimal;
-use crate::text::is_separator;
 use crate::text::layout::Layout;
+use crate::text::lines::is_separator;
 
 /// Most digits of a number: no more overflow 64 bits.
 const DIGITS_MAX: usize = 18;
@@ -131,7 +131,7 @@ impl Plain {
     #[cfg(test)]
     pub fn none() -> Self {
         Self {
-            columns: vec![Column::Ignored; super::FIELDS_MAX + 1],
+            columns: vec![Column::Ignored; crate::text::lines::FIELDS_MAX + 1],
             vectors: None,
             separator: b',',
         }
