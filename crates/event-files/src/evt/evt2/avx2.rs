@@ -15,7 +15,7 @@ use super::{Decoded, HIGH_MASK, TIME_HIGH, TIME_HIGH_BITS, TIME_LOW_BITS};
 use crate::evt::lanes::{KEPT, LATEST};
 
 /// Words at a time.
-pub const LANES: usize = 8;
+const LANES: usize = 8;
 
 /// Proof that the core has AVX2, and counts bits.
 #[derive(Debug, Clone, Copy)]
