@@ -129,7 +129,9 @@ impl Quantiser {
     }
 
     fn middle(self, level: i32) -> f64 {
-        (f64::from(level) + 0.5) * libm::exp2(f64::from(self.step_log2))
+        // 2^step_log2, whose exponent is all that differs from 1.
+        let exponent = 1023 + i64::from(self.step_log2);
+        (f64::from(level) + 0.5) * f64::from_bits((exponent as u64) << 52)
     }
 }
 

@@ -92,8 +92,8 @@ impl WindowLimitOptions {
 #[derive(Debug, Clone, Copy, Default, Args)]
 pub struct WorkLimitOptions {
     /// Most work that finding the event times of a window of coefficients may cost, in millions of steps, which are
-    /// counted, not timed: about two a millisecond of one core. Pixels beyond it get rough times at once and are
-    /// counted [default: 40000]
+    /// counted, not timed: about six a millisecond of one core. Pixels beyond it get rough times at once and are
+    /// counted [default: 50000]
     #[arg(long, value_name = "N")]
     max_work_per_window: Option<u32>,
 }

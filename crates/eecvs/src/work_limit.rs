@@ -4,10 +4,10 @@
 //! crowded pixels, made to harm or sent by a sensor in front of a lamp, would keep a decoder busy for hours. What is
 //! beyond the limit gets approximate times at once, and is counted.
 
-/// Most work that finding the event times of a window may cost, in units of about half a nanosecond of one core.
+/// Most work that finding the event times of a window may cost, in units of about a sixth of a nanosecond of one core.
 ///
 /// The units are counted and not timed ([`crate::reconstruct::cost`]), so which pixels are beyond the limit does not
-/// depend on the load of the machine or on the number of threads. The default is some 20 s of one core: the densest
+/// depend on the load of the machine or on the number of threads. The default is some 8 s of one core: the densest
 /// recording that the tests read, of 5.4 million events per second, costs three quarters of it at the encoder's default
 /// M, K and choice of the transform.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -18,7 +18,7 @@ const MILLION: u64 = 1_000_000;
 
 impl WorkLimit {
     /// The default, in millions of units.
-    pub const DEFAULT_MILLIONS: u32 = 40_000;
+    pub const DEFAULT_MILLIONS: u32 = 50_000;
 
     /// No limit.
     pub const NONE: Self = Self(u64::MAX);
@@ -29,7 +29,7 @@ impl WorkLimit {
         Self(units)
     }
 
-    /// Creates a limit of this many millions of units: about two are a millisecond of one core.
+    /// Creates a limit of this many millions of units: about six are a millisecond of one core.
     #[must_use]
     pub const fn millions(millions: u32) -> Self {
         Self(millions as u64 * MILLION)

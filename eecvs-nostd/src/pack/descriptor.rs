@@ -1,11 +1,11 @@
 //! One encoded pixel: its event counts and its kept coefficients.
 
-use core::f64::consts::{PI, TAU};
-
 use heapless::Vec;
 
 use crate::pack::timed::{TIMED_GRID_MAX, TimedEvents};
 use crate::quantise::Level;
+use crate::transform::dct::cosines;
+use crate::transform::dtft::exponentials;
 use crate::transform::shape::Packing;
 use crate::transform::{Basis, Dct, Dtft, Dwt, M_MAX, Rule, Transform};
 
@@ -170,21 +170,14 @@ const MAGNITUDE_UNITS: f64 = 16_777_216.0;
 fn add_atoms(transform: Transform, u: f64, sign: f64, sums: &mut [(f64, f64)]) {
     match transform {
         Transform::Dct => {
-            // cos(k x) = 2 cos x cos((k - 1) x) - cos((k - 2) x)
-            let cos = libm::cos(PI * u);
-            let (mut before, mut here) = (cos, 1.0);
-            for (re, _) in sums {
-                *re += sign * here;
-                (before, here) = (here, 2.0 * cos * here - before);
+            for ((re, _), cos) in sums.iter_mut().zip(cosines(u)) {
+                *re += sign * cos;
             }
         }
         Transform::Dtft => {
-            let (sin, cos) = libm::sincos(TAU * u);
-            let (mut atom_re, mut atom_im) = (1.0, 0.0);
-            for (re, im) in sums {
-                *re += sign * atom_re;
-                *im += sign * atom_im;
-                (atom_re, atom_im) = (atom_re * cos + atom_im * sin, atom_im * cos - atom_re * sin);
+            for ((re, im), atom) in sums.iter_mut().zip(exponentials(u)) {
+                *re += sign * atom.0;
+                *im += sign * atom.1;
             }
         }
         Transform::Dwt => {

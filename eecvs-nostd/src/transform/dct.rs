@@ -89,10 +89,22 @@ impl Basis for Dct {
     }
 
     fn single(u: f64, sign: f64, shape: Shape, mut each: impl FnMut(u16, f64, f64)) {
-        for k in 0..shape.r as u16 {
-            each(k, sign * libm::cos(PI * f64::from(k) * u), 0.0);
+        for (k, cos) in (0..shape.r as u16).zip(cosines(u)) {
+            each(k, sign * cos, 0.0);
         }
     }
+}
+
+/// Returns cos(pi k u) for k = 0, 1, ..., to k^2 times the precision of f64.
+pub fn cosines(u: f64) -> impl Iterator<Item = f64> {
+    let cos = libm::cos(PI * u);
+    let (mut before, mut here) = (cos, 1.0);
+    core::iter::from_fn(move || {
+        let value = here;
+        // cos(k x) = 2 cos x cos((k - 1) x) - cos((k - 2) x)
+        (before, here) = (here, 2.0 * cos * here - before);
+        Some(value)
+    })
 }
 
 /// [`Dct::accumulate`] for grids without assembly. Out of line, so that the path with assembly need not save this

@@ -115,11 +115,21 @@ impl Basis for Dtft {
     }
 
     fn single(u: f64, sign: f64, shape: Shape, mut each: impl FnMut(u16, f64, f64)) {
-        for k in 0..shape.r as u16 {
-            let (sin, cos) = libm::sincos(TAU * f64::from(k) * u);
-            each(k, sign * cos, -sign * sin);
+        for (k, (re, im)) in (0..shape.r as u16).zip(exponentials(u)) {
+            each(k, sign * re, sign * im);
         }
     }
+}
+
+/// Returns re and im of exp(-i 2 pi k u) for k = 0, 1, ..., to k times the precision of f64.
+pub fn exponentials(u: f64) -> impl Iterator<Item = (f64, f64)> {
+    let (sin, cos) = libm::sincos(TAU * u);
+    let (mut re, mut im) = (1.0, 0.0);
+    core::iter::from_fn(move || {
+        let value = (re, im);
+        (re, im) = (re * cos + im * sin, im * cos - re * sin);
+        Some(value)
+    })
 }
 
 /// [`Dtft::accumulate`] over a list without assembly. Out of line, so that the path with assembly need not save

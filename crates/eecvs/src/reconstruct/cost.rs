@@ -1,13 +1,13 @@
 //! Work of finding event times, in units that follow from the sizes of a pixel's problem.
 //!
-//! A unit is about half a nanosecond of one core, but it is counted, not timed: every step counts the work of its loops
-//! before they run ([`Work::spend`](super::refine::Work::spend)), by the formulas below. [`Size::exact`],
+//! A unit is about a sixth of a nanosecond of one core, but it is counted, not timed: every step counts the work of
+//! its loops before they run ([`Work::spend`](super::refine::Work::spend)), by the formulas below. [`Size::exact`],
 //! [`Search::peaks`] and [`bins`] are the most that a pixel can cost. They multiply the same formulas by the largest
 //! number of rounds of every loop, so no pixel spends more.
 
 use eecvs_nostd::Transform;
 
-use super::{Pixel, crowd, ensemble, lattice, prony, pursuit, recover, refine};
+use super::{Pixel, crowd, ensemble, lattice, pairs, prony, pursuit, recover, refine};
 
 /// Work for any pixel: memory, sorting its events and writing them.
 pub const PIXEL: u64 = 500;
@@ -215,7 +215,8 @@ impl Size {
     const fn fitted(self, search: Search) -> u64 {
         let events = self.events();
         let one = self.least_squares(events, refine::LEAST_SQUARES_ROUNDS) + self.residual(events);
-        5 * one
+        6 * one
+            + search.paired(events)
             + search.times(events)
             + search.refined(self)
             + self.pencil()
@@ -311,6 +312,22 @@ impl Search {
     /// The most that finding an event can cost.
     const fn best(self) -> u64 {
         self.looked_at(self.points)
+    }
+
+    /// Work of finding a pair of events, and of taking it from the residual.
+    pub(super) const fn pair(self) -> u64 {
+        self.points * (self.of_point() + 4 + 3 * self.points / 2) + 2 * self.add()
+    }
+
+    /// The most that finding events two at a time can cost.
+    const fn paired(self, events: u64) -> u64 {
+        if self.points > pairs::POINTS_MAX as u64 || events > recover::PAIRED_EVENTS_MAX as u64 {
+            return 0;
+        }
+        let table = self.points * (self.known + 3) + 4 * MEMORY;
+        let again = pursuit::PAIR_ROUNDS as u64 * events * events / 2;
+        let single = self.best() + self.add();
+        table + (events / 2) * self.pair() + single + again * (self.pair() + 2 * self.add())
     }
 
     /// Work of adding an event to the residual.

@@ -8,10 +8,14 @@
 //! and h is half a step plus the error bound of the encoder's kernel. The signs p_i are known, because the frames
 //! carry the counts of ON and OFF events; k = 0 adds nothing to these.
 
+use std::array::from_fn;
+use std::f64::consts::FRAC_PI_2;
+
 use eecvs_nostd::{Header, Kernel, Transform};
 
 use super::Pixel;
 use super::cost::Size;
+use super::lanes::{LANES, Lanes, blocks, filled, sin_cos, sum};
 use super::pursuit::omega;
 
 /// The equations of one pixel.
@@ -104,60 +108,88 @@ impl Equations {
             .is_some_and(|last| usize::from(*last) == self.ks.len())
     }
 
-    /// Calls `each` with the row m, a_m(u) and da_m/du, for every row.
-    #[inline]
-    pub fn atoms(&self, u: f64, mut each: impl FnMut(usize, f64, f64)) {
+    /// Calls `each` with the row m, and a_m(u) and da_m/du of several events, for every row.
+    #[inline(always)]
+    pub fn atoms(&self, u: Lanes, mut each: impl FnMut(usize, Lanes, Lanes)) {
         let base = omega(self.transform);
         let is_complex = self.transform.is_complex();
+        let quarters = base / FRAC_PI_2;
         // Use a recurrence where that is cheaper than a sine and a cosine for each k.
         let is_dense = self.size().is_dense();
-        let (sin_1, cos_1) = (base * u).sin_cos();
-        let (mut cos, mut sin, mut at) = (1.0_f64, 0.0_f64, 0);
+        let (sin_1, cos_1) = sin_cos(u.map(|u| quarters * u));
+        let (mut sin, mut cos, mut at) = ([0.0; LANES], [1.0; LANES], 0);
         for (index, k) in self.ks.iter().enumerate() {
-            let frequency = base * f64::from(*k);
+            let k_quarters = quarters * f64::from(*k);
             if is_dense {
                 while at < *k {
-                    (cos, sin) = (cos * cos_1 - sin * sin_1, sin * cos_1 + cos * sin_1);
+                    (sin, cos) = (
+                        from_fn(|lane| sin[lane] * cos_1[lane] + cos[lane] * sin_1[lane]),
+                        from_fn(|lane| cos[lane] * cos_1[lane] - sin[lane] * sin_1[lane]),
+                    );
                     at += 1;
                 }
             } else {
-                (sin, cos) = (frequency * u).sin_cos();
+                (sin, cos) = sin_cos(u.map(|u| k_quarters * u));
             }
+            let frequency = base * f64::from(*k);
+            let slope = sin.map(|sin| -frequency * sin);
             if is_complex {
-                each(2 * index, cos, -frequency * sin);
-                each(2 * index + 1, -sin, -frequency * cos);
+                each(2 * index, cos, slope);
+                let sine = sin.map(|sin| -sin);
+                each(2 * index + 1, sine, cos.map(|cos| -frequency * cos));
             } else {
-                each(index, cos, -frequency * sin);
+                each(index, cos, slope);
             }
         }
     }
 
-    /// Computes the residual r_m = c_m - sum_i p_i a_m(u_i).
-    pub fn residual(&self, u: &[f64], residual: &mut Vec<f64>) {
-        residual.clear();
-        residual.extend_from_slice(&self.middles);
-        for (u, sign) in u.iter().zip(&self.signs) {
-            self.atoms(*u, |row, value, _| residual[row] -= sign * value);
-        }
-    }
-
-    /// Computes the residual and the slopes p_i da_m/du, at index [i R + m].
-    pub fn linearise(&self, u: &[f64], residual: &mut Vec<f64>, slopes: &mut Vec<f64>) {
-        residual.clear();
-        residual.extend_from_slice(&self.middles);
-        let rows = self.rows();
-        slopes.clear();
-        slopes.resize(u.len() * rows, 0.0);
-        for ((u, sign), slopes) in u
-            .iter()
-            .zip(&self.signs)
-            .zip(slopes.chunks_exact_mut(rows.max(1)))
-        {
-            self.atoms(*u, |row, value, slope| {
-                residual[row] -= sign * value;
-                slopes[row] = sign * slope;
+    /// Computes the residual r_m = c_m - sum_i p_i a_m(u_i); `sums` is memory to do so.
+    #[inline(always)]
+    pub fn residual(&self, u: &[f64], sums: &mut Vec<Lanes>, residual: &mut Vec<f64>) {
+        sums.clear();
+        sums.resize(self.rows(), [0.0; LANES]);
+        for (u, signs) in u.chunks(LANES).zip(self.signs.chunks(LANES)) {
+            let signs = filled(signs);
+            self.atoms(filled(u), |row, values, _| {
+                let before = sums[row];
+                sums[row] = from_fn(|lane| before[lane] + signs[lane] * values[lane]);
             });
         }
+        self.subtract(sums, residual);
+    }
+
+    /// Computes the residual, and the slopes p_i da_m/du: rows m of the blocks of lanes of all
+    /// events.
+    #[inline(always)]
+    pub fn linearise(
+        &self,
+        u: &[f64],
+        sums: &mut Vec<Lanes>,
+        residual: &mut Vec<f64>,
+        slopes: &mut Vec<Lanes>,
+    ) {
+        let (rows, blocks) = (self.rows(), blocks(u.len()));
+        sums.clear();
+        sums.resize(rows, [0.0; LANES]);
+        slopes.resize(rows * blocks, [0.0; LANES]);
+        let chunks = u.chunks(LANES).zip(self.signs.chunks(LANES));
+        for (block, (u, signs)) in chunks.enumerate() {
+            let signs = filled(signs);
+            self.atoms(filled(u), |row, values, of| {
+                let before = sums[row];
+                sums[row] = from_fn(|lane| before[lane] + signs[lane] * values[lane]);
+                slopes[row * blocks + block] = from_fn(|lane| signs[lane] * of[lane]);
+            });
+        }
+        self.subtract(sums, residual);
+    }
+
+    /// Subtracts the sums of lanes from the coefficients.
+    #[inline(always)]
+    fn subtract(&self, sums: &[Lanes], residual: &mut Vec<f64>) {
+        residual.clear();
+        let rest = self.middles.iter().zip(sums);
+        residual.extend(rest.map(|(middle, lanes)| middle - sum(*lanes)));
     }
 
     /// Returns the offset in microseconds nearest to u, 0 to T - 1; wraps around the window for periodic atoms.

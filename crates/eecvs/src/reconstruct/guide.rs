@@ -16,9 +16,11 @@ type C64 = Complex<f64>;
 
 /// Smallest number of points for which a transform is cheaper than the sums.
 const POINTS_MIN: usize = 1024;
-/// Largest error of a sum in f32, as a fraction of the sum of all |re| and |im|: a lane adds at most 136 products, each
-/// addition is off by at most 2^-24 of the sum so far, and each product by 2^-23. The fraction is three times that.
-const ERROR: f64 = 1.0 / 32_768.0;
+/// Three times the largest error of a sum of `known` products of complex numbers in f32, as a fraction of the sum of all
+/// |re| and |im|: each of two additions a product is off by at most 2^-24 of the sum so far, and each product by 2^-23.
+fn error(known: usize) -> f64 {
+    3.0 * (2.0 * known as f64 + 2.0) / f64::from(1 << 24)
+}
 
 /// Tables for P points.
 #[derive(Debug)]
@@ -75,7 +77,7 @@ impl Guide {
             _ => number.re,
         };
         let most = numbers.iter().map(height).fold(f64::NEG_INFINITY, f64::max);
-        let least = most - 2.0 * ERROR * sum;
+        let least = most - 2.0 * error(known.len()) * sum;
         for (point, number) in numbers.iter().enumerate() {
             if height(number) >= least {
                 each(point);

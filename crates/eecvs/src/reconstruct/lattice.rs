@@ -4,7 +4,7 @@
 //! candidate are bit for bit what the encoder would have sent. No decoder can distinguish two candidates with the
 //! same levels. If no other candidate agrees next to one that does, its times are taken as those of the events.
 
-use std::collections::HashSet;
+use std::ops::Range;
 
 use eecvs_nostd::fixed_point::{CHUNK_EVENTS, Sum};
 use eecvs_nostd::group::Impulse;
@@ -116,25 +116,27 @@ impl<'e> Lattice<'e> {
         }
     }
 
-    /// Returns the encoder's atoms for event `i` at an offset.
-    fn atoms(&mut self, i: usize, offset_us: u32) -> Vec<i32> {
+    /// Writes the encoder's atoms for event `i` at an offset.
+    fn atoms(&mut self, i: usize, offset_us: u32, atoms: &mut [i32]) {
         let impulse = Impulse {
             offset_us,
             is_on: self.equations.signs[i] > 0.0,
         };
         let one = std::iter::once(impulse);
-        let is_complex = self.equations.transform.is_complex();
         match self.equations.transform {
             Transform::Dct => Dct::accumulate(one, self.scale, self.grid, &mut self.sums),
             _ => Dtft::accumulate(one, self.scale, self.grid, &mut self.sums),
         }
         let ks = self.equations.ks.iter().map(|k| usize::from(*k));
-        if is_complex {
-            ks.flat_map(|k| [self.sums[2 * k], self.sums[2 * k + 1]])
-                .map(Sum::to_bits)
-                .collect()
+        if self.equations.transform.is_complex() {
+            let (pairs, _) = atoms.as_chunks_mut::<2>();
+            for (atoms, k) in pairs.iter_mut().zip(ks) {
+                *atoms = [self.sums[2 * k], self.sums[2 * k + 1]].map(Sum::to_bits);
+            }
         } else {
-            ks.map(|k| self.sums[k].to_bits()).collect()
+            for (atom, k) in atoms.iter_mut().zip(ks) {
+                *atom = self.sums[k].to_bits();
+            }
         }
     }
 
@@ -173,11 +175,47 @@ impl<'e> Lattice<'e> {
     }
 }
 
+/// Distances of candidates that were found already; there are at most [`CANDIDATES_MAX`] and those around one.
+#[derive(Debug)]
+struct Seen {
+    /// Distances plus 2^15, at the first free place from that of their hash; 0 is free.
+    slots: [u64; Seen::SLOTS],
+}
+
+impl Default for Seen {
+    fn default() -> Self {
+        Self {
+            slots: [0; Self::SLOTS],
+        }
+    }
+}
+
+impl Seen {
+    /// More than twice as many as there can be.
+    const SLOTS: usize = 512;
+
+    /// Adds distances; returns whether they are new.
+    fn insert(&mut self, distances: [i32; ALL_EVENTS_MAX]) -> bool {
+        let key = distances.iter().fold(0, |key, distance| {
+            key << 16 | u64::from((distance + (1 << 15)) as u16)
+        });
+        let mut at = (key.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 55) as usize;
+        while self.slots[at] != 0 {
+            if self.slots[at] == key {
+                return false;
+            }
+            at = (at + 1) % Self::SLOTS;
+        }
+        self.slots[at] = key;
+        true
+    }
+}
+
 /// Candidate times with their atoms, and those of the neighbouring offsets.
 struct Candidate {
     offsets: Vec<u32>,
-    /// For each event, the atoms at offsets from -[`REACH_MAX`] to +[`REACH_MAX`] microseconds.
-    atoms: Vec<[Vec<i32>; PLACES]>,
+    /// For each event and each offset from -[`REACH_MAX`] to +[`REACH_MAX`] microseconds, the atoms of all rows.
+    atoms: Vec<i32>,
     sums: Vec<i64>,
 }
 
@@ -186,32 +224,76 @@ impl Candidate {
         if offsets.len() > EVENTS_MAX || lattice.equations.duration_us <= PLACES as u32 {
             return None;
         }
+        let rows = lattice.rooms.len();
         let mut candidate = Self {
             offsets: offsets.to_vec(),
-            atoms: (0..offsets.len()).map(|_| Default::default()).collect(),
-            sums: vec![0; lattice.rooms.len()],
+            atoms: vec![0; offsets.len() * PLACES * rows],
+            sums: vec![0; rows],
         };
         work.spend(offsets.len() as u64 * lattice.grid_size.place());
-        for (i, offset_us) in offsets.iter().enumerate() {
-            candidate.place(lattice, i, *offset_us);
+        for i in 0..offsets.len() {
+            for place in 0..PLACES {
+                candidate.compute(lattice, i, place);
+            }
+            candidate.add(i, 1);
         }
         Some(candidate)
     }
 
+    /// Returns where the atoms of event `i` at a place are.
+    const fn at(&self, i: usize, place: usize) -> Range<usize> {
+        let rows = self.sums.len();
+        let first = (i * PLACES + place) * rows;
+        first..first + rows
+    }
+
+    /// Computes the atoms of event `i` at a place.
+    fn compute(&mut self, lattice: &mut Lattice<'_>, i: usize, place: usize) {
+        let (at, offset_us) = (self.at(i, place), self.offsets[i]);
+        let beside = lattice.beside(offset_us, place as i32 - REACH_MAX);
+        lattice.atoms(i, beside.unwrap_or(offset_us), &mut self.atoms[at]);
+    }
+
+    /// Adds `factor` times the atoms of event `i` to the sums.
+    fn add(&mut self, i: usize, factor: i64) {
+        let at = self.at(i, REACH_MAX as usize);
+        for (sum, atom) in self.sums.iter_mut().zip(&self.atoms[at]) {
+            *sum += factor * i64::from(*atom);
+        }
+    }
+
     /// Moves event `i` to an offset.
     fn place(&mut self, lattice: &mut Lattice<'_>, i: usize, offset_us: u32) {
-        for (sum, atom) in self.sums.iter_mut().zip(&self.atoms[i][REACH_MAX as usize]) {
-            *sum -= i64::from(*atom);
-        }
+        self.add(i, -1);
+        let by = i64::from(offset_us) - i64::from(self.offsets[i]);
         self.offsets[i] = offset_us;
-        self.atoms[i] = std::array::from_fn(|place| {
-            let by = place as i32 - REACH_MAX;
-            let beside = lattice.beside(offset_us, by).unwrap_or(offset_us);
-            lattice.atoms(i, beside)
-        });
-        for (sum, atom) in self.sums.iter_mut().zip(&self.atoms[i][REACH_MAX as usize]) {
-            *sum += i64::from(*atom);
+        // What both places have is kept; beyond the window's ends, places hold other offsets.
+        let margin = PLACES as u32;
+        let is_inside = |offset_us: u32| {
+            (margin..lattice.equations.duration_us.saturating_sub(margin)).contains(&offset_us)
+        };
+        let kept = match usize::try_from(by.abs()) {
+            Ok(by) if by < PLACES && is_inside(offset_us) => PLACES - by,
+            _ => 0,
+        };
+        let rows = self.sums.len();
+        let all = self.at(i, 0).start..self.at(i, PLACES - 1).end;
+        let moved = (PLACES - kept) * rows;
+        let is_later = by > 0;
+        if is_later {
+            self.atoms[all].copy_within(moved.., 0);
+        } else {
+            self.atoms[all].copy_within(..kept * rows, moved);
         }
+        let new = if is_later {
+            kept..PLACES
+        } else {
+            0..PLACES - kept
+        };
+        for place in new {
+            self.compute(lattice, i, place);
+        }
+        self.add(i, 1);
     }
 
     /// Returns the change of a row's sum if these events move by these microseconds.
@@ -219,9 +301,8 @@ impl Candidate {
         moves
             .iter()
             .map(|(i, by)| {
-                let atoms = &self.atoms[*i];
-                let to = atoms[(by + REACH_MAX) as usize][row];
-                i64::from(to) - i64::from(atoms[REACH_MAX as usize][row])
+                let of = |by: i32| self.atoms[self.at(*i, (by + REACH_MAX) as usize).start + row];
+                i64::from(of(*by)) - i64::from(of(0))
             })
             .sum()
     }
@@ -236,6 +317,15 @@ impl Candidate {
         let mut rows = self.sums.iter().zip(&lattice.rooms).enumerate();
         rows.all(|(row, (sum, (least, most)))| {
             (*least..=*most).contains(&(sum + self.moved(moves, row)))
+        })
+    }
+
+    /// Returns whether all rows agree with the atoms of all events that begin at these places.
+    fn agrees_at(&self, lattice: &Lattice<'_>, places: &[usize]) -> bool {
+        let mut rows = lattice.rooms.iter().enumerate();
+        rows.all(|(row, (least, most))| {
+            let atoms = places.iter().map(|at| i64::from(self.atoms[at + row]));
+            (*least..=*most).contains(&atoms.sum::<i64>())
         })
     }
 
@@ -299,7 +389,8 @@ impl Candidate {
         }
         // Distances from the first candidate, which do not wrap around the window.
         let mut found: Vec<[i32; ALL_EVENTS_MAX]> = vec![[0; ALL_EVENTS_MAX]];
-        let mut seen: HashSet<[i32; ALL_EVENTS_MAX]> = HashSet::from([found[0]]);
+        let mut seen = Seen::default();
+        seen.insert(found[0]);
         let mut next = 0;
         let reach = REACH[n];
         let places = 2 * reach + 1;
@@ -315,16 +406,18 @@ impl Candidate {
                 }
             }
             for code in 0..around {
-                let mut moves = [(0, 0); ALL_EVENTS_MAX];
-                let mut to = at;
+                let (mut places_of, mut to) = ([0; ALL_EVENTS_MAX], at);
                 let mut rest = code;
-                for (i, step) in moves.iter_mut().take(n).enumerate() {
-                    *step = (i, rest % places - reach);
-                    to[i] += step.1;
+                for (i, place) in places_of.iter_mut().take(n).enumerate() {
+                    let by = rest % places - reach;
+                    *place = self.at(i, (by + REACH_MAX) as usize).start;
+                    to[i] += by;
                     rest /= places;
                 }
-                let inside = (0..n).all(|i| lattice.beside(first[i], to[i]).is_some());
-                if inside && seen.insert(to) && self.agrees(lattice, &moves[..n]) {
+                if self.agrees_at(lattice, &places_of[..n])
+                    && (0..n).all(|i| lattice.beside(first[i], to[i]).is_some())
+                    && seen.insert(to)
+                {
                     found.push(to);
                 }
             }

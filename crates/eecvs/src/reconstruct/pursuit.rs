@@ -14,6 +14,9 @@
 //!
 //! Mallat, Zhang: *Matching pursuits with time-frequency dictionaries*, IEEE Trans. Signal Processing 41 (1993).
 
+use std::array::from_fn;
+use std::f64::consts::FRAC_PI_2;
+
 use eecvs_nostd::Transform;
 use nalgebra::Complex;
 
@@ -21,6 +24,8 @@ use super::Pixel;
 use super::cost::{PIXEL, Search};
 use super::equations::Equations;
 use super::guide::Guide;
+use super::lanes::{LANES, Lanes, sin_cos, sum, wide};
+use super::pairs::{self, Overlaps, Turns};
 use super::refine::{Work, least_squares};
 
 /// Points of the search grid for each atom.
@@ -32,6 +37,9 @@ pub(super) const ROUNDS: usize = 3;
 /// Largest number of events in a pixel whose events are placed again; for more, the rounds cost more than they
 /// gain.
 pub(super) const ROUNDS_EVENTS_MAX: usize = 16;
+
+/// Rounds in which every pair of events is placed again.
+pub(super) const PAIR_ROUNDS: usize = 2;
 
 /// Largest number of least-squares rounds after each event.
 pub(super) const PARTIAL_ROUNDS: usize = 6;
@@ -48,13 +56,15 @@ pub struct Peaks {
     kept: usize,
     /// Number of points of the search grid.
     points: usize,
-    /// phi_k(point), real and imaginary parts: [point * grid + k].
+    /// phi_k(point), real and imaginary parts: [k * points + point].
     atoms_re: Vec<f32>,
     atoms_im: Vec<f32>,
     /// sum_k |phi_k|^2 / 2 at each point, for the DCT.
     half_energy: Vec<f32>,
     /// Which points of a fine grid are looked at, for the DTFT.
     guide: Option<Guide>,
+    /// Unless the grid is too fine to look at all pairs of points.
+    turns: Option<Turns>,
 }
 
 impl Peaks {
@@ -71,23 +81,26 @@ impl Peaks {
             atoms_im: Vec::with_capacity(points * grid),
             half_energy: Vec::with_capacity(points),
             guide: None,
+            turns: (points <= pairs::POINTS_MAX).then(|| Turns::new(transform, points, grid)),
         };
         if transform.is_complex() {
             peaks.guide = Guide::new(points, grid);
         }
-        for point in 0..points {
-            let u = (point as f64 + 0.5) / points as f64;
-            let mut energy = 0.0;
-            for k in 0..grid {
+        let middles = (0..points).map(|point| (point as f64 + 0.5) / points as f64);
+        let middles: Vec<f64> = middles.collect();
+        let mut energy = vec![0.0; points];
+        for k in 0..grid {
+            for (u, energy) in middles.iter().zip(&mut energy) {
                 let (sin, cos) = (peaks.omega(k) * u).sin_cos();
                 peaks.atoms_re.push(cos as f32);
                 peaks.atoms_im.push(-sin as f32);
                 if k > 0 && k < kept {
-                    energy += cos * cos;
+                    *energy += cos * cos;
                 }
             }
-            peaks.half_energy.push((energy / 2.0) as f32);
         }
+        let halves = energy.iter().map(|energy| (energy / 2.0) as f32);
+        peaks.half_energy.extend(halves);
         peaks
     }
 
@@ -95,15 +108,37 @@ impl Peaks {
     #[must_use]
     pub fn pixel(&self, pixel: &Pixel, work: &mut Work) -> Vec<Placed> {
         work.spend(PIXEL);
-        Pursuit::new(self, pixel).run(pixel.on, pixel.off, ROUNDS_EVENTS_MAX, work)
+        self.placed(pixel, ROUNDS_EVENTS_MAX, work)
     }
 
     /// Returns the times u of a pixel's events, those of the ON events first. Unlike [`Self::pixel`] it places
     /// events again whatever their number.
     #[must_use]
     pub fn times(&self, pixel: &Pixel, work: &mut Work) -> Vec<f64> {
-        let placed = Pursuit::new(self, pixel).run(pixel.on, pixel.off, usize::MAX, work);
-        on_first(&placed)
+        on_first(&self.placed(pixel, usize::MAX, work))
+    }
+
+    /// Places a pixel's events; up to `rounds_events_max` of them are placed again.
+    fn placed(&self, pixel: &Pixel, rounds_events_max: usize, work: &mut Work) -> Vec<Placed> {
+        let pursuit = Pursuit::new(self, pixel);
+        let counts = (pixel.on, pixel.off);
+        wide!(
+            Pursuit::run,
+            pursuit: Pursuit<'_>, counts: (u32, u32), rounds_events_max: usize, work: &mut Work;
+            Vec<Placed>
+        )
+    }
+
+    /// Returns the times u of a pixel's events, those of the ON events first, placed two at a time (`pairs.rs`) on
+    /// the points of the grid; `None` if the grid is too large, or the coefficients for f32.
+    #[must_use]
+    pub fn paired(&self, pixel: &Pixel, work: &mut Work) -> Option<Vec<f64>> {
+        if pixel.on + pixel.off < 2 {
+            return None;
+        }
+        let (pursuit, counts) = (Pursuit::new(self, pixel), (pixel.on, pixel.off));
+        let turns = self.turns.as_ref()?;
+        Some(on_first(&in_pairs(pursuit, counts, turns, work)?))
     }
 
     /// As [`Self::times`], but after each event all events placed so far move to where together they explain the
@@ -111,6 +146,16 @@ impl Peaks {
     /// lobes from them.
     #[must_use]
     pub fn refined(&self, pixel: &Pixel, equations: &Equations, work: &mut Work) -> Vec<f64> {
+        let peaks = self;
+        wide!(
+            Peaks::refining,
+            peaks: &Peaks, pixel: &Pixel, equations: &Equations, work: &mut Work;
+            Vec<f64>
+        )
+    }
+
+    #[inline(always)]
+    fn refining(&self, pixel: &Pixel, equations: &Equations, work: &mut Work) -> Vec<f64> {
         let mut partial = equations.clone();
         partial.signs.clear();
         let mut pursuit = Pursuit::new(self, pixel);
@@ -168,6 +213,19 @@ impl Peaks {
     }
 }
 
+fn in_pairs(
+    pursuit: Pursuit<'_>,
+    counts: (u32, u32),
+    turns: &Turns,
+    work: &mut Work,
+) -> Option<Vec<Placed>> {
+    wide!(
+        Pursuit::run_pairs,
+        pursuit: Pursuit<'_>, counts: (u32, u32), turns: &Turns, work: &mut Work;
+        Option<Vec<Placed>>
+    )
+}
+
 /// Returns the times of the ON events, followed by those of the OFF events.
 fn on_first(placed: &[Placed]) -> Vec<f64> {
     let of = |is_on: bool| {
@@ -191,11 +249,17 @@ struct Pursuit<'d> {
     peaks: &'d Peaks,
     /// Indices of the known coefficients, ascending; without k = 0, which says nothing about times.
     known: Vec<usize>,
+    /// 1 for these, 0 for all others.
+    is_known: Vec<f64>,
     /// Residual coefficients after the events placed so far.
     re: Vec<f32>,
     im: Vec<f32>,
     /// Numbers of the guide.
     numbers: Vec<Complex<f64>>,
+    /// Sums of all points.
+    correlations: Vec<f32>,
+    /// Heights of the second of two events.
+    of_second: Vec<f32>,
     /// Points that the guide found.
     candidates: Vec<usize>,
     /// Sizes from which the work follows.
@@ -209,7 +273,7 @@ impl<'d> Pursuit<'d> {
         for (k, of_re, of_im) in &pixel.coefficients {
             (re[usize::from(*k)], im[usize::from(*k)]) = (*of_re as f32, *of_im as f32);
         }
-        let known = if peaks.transform == Transform::Dct {
+        let known: Vec<usize> = if peaks.transform == Transform::Dct {
             // The DCT keeps every k < r, so a coefficient that was not sent is known to be 0.
             (1..peaks.kept).collect()
         } else {
@@ -217,12 +281,17 @@ impl<'d> Pursuit<'d> {
             sent.filter(|k| *k > 0).collect()
         };
         (re[0], im[0]) = (0.0, 0.0);
+        let mut is_known = vec![0.0; peaks.grid];
+        known.iter().for_each(|k| is_known[*k] = 1.0);
         Self {
             peaks,
             known,
+            is_known,
             re,
             im,
             numbers: Vec::new(),
+            correlations: Vec::new(),
+            of_second: Vec::new(),
             candidates: Vec::new(),
             search: peaks.search(pixel),
         }
@@ -233,23 +302,10 @@ impl<'d> Pursuit<'d> {
         self.known.last().map_or(0, |k| k + 1)
     }
 
-    /// Returns sum_k a_k b_k over the known coefficients; all others of `a` are 0.
-    #[inline]
-    fn dot_known(&self, a: &[f32], b: &[f32]) -> f32 {
-        let limit = self.limit();
-        // A few coefficients of a large grid are picked out; otherwise summing all of them in vector registers is
-        // faster.
-        if limit > 8 * self.known.len() {
-            self.known.iter().map(|k| a[*k] * b[*k]).sum()
-        } else {
-            dot(&a[..limit], &b[..limit])
-        }
-    }
-
+    #[inline(always)]
     fn run(
         mut self,
-        mut on: u32,
-        mut off: u32,
+        (mut on, mut off): (u32, u32),
         rounds_events_max: usize,
         work: &mut Work,
     ) -> Vec<Placed> {
@@ -278,42 +334,185 @@ impl<'d> Pursuit<'d> {
         placed
     }
 
-    /// Adds `factor` times an event's atoms to the residual.
-    fn add(&mut self, (u, sign): Placed, factor: f64) {
-        let step = self.peaks.omega(1) * u;
-        let (sin, cos) = step.sin_cos();
-        let (mut atom_re, mut atom_im) = (1.0, 0.0);
-        let complex = self.peaks.transform.is_complex();
-        let mut known = self.known.iter().peekable();
-        for k in 0..self.limit() {
-            if known.next_if_eq(&&k).is_some() {
-                self.re[k] += (factor * sign * atom_re) as f32;
-                if complex {
-                    self.im[k] -= (factor * sign * atom_im) as f32;
+    /// Places events two at a time, and then each pair again, until none moves.
+    #[inline(always)]
+    fn run_pairs(
+        mut self,
+        (mut on, mut off): (u32, u32),
+        turns: &Turns,
+        work: &mut Work,
+    ) -> Option<Vec<Placed>> {
+        let overlaps = turns.overlaps(&self.known);
+        let mut placed = Vec::with_capacity((on + off) as usize);
+        while on + off > 1 {
+            let signs = [
+                ([1.0, 1.0], on > 1),
+                ([1.0, -1.0], on > 0 && off > 0),
+                ([-1.0, -1.0], off > 1),
+            ];
+            let allowed = signs.into_iter().filter(|(_, is_allowed)| *is_allowed);
+            let pair = self.best_pair(&overlaps, allowed.map(|(signs, _)| signs), work)?;
+            for event in pair {
+                if event.1 > 0.0 {
+                    on -= 1;
+                } else {
+                    off -= 1;
+                }
+                placed.push(event);
+            }
+        }
+        if on + off > 0 {
+            work.spend(self.search.add());
+            let event = self.best(on > 0, off > 0, work);
+            self.add(event, -1.0);
+            placed.push(event);
+        }
+        if placed.len() == 2 {
+            return Some(placed);
+        }
+        for _ in 0..PAIR_ROUNDS {
+            let mut is_moved = false;
+            for i in 1..placed.len() {
+                for j in 0..i {
+                    let before = [placed[i], placed[j]];
+                    work.spend(2 * self.search.add());
+                    before.iter().for_each(|event| self.add(*event, 1.0));
+                    let signs = before.map(|(_, sign)| sign as f32);
+                    let pair = self.best_pair(&overlaps, [signs].into_iter(), work)?;
+                    is_moved |= pair != before;
+                    [placed[i], placed[j]] = pair;
                 }
             }
-            (atom_re, atom_im) = (atom_re * cos - atom_im * sin, atom_re * sin + atom_im * cos);
+            if !is_moved {
+                break;
+            }
+        }
+        Some(placed)
+    }
+
+    /// Returns the pair of events with some of these signs that explains the residual best, and takes it from there.
+    #[inline(always)]
+    fn best_pair(
+        &mut self,
+        overlaps: &Overlaps,
+        signs: impl Iterator<Item = [f32; 2]>,
+        work: &mut Work,
+    ) -> Option<[Placed; 2]> {
+        work.spend(self.search.pair());
+        self.correlate();
+        let mut best = None;
+        for signs in signs {
+            let energies = &self.peaks.half_energy;
+            let found = overlaps.best(&self.correlations, energies, signs, &mut self.of_second);
+            if let Some((height, pair)) = found
+                && best.is_none_or(|(most, _)| height > most)
+            {
+                best = Some((height, pair));
+            }
+        }
+        let (_, pair) = best?;
+        let of_point = |(point, sign): (usize, f32)| {
+            let u = (point as f64 + 0.5) / self.peaks.points as f64;
+            (u, f64::from(sign))
+        };
+        let pair = pair.map(of_point);
+        pair.iter().for_each(|event| self.add(*event, -1.0));
+        Some(pair)
+    }
+
+    /// Adds `factor` times an event's atoms to the residual.
+    #[inline(always)]
+    fn add(&mut self, (u, sign): Placed, factor: f64) {
+        let by = factor * sign;
+        let is_complex = self.peaks.transform.is_complex();
+        let mut atoms = Atoms::of(self.peaks.transform, u);
+        for at in (0..self.limit()).step_by(LANES) {
+            let (sin, cos) = atoms.next();
+            for lane in 0..LANES.min(self.re.len() - at) {
+                // What is not known stays 0.
+                let by = by * self.is_known[at + lane];
+                self.re[at + lane] += (by * cos[lane]) as f32;
+                if is_complex {
+                    self.im[at + lane] -= (by * sin[lane]) as f32;
+                }
+            }
         }
     }
 
     /// Returns the event that explains the residual best.
+    #[inline(always)]
     fn best(&mut self, may_be_on: bool, may_be_off: bool, work: &mut Work) -> Placed {
-        let mut best = (f32::NEG_INFINITY, 0, 1.0);
         let allowed = (may_be_on, may_be_off);
-        if self.guided(allowed) {
+        let (point, sign) = if self.guided(allowed) {
+            work.spend(self.search.looked_at(self.candidates.len() as u64));
+            let mut best = (f32::NEG_INFINITY, 0, 1.0);
             for point in &self.candidates {
                 self.look(*point, allowed, &mut best);
             }
-            work.spend(self.search.looked_at(self.candidates.len() as u64));
+            (best.1, best.2)
         } else {
-            for point in 0..self.peaks.points {
-                self.look(point, allowed, &mut best);
-            }
             work.spend(self.search.looked_at(self.search.points));
-        }
-        let (_, point, sign) = best;
+            self.highest(allowed)
+        };
         let u = (point as f64 + 0.5) / self.peaks.points as f64;
         (self.polish(u, sign), sign)
+    }
+
+    /// Computes the sums of all points.
+    #[inline(always)]
+    fn correlate(&mut self) {
+        let peaks = self.peaks;
+        let correlations = &mut self.correlations;
+        correlations.clear();
+        correlations.resize(peaks.points, 0.0);
+        let row = |k: usize| k * peaks.points..(k + 1) * peaks.points;
+        for k in &self.known {
+            let (re, im) = (self.re[*k], self.im[*k]);
+            let atoms = &peaks.atoms_re[row(*k)];
+            if peaks.transform.is_complex() {
+                let atoms = atoms.iter().zip(&peaks.atoms_im[row(*k)]);
+                for (sum, (cos, sin)) in correlations.iter_mut().zip(atoms) {
+                    *sum += re * cos + im * sin;
+                }
+            } else {
+                for (sum, cos) in correlations.iter_mut().zip(atoms) {
+                    *sum += re * cos;
+                }
+            }
+        }
+    }
+
+    /// Returns the first point of highest J, and its sign.
+    #[inline(always)]
+    fn highest(&mut self, (may_be_on, may_be_off): (bool, bool)) -> (usize, f64) {
+        self.correlate();
+        let peaks = self.peaks;
+        let is_complex = peaks.transform.is_complex();
+        let correlations = &self.correlations;
+        let of = |at: usize, correlation: f32, sign: f32| {
+            let energy = if is_complex {
+                0.0
+            } else {
+                peaks.half_energy[at]
+            };
+            sign * correlation - energy
+        };
+        let mut best = (f32::NEG_INFINITY, 0, 1.0);
+        for (is_allowed, sign) in [(may_be_on, 1.0), (may_be_off, -1.0)] {
+            if !is_allowed {
+                continue;
+            }
+            let most = highest_of(correlations, |at, c| of(at, c, sign));
+            let mut all = correlations.iter().enumerate();
+            // Of equal heights the first counts, and at one point ON.
+            if most >= best.0
+                && let Some((at, _)) = all.find(|(at, c)| of(*at, **c, sign) == most)
+                && (most > best.0 || at < best.1)
+            {
+                best = (most, at, f64::from(sign));
+            }
+        }
+        (best.1, best.2)
     }
 
     /// Collects the points where J may be largest; returns whether that could be done.
@@ -334,12 +533,18 @@ impl<'d> Pursuit<'d> {
     #[inline]
     fn look(&self, point: usize, may_be: (bool, bool), best: &mut (f32, usize, f64)) {
         let peaks = self.peaks;
-        let atoms = point * peaks.grid..(point + 1) * peaks.grid;
-        let mut correlation: f32 = self.dot_known(&self.re, &peaks.atoms_re[atoms.clone()]);
+        // The order of the sums is that of `highest`.
+        let mut correlation = 0.0;
         let mut half_energy = 0.0;
-        if peaks.transform.is_complex() {
-            correlation += self.dot_known(&self.im, &peaks.atoms_im[atoms]);
-        } else {
+        for k in &self.known {
+            let at = k * peaks.points + point;
+            let mut term = self.re[*k] * peaks.atoms_re[at];
+            if peaks.transform.is_complex() {
+                term += self.im[*k] * peaks.atoms_im[at];
+            }
+            correlation += term;
+        }
+        if !peaks.transform.is_complex() {
             half_energy = peaks.half_energy[point];
         }
         if may_be.0 && correlation - half_energy > best.0 {
@@ -351,6 +556,7 @@ impl<'d> Pursuit<'d> {
     }
 
     /// Takes Newton steps on J from a grid point, within one grid spacing of it.
+    #[inline(always)]
     fn polish(&self, start: f64, sign: f64) -> f64 {
         let reach = 1.0 / self.peaks.points as f64;
         let mut u = start;
@@ -372,47 +578,88 @@ impl<'d> Pursuit<'d> {
     }
 
     /// Returns J'(u) and J''(u).
+    #[inline(always)]
     fn derivatives(&self, u: f64, sign: f64) -> (f64, f64) {
         let base = self.peaks.omega(1);
-        let complex = self.peaks.transform.is_complex();
-        let (sin_1, cos_1) = (base * u).sin_cos();
-        let (mut cos, mut sin) = (1.0, 0.0);
-        let (mut slope, mut curvature) = (0.0, 0.0);
+        let is_complex = self.peaks.transform.is_complex();
+        let mut atoms = Atoms::of(self.peaks.transform, u);
+        let (mut slopes, mut curvatures) = ([0.0; LANES], [0.0; LANES]);
+        let of = |numbers: &[f32], at: usize| -> Lanes {
+            match numbers[at..].first_chunk::<LANES>() {
+                Some(numbers) => numbers.map(f64::from),
+                None => from_fn(|lane| numbers.get(at + lane).map_or(0.0, |c| f64::from(*c))),
+            }
+        };
         // Unknown coefficients add nothing: k = 0 has omega = 0, the DCT knows all others, and those that the DTFT
         // does not know have re = im = 0.
-        for k in 0..self.limit() {
-            let omega = base * k as f64;
-            let (re, im) = (f64::from(self.re[k]), f64::from(self.im[k]));
-            if complex {
-                // Re(c conj(phi)) = re cos - im sin
-                slope -= sign * omega * (re * sin + im * cos);
-                curvature -= sign * omega * omega * (re * cos - im * sin);
-            } else {
-                // p c cos - cos^2 / 2
-                slope += omega * sin * (cos - sign * re);
-                curvature += omega * omega * (cos * cos - sin * sin - sign * re * cos);
+        for at in (0..self.limit()).step_by(LANES) {
+            let (sin, cos) = atoms.next();
+            let (re, im) = (of(&self.re, at), of(&self.im, at));
+            for lane in 0..LANES {
+                let (sin, cos, re, im) = (sin[lane], cos[lane], re[lane], im[lane]);
+                let omega = base * (at + lane) as f64;
+                if is_complex {
+                    // Re(c conj(phi)) = re cos - im sin
+                    slopes[lane] -= sign * omega * (re * sin + im * cos);
+                    curvatures[lane] -= sign * omega * omega * (re * cos - im * sin);
+                } else if at + lane < self.limit() {
+                    // p c cos - cos^2 / 2
+                    slopes[lane] += omega * sin * (cos - sign * re);
+                    curvatures[lane] += omega * omega * (cos * cos - sin * sin - sign * re * cos);
+                }
             }
-            (cos, sin) = (cos * cos_1 - sin * sin_1, sin * cos_1 + cos * sin_1);
         }
-        (slope, curvature)
+        (sum(slopes), sum(curvatures))
     }
 }
 
-#[inline]
-fn dot(a: &[f32], b: &[f32]) -> f32 {
-    // Eight lanes, so that the compiler may use vector registers.
-    let mut lanes = [0.0_f32; 8];
-    let (a_blocks, a_rest) = a.as_chunks::<8>();
-    let (b_blocks, b_rest) = b.as_chunks::<8>();
-    let tail: f32 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
-    let b_blocks = &b_blocks[..a_blocks.len()];
-    for (i, a) in a_blocks.iter().enumerate() {
-        let b = &b_blocks[i];
-        for (lane, sum) in lanes.iter_mut().enumerate() {
-            *sum += a[lane] * b[lane];
+/// Sines and cosines of k omega u for all k from 0 on, several at a time.
+struct Atoms {
+    sin: Lanes,
+    cos: Lanes,
+    /// Of as many k as there are lanes.
+    step: (f64, f64),
+}
+
+impl Atoms {
+    #[inline(always)]
+    fn of(transform: Transform, u: f64) -> Self {
+        let quarters = omega(transform) / FRAC_PI_2 * u;
+        let (sin, cos) = sin_cos(from_fn(|lane| lane as f64 * quarters));
+        let (sin_step, cos_step) = sin_cos([LANES as f64 * quarters; LANES]);
+        Self {
+            sin,
+            cos,
+            step: (sin_step[0], cos_step[0]),
         }
     }
-    lanes.iter().sum::<f32>() + tail
+
+    #[inline(always)]
+    fn next(&mut self) -> (Lanes, Lanes) {
+        let (sin, cos) = (self.sin, self.cos);
+        let (sin_step, cos_step) = self.step;
+        self.sin = from_fn(|lane| sin[lane] * cos_step + cos[lane] * sin_step);
+        self.cos = from_fn(|lane| cos[lane] * cos_step - sin[lane] * sin_step);
+        (sin, cos)
+    }
+}
+
+/// Returns the largest of the heights of all numbers.
+#[inline(always)]
+fn highest_of(numbers: &[f32], height: impl Fn(usize, f32) -> f32) -> f32 {
+    // Eight lanes, so that the compiler may use vector registers.
+    let mut most = [f32::NEG_INFINITY; 8];
+    for (chunk, numbers) in numbers.chunks(8).enumerate() {
+        for (lane, number) in numbers.iter().enumerate() {
+            let height = height(8 * chunk + lane, *number);
+            most[lane] = if height > most[lane] {
+                height
+            } else {
+                most[lane]
+            };
+        }
+    }
+    most.into_iter().fold(f32::NEG_INFINITY, f32::max)
 }
 
 #[cfg(test)]
@@ -499,6 +746,72 @@ mod tests {
                 assert_eq!(found, plain.pixel(&pixel, &mut others));
                 let (units, plainly) = (work.take_units(), others.take_units());
                 assert!(5 * units < plainly, "{units} {plainly}");
+            }
+        }
+    }
+
+    /// AVX2 only makes the search faster: the events are the same to the bit.
+    #[test]
+    fn vector_instructions_change_nothing() {
+        for transform in [Transform::Dct, Transform::Dtft] {
+            let peaks = Peaks::new(transform, 16, 16);
+            for count in 2..12_u32 {
+                let placed = |i: u32| (f64::from(i * i * 7 % 41) / 41.0, 1.0 - f64::from(i % 3));
+                let events: Vec<Placed> = (0..count)
+                    .map(placed)
+                    .map(|(u, sign)| (u, if sign < 0.0 { -1.0 } else { 1.0 }))
+                    .collect();
+                let on = events.iter().filter(|event| event.1 > 0.0).count() as u32;
+                let pixel = Pixel {
+                    x: 0,
+                    y: 0,
+                    on,
+                    off: count - on,
+                    coefficients: coefficients(transform, 16, &events),
+                    times: vec![],
+                };
+                let counts = (pixel.on, pixel.off);
+                let [mut work, mut other] = [Work::default(), Work::default()];
+                let plain = Pursuit::new(&peaks, &pixel).run(counts, usize::MAX, &mut other);
+                assert_eq!(peaks.placed(&pixel, usize::MAX, &mut work), plain);
+                let turns = peaks.turns.as_ref().unwrap();
+                let pursuit = || Pursuit::new(&peaks, &pixel);
+                let plain = pursuit().run_pairs(counts, turns, &mut other);
+                assert_eq!(in_pairs(pursuit(), counts, turns, &mut work), plain);
+                assert_eq!(work.take_units(), other.take_units());
+            }
+        }
+    }
+
+    /// Two events in one place that cancel each other but for a little, and two of one polarity that share a peak.
+    #[test]
+    fn pairs_find_events_that_have_no_peak_of_their_own() {
+        for transform in [Transform::Dct, Transform::Dtft] {
+            let peaks = Peaks::new(transform, 16, 16);
+            for events in [
+                [(0.412, 1.0), (0.434, -1.0)],
+                [(0.412, 1.0), (0.44, 1.0)],
+                [(0.3, -1.0), (0.33, -1.0)],
+            ] {
+                let on = events.iter().filter(|event| event.1 > 0.0).count() as u32;
+                let pixel = Pixel {
+                    x: 0,
+                    y: 0,
+                    on,
+                    off: 2 - on,
+                    coefficients: coefficients(transform, 16, &events),
+                    times: vec![],
+                };
+                let mut times = peaks.paired(&pixel, &mut Work::default()).unwrap();
+                if on != 1 {
+                    times.sort_by(f64::total_cmp);
+                }
+                for (u, (true_u, _)) in times.iter().zip(events) {
+                    assert!(
+                        (u - true_u).abs() < 1.5 / 64.0,
+                        "{transform:?} {times:?} {events:?}"
+                    );
+                }
             }
         }
     }

@@ -1,14 +1,14 @@
 //! Recovers a pixel's event times from its coefficients; this module runs the stages in order.
 //!
 //! ```text
-//! crowd  <- too many events -- equations -> pursuit, refined pursuit, pencil, Newton -> refine -> lattice
+//! crowd  <- too many events -- equations -> pairs, pursuit, refined, pencil, Newton -> refine -> lattice
 //!                                        -> ensemble (many events) ------------------------^
 //! ```
 //!
-//! Starting points ([`super::pursuit`], [`super::prony`]) are tried one after the other until one, refined by least
-//! squares ([`super::refine`]), explains the coefficients to within the quantisation error. Its times move to the
-//! centre of the possible times, and then to the microsecond grid ([`super::lattice`]), where they are verified by
-//! encoding them again. With many events the coefficients have many solutions, and their median is taken
+//! Starting points (`pairs`, [`super::pursuit`], [`super::prony`]) are tried one after the other until one, refined by
+//! least squares ([`super::refine`]), explains the coefficients to within the quantisation error. Its times move to the
+//! microsecond grid ([`super::lattice`]), where they are verified by encoding them again; unless no others encode to the
+//! same, they first move to the centre of the possible times. With many events the coefficients have many solutions, and their median is taken
 //! ([`super::ensemble`]). Pixels with too many events for that get the flattest densities ([`super::crowd`]).
 
 use eecvs_nostd::{Header, Polarity};
@@ -17,7 +17,7 @@ use serde::Serialize;
 use super::Pixel;
 use super::crowd::Densities;
 use super::equations::Equations;
-use super::lattice::{self, Lattice};
+use super::lattice::{self, Agreed, Lattice};
 use super::pursuit::Peaks;
 use super::refine::{LEAST_SQUARES_ROUNDS, Work, centre, largest, least_squares, rms};
 use super::{cost, ensemble, prony};
@@ -29,6 +29,8 @@ pub const EVENTS_MAX: usize = 40;
 const EVENTS_FIFTHS: u64 = 8;
 /// Number of events from which the median of many solutions is taken.
 pub(super) const MEDIAN_FROM: usize = 17;
+/// Largest number of events for which pairs are tried.
+pub(super) const PAIRED_EVENTS_MAX: usize = 8;
 /// RMS residual, in units of h, below which the residual is taken to be quantisation error. Uniform errors have an
 /// RMS of 0.58, with a standard deviation of 0.05 over 30 rows.
 const RMS_QUANTISED: f64 = 0.75;
@@ -149,33 +151,71 @@ pub fn pixel(header: &Header, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> 
         fitted(&equations, peaks, pixel, work)
     };
     if rms(&equations, &times, work) < 1.0 {
-        let mut middle = times.clone();
-        centre(&equations, &mut middle, work);
         let mut lattice = Lattice::new(header, &equations);
-        for times in [&middle, &times] {
-            if let Some(agreed) = lattice.agree(&offsets_us(&equations, times), work) {
-                return Recovered {
-                    confidence: Confidence::of(agreed.is_unique),
-                    residual_steps: residual_steps(&equations, &agreed.offsets, work),
-                    offsets_us: agreed.offsets,
-                };
-            }
+        // Where no other times agree, it does not matter where the search for them begins.
+        let near = lattice.agree(&offsets_us(&equations, &times), work);
+        let found = |agreed: Agreed, work: &mut Work| Recovered {
+            confidence: Confidence::of(agreed.is_unique),
+            residual_steps: residual_steps(&equations, &agreed.offsets, work),
+            offsets_us: agreed.offsets,
+        };
+        if let Some(agreed) = near.clone().filter(|agreed| agreed.is_unique) {
+            return found(agreed, work);
         }
-        return approximate(&equations, &middle, work);
+        let mut middle = times;
+        centre(&equations, &mut middle, work);
+        let agreed = lattice.agree(&offsets_us(&equations, &middle), work);
+        return match agreed.or(near) {
+            Some(agreed) => found(agreed, work),
+            None => approximate(&equations, &middle, work),
+        };
     }
     approximate(&equations, &times, work)
+}
+
+/// Starting points of least squares, in the order in which they are tried.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Start {
+    Pairs,
+    Peaks,
+    RefinedPeaks,
+    Pencil,
+    Newton,
+    Densities,
+}
+
+impl Start {
+    /// The order for a number of events. Of two, one may hide the other, and all pairs of points are looked at sooner
+    /// than one point after the other.
+    const fn order(events: usize) -> [Self; 6] {
+        let [first, second] = match events {
+            0..=2 => [Self::Pairs, Self::Peaks],
+            _ => [Self::Peaks, Self::Pairs],
+        };
+        [
+            first,
+            second,
+            Self::RefinedPeaks,
+            Self::Pencil,
+            Self::Newton,
+            Self::Densities,
+        ]
+    }
 }
 
 /// Returns the first solution whose residual is down to the quantisation error, or the best of all solutions.
 fn fitted(equations: &Equations, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> Vec<f64> {
     let mut best: Option<(f64, Vec<f64>)> = None;
-    for start in 0..5 {
+    let events = equations.events();
+    for start in Start::order(events) {
         let times = match start {
-            0 => Some(peaks.times(pixel, work)),
-            1 => Some(peaks.refined(pixel, equations, work)),
-            2 => prony::pencil(equations, work),
-            3 => prony::newton(equations, work),
-            _ => Some(Densities::flattest(equations, work).times(0.5)),
+            Start::Pairs if events > PAIRED_EVENTS_MAX => None,
+            Start::Pairs => peaks.paired(pixel, work),
+            Start::Peaks => Some(peaks.times(pixel, work)),
+            Start::RefinedPeaks => Some(peaks.refined(pixel, equations, work)),
+            Start::Pencil => prony::pencil(equations, work),
+            Start::Newton => prony::newton(equations, work),
+            Start::Densities => Some(Densities::flattest(equations, work).times(0.5)),
         };
         let Some(mut times) = times else {
             continue;

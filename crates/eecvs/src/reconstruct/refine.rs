@@ -11,9 +11,10 @@
 //!
 //! Marquardt, SIAM J. Appl. Math. 11 (1963); Boyd, Vandenberghe: *Convex Optimization*, 8.5.3.
 
-use nalgebra::{DMatrix, DVector};
-
+use super::crowd::DensityWork;
 use super::equations::Equations;
+use super::lanes::{Lanes, wide};
+use super::normal::Normal;
 
 /// Largest number of least-squares rounds; nearly all pixels converge earlier.
 pub const LEAST_SQUARES_ROUNDS: usize = 40;
@@ -33,8 +34,13 @@ const STILL: f64 = 1e-10;
 pub struct Work {
     residual: Vec<f64>,
     trial: Vec<f64>,
-    slopes: Vec<f64>,
+    sums: Vec<Lanes>,
+    slopes: Vec<Lanes>,
     weights: Vec<f64>,
+    /// Times of a trial.
+    next: Vec<f64>,
+    pub(super) normal: Normal,
+    pub(super) density: DensityWork,
     /// Units of work spent, see [`super::cost`].
     units: u64,
 }
@@ -45,48 +51,22 @@ impl Work {
         self.units = self.units.saturating_add(units);
     }
 
+    /// Computes the residual after `scale` times a step from the times `u`.
+    #[inline(always)]
+    fn look(&mut self, equations: &Equations, u: &[f64], scale: f64) {
+        for ((next, u), d) in self.next.iter_mut().zip(u).zip(self.normal.step()) {
+            *next = u + scale * d;
+            if !equations.transform.is_complex() {
+                *next = next.clamp(0.0, 1.0);
+            }
+        }
+        equations.residual(&self.next, &mut self.sums, &mut self.trial);
+    }
+
     /// Returns the units of work spent since the last call.
     pub const fn take_units(&mut self) -> u64 {
         std::mem::replace(&mut self.units, 0)
     }
-}
-
-/// Returns J^T diag(w) J and J^T diag(w) v.
-fn normal(
-    slopes: &[f64],
-    rows: usize,
-    n: usize,
-    weights: &[f64],
-    v: &[f64],
-) -> (DMatrix<f64>, DVector<f64>) {
-    let mut matrix = DMatrix::zeros(n, n);
-    let mut vector = DVector::zeros(n);
-    let mut weighted = vec![0.0; rows];
-    for i in 0..n {
-        let column = &slopes[i * rows..(i + 1) * rows];
-        for ((to, slope), weight) in weighted.iter_mut().zip(column).zip(weights) {
-            *to = slope * weight;
-        }
-        vector[i] = weighted.iter().zip(v).map(|(a, b)| a * b).sum();
-        for j in 0..=i {
-            let other = &slopes[j * rows..(j + 1) * rows];
-            let sum: f64 = weighted.iter().zip(other).map(|(a, b)| a * b).sum();
-            matrix[(i, j)] = sum;
-            matrix[(j, i)] = sum;
-        }
-    }
-    (matrix, vector)
-}
-
-/// Solves (matrix + lambda diag) d = vector; `None` if that matrix is not positive definite.
-fn damped(matrix: &DMatrix<f64>, vector: &DVector<f64>, lambda: f64) -> Option<DVector<f64>> {
-    let mut damped = matrix.clone();
-    let mean = matrix.trace() / matrix.nrows().max(1) as f64;
-    for i in 0..matrix.nrows() {
-        damped[(i, i)] += lambda * (matrix[(i, i)] + 1e-3 * mean);
-    }
-    let step = damped.cholesky()?.solve(vector);
-    step.iter().all(|d| d.is_finite()).then_some(step)
 }
 
 fn squares(weights: &[f64], residual: &[f64]) -> f64 {
@@ -96,8 +76,17 @@ fn squares(weights: &[f64], residual: &[f64]) -> f64 {
 /// Returns the largest |r_m|, in units of a coefficient.
 pub fn largest(equations: &Equations, u: &[f64], work: &mut Work) -> f64 {
     work.spend(equations.size().residual(u.len() as u64));
-    equations.residual(u, &mut work.residual);
+    residual(equations, u, work);
     most(&work.residual)
+}
+
+/// Computes the residual.
+fn residual(equations: &Equations, u: &[f64], work: &mut Work) {
+    #[inline(always)]
+    fn residual(equations: &Equations, u: &[f64], work: &mut Work) {
+        equations.residual(u, &mut work.sums, &mut work.residual);
+    }
+    wide!(residual, equations: &Equations, u: &[f64], work: &mut Work);
 }
 
 fn most(residual: &[f64]) -> f64 {
@@ -107,19 +96,25 @@ fn most(residual: &[f64]) -> f64 {
 /// Returns the root mean square of r_m in units of h.
 pub fn rms(equations: &Equations, u: &[f64], work: &mut Work) -> f64 {
     work.spend(equations.size().residual(u.len() as u64));
-    equations.residual(u, &mut work.residual);
+    residual(equations, u, work);
     let sum: f64 = work.residual.iter().map(|r| r * r).sum();
     (sum / equations.rows().max(1) as f64).sqrt() / equations.half
 }
 
 /// Moves the times `u` (normalised to the window) to a nearby minimum of sum_m r_m^2, in at most `rounds` steps.
 pub fn least_squares(equations: &Equations, u: &mut [f64], rounds: usize, work: &mut Work) {
+    wide!(unweighted, equations: &Equations, u: &mut [f64], rounds: usize, work: &mut Work);
+}
+
+#[inline(always)]
+fn unweighted(equations: &Equations, u: &mut [f64], rounds: usize, work: &mut Work) {
     work.weights.clear();
     work.weights.resize(equations.rows(), 1.0);
     weighted(equations, u, work, rounds, None);
 }
 
 /// Runs Levenberg-Marquardt. With `power` the weights follow the residual, and it ends once all rows hold.
+#[inline(always)]
 fn weighted(
     equations: &Equations,
     u: &mut [f64],
@@ -127,16 +122,16 @@ fn weighted(
     rounds: usize,
     power: Option<i32>,
 ) {
-    let (rows, n) = (equations.rows(), u.len());
+    let n = u.len();
     // In one step no event moves by more than half a period of the highest DTFT atom, or a quarter of that of the
     // DCT.
     let reach = 0.5 / f64::from(equations.ks.last().copied().unwrap_or(1).max(1));
     let mut lambda = 1e-3;
-    let mut next = vec![0.0; n];
+    work.next.resize(n, 0.0);
     let (size, events) = (equations.size(), n as u64);
     for _ in 0..rounds {
         work.spend(size.linearise(events));
-        equations.linearise(u, &mut work.residual, &mut work.slopes);
+        equations.linearise(u, &mut work.sums, &mut work.residual, &mut work.slopes);
         if let Some(power) = power {
             let most = most(&work.residual);
             if most < equations.half * 0.98 {
@@ -148,27 +143,22 @@ fn weighted(
         }
         let before = squares(&work.weights, &work.residual);
         work.spend(size.normal(events));
-        let (matrix, vector) = normal(&work.slopes, rows, n, &work.weights, &work.residual);
+        work.normal
+            .fill(&work.slopes, n, &work.weights, &work.residual);
         let mut moved = 0.0_f64;
         let mut gained = 0.0;
         for _ in 0..TRIALS {
             work.spend(size.trial(events));
-            let Some(step) = damped(&matrix, &vector, lambda) else {
+            if !work.normal.solve(lambda) {
                 lambda = (lambda * 10.0).max(1e-9);
                 continue;
-            };
-            moved = step.amax();
-            let scale = (reach / moved).min(1.0);
-            for ((next, u), d) in next.iter_mut().zip(&*u).zip(step.iter()) {
-                *next = u + scale * d;
-                if !equations.transform.is_complex() {
-                    *next = next.clamp(0.0, 1.0);
-                }
             }
-            equations.residual(&next, &mut work.trial);
+            moved = most(work.normal.step());
+            let scale = (reach / moved).min(1.0);
+            work.look(equations, u, scale);
             let after = squares(&work.weights, &work.trial);
             if after < before {
-                u.copy_from_slice(&next);
+                u.copy_from_slice(&work.next);
                 gained = before - after;
                 lambda = (lambda * 0.1).max(1e-12);
                 break;
@@ -187,6 +177,11 @@ fn weighted(
 /// Moves the times `u` (normalised to the window) to the analytic centre of the times whose residual is within h;
 /// returns whether times within h were found nearby. If not, `u` is unchanged.
 pub fn centre(equations: &Equations, u: &mut [f64], work: &mut Work) -> bool {
+    wide!(centred, equations: &Equations, u: &mut [f64], work: &mut Work; bool)
+}
+
+#[inline(always)]
+fn centred(equations: &Equations, u: &mut [f64], work: &mut Work) -> bool {
     let half = equations.half;
     if largest(equations, u, work) >= half {
         let mut better = u.to_vec();
@@ -196,24 +191,13 @@ pub fn centre(equations: &Equations, u: &mut [f64], work: &mut Work) -> bool {
         }
         u.copy_from_slice(&better);
     }
-    let (rows, n) = (equations.rows(), u.len());
-    let mut next = vec![0.0; n];
-    let barrier = |residual: &[f64]| -> Option<f64> {
-        let mut product = 0.0;
-        for r in residual {
-            let room = 1.0 - (r / half).powi(2);
-            if room <= 0.0 {
-                return None;
-            }
-            product -= room.ln();
-        }
-        Some(product)
-    };
+    let n = u.len();
+    work.next.resize(n, 0.0);
     let (size, events) = (equations.size(), n as u64);
     for _ in 0..CENTRE_ROUNDS {
         work.spend(size.linearise(events) + size.normal(events) + size.solve(events));
-        equations.linearise(u, &mut work.residual, &mut work.slopes);
-        let Some(before) = barrier(&work.residual) else {
+        equations.linearise(u, &mut work.sums, &mut work.residual, &mut work.slopes);
+        let Some(before) = barrier(&work.residual, half) else {
             break;
         };
         // B' = sum 2 r r' / (h^2 - r^2), B'' ~ sum 2 (h^2 + r^2) r' r' / (h^2 - r^2)^2.
@@ -226,22 +210,17 @@ pub fn centre(equations: &Equations, u: &mut [f64], work: &mut Work) -> bool {
             let room = half * half - r * r;
             r * room / (half * half + r * r)
         }));
-        let (matrix, vector) = normal(&work.slopes, rows, n, &work.weights, &work.trial);
-        let Some(step) = damped(&matrix, &vector, 1e-9) else {
+        work.normal
+            .fill(&work.slopes, n, &work.weights, &work.trial);
+        if !work.normal.solve(1e-9) {
             break;
-        };
+        }
         let mut scale = 1.0;
         let mut is_better = false;
         for _ in 0..HALVINGS {
             work.spend(size.residual(events));
-            for ((next, u), d) in next.iter_mut().zip(&*u).zip(step.iter()) {
-                *next = u + scale * d;
-                if !equations.transform.is_complex() {
-                    *next = next.clamp(0.0, 1.0);
-                }
-            }
-            equations.residual(&next, &mut work.trial);
-            if barrier(&work.trial).is_some_and(|after| after < before) {
+            work.look(equations, u, scale);
+            if barrier(&work.trial, half).is_some_and(|after| after < before) {
                 is_better = true;
                 break;
             }
@@ -250,10 +229,65 @@ pub fn centre(equations: &Equations, u: &mut [f64], work: &mut Work) -> bool {
         if !is_better {
             break;
         }
-        u.copy_from_slice(&next);
-        if step.amax() * scale < STILL {
+        u.copy_from_slice(&work.next);
+        if most(work.normal.step()) * scale < STILL {
             break;
         }
     }
     true
+}
+
+/// Returns B(u), up to a constant, of the residual; `None` if it is not within `half`.
+fn barrier(residual: &[f64], half: f64) -> Option<f64> {
+    let mut sum = 0.0;
+    // A room is at least 2^-53, so the product of sixteen is above the smallest number.
+    for rows in residual.chunks(16) {
+        let mut product = 1.0;
+        for r in rows {
+            let room = 1.0 - (r / half).powi(2);
+            if room <= 0.0 {
+                return None;
+            }
+            product *= room;
+        }
+        sum -= product.ln();
+    }
+    Some(sum)
+}
+
+#[cfg(test)]
+mod tests {
+    use eecvs_nostd::Transform;
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::reconstruct::test_pixel;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(64))]
+
+        /// AVX2 only makes it faster: the times are the same to the bit, and so is the work that is counted.
+        #[test]
+        fn vector_instructions_change_nothing(
+            events in proptest::collection::vec((0..5000_u32, any::<bool>(), 0.0..1.0_f64), 2..24),
+            step_log2 in -12..=-4_i8,
+            is_dct: bool,
+        ) {
+            let transform = if is_dct { Transform::Dct } else { Transform::Dtft };
+            let header = test_pixel::header(transform, 12, step_log2, 5000);
+            let sent: Vec<_> = events.iter().map(|(t, is_on, _)| (*t, *is_on)).collect();
+            let pixel = test_pixel::pixel(&header, &sent);
+            let equations = Equations::new(&header, &pixel).with_signs();
+            let start: Vec<f64> = events.iter().map(|(.., u)| *u).collect();
+            let (mut wide, mut plain) = (start.clone(), start);
+            let [mut work, mut other] = [Work::default(), Work::default()];
+            least_squares(&equations, &mut wide, 20, &mut work);
+            unweighted(&equations, &mut plain, 20, &mut other);
+            prop_assert_eq!(&wide, &plain);
+            let is_within = centre(&equations, &mut wide, &mut work);
+            prop_assert_eq!(is_within, centred(&equations, &mut plain, &mut other));
+            prop_assert_eq!(wide, plain);
+            prop_assert_eq!(work.take_units(), other.take_units());
+        }
+    }
 }

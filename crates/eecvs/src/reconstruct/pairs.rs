@@ -1,0 +1,211 @@
+//! Times of few events, two at a time: the best pair of points of a grid.
+//!
+//! Two events that cancel each other, or that share a peak, have no peak of their own. Together, two events of
+//! polarities p and q explain the residual c best where, with J of [`super::pursuit`],
+//!
+//! ```text
+//! J(u) + J(v) - p q sum_k Re(phi_k(u) conj(phi_k(v)))
+//! ```
+//!
+//! is largest. The sum depends on u - v alone, and for the DCT on u + v too, so that it is a table, and all pairs of a
+//! grid are looked at.
+
+use eecvs_nostd::Transform;
+
+use super::pursuit::omega;
+
+/// Largest number of points of a grid all of whose pairs are looked at.
+pub const POINTS_MAX: usize = 512;
+
+/// sum_k cos(omega_k m / P) over known coefficients k > 0, for m from -P to 2 P - 1.
+#[derive(Debug, Clone)]
+pub struct Overlaps {
+    points: usize,
+    is_complex: bool,
+    /// At index m + P.
+    sums: Vec<f32>,
+}
+
+/// Two points with their signs.
+pub type Pair = [(usize, f32); 2];
+
+/// cos(omega_k m / P) for m from 0 to P, of all k below K.
+#[derive(Debug)]
+pub struct Turns {
+    points: usize,
+    is_complex: bool,
+    cosines: Vec<f32>,
+}
+
+impl Turns {
+    /// Computes the table for P = `points` and K = `grid`.
+    pub fn new(transform: Transform, points: usize, grid: usize) -> Self {
+        let step = omega(transform) / points as f64;
+        let row = |k: usize| (0..=points).map(move |m| (step * (k * m) as f64).cos() as f32);
+        Self {
+            points,
+            is_complex: transform.is_complex(),
+            cosines: (0..grid).flat_map(row).collect(),
+        }
+    }
+
+    /// Sums the cosines of these k.
+    #[inline(always)]
+    pub fn overlaps(&self, known: &[usize]) -> Overlaps {
+        let points = self.points;
+        let mut sums = vec![0.0; points + 1];
+        for k in known {
+            let row = &self.cosines[k * (points + 1)..][..=points];
+            for (sum, cosine) in sums.iter_mut().zip(row) {
+                *sum += cosine;
+            }
+        }
+        // Cosines are the same on both sides of 0 and of P.
+        let mut all = Vec::with_capacity(3 * points);
+        all.extend(sums[1..].iter().rev());
+        all.extend(&sums[..points]);
+        all.extend(sums[1..].iter().rev());
+        Overlaps {
+            points,
+            is_complex: self.is_complex,
+            sums: all,
+        }
+    }
+}
+
+impl Overlaps {
+    /// Returns the best pair of points with these signs and its height, or `None` if no height is a number.
+    /// `heights` are p J(u) without the term of the energy, for p = 1, at all points; `energies` is that term.
+    #[inline(always)]
+    pub fn best(
+        &self,
+        heights: &[f32],
+        energies: &[f32],
+        [first, second]: [f32; 2],
+        of_second: &mut Vec<f32>,
+    ) -> Option<(f32, Pair)> {
+        let points = self.points;
+        let energy = |at: usize| if self.is_complex { 0.0 } else { energies[at] };
+        of_second.clear();
+        of_second.extend((0..points).map(|at| second * heights[at] - energy(at)));
+        // For the DCT, cos a cos b = (cos (a - b) + cos (a + b)) / 2.
+        let factor = if self.is_complex {
+            first * second
+        } else {
+            first * second / 2.0
+        };
+        let mut best = (f32::NEG_INFINITY, 0);
+        for (at, height) in heights.iter().enumerate() {
+            let apart = &self.sums[points - at..2 * points - at];
+            let summed = &self.sums[points + at + 1..];
+            let most = if self.is_complex {
+                most_of(of_second, |other| factor * apart[other])
+            } else {
+                most_of(of_second, |other| factor * (apart[other] + summed[other]))
+            };
+            let height = first * height - energy(at) + most;
+            if height > best.0 {
+                best = (height, at);
+            }
+        }
+        let (height, at) = best;
+        if height == f32::NEG_INFINITY {
+            return None;
+        }
+        let value = |other: usize| {
+            let summed = if self.is_complex {
+                0.0
+            } else {
+                self.sums[points + at + 1 + other]
+            };
+            of_second[other] - factor * (self.sums[points - at + other] + summed)
+        };
+        let other = (0..points).max_by(|a, b| value(*a).total_cmp(&value(*b)))?;
+        Some((height, [(at, first), (other, second)]))
+    }
+}
+
+/// Returns the largest of all numbers less `less`.
+#[inline(always)]
+fn most_of(numbers: &[f32], less: impl Fn(usize) -> f32) -> f32 {
+    let mut most = [f32::NEG_INFINITY; 8];
+    let (chunks, rest) = numbers.as_chunks::<8>();
+    for (chunk, numbers) in chunks.iter().enumerate() {
+        for lane in 0..8 {
+            let height = numbers[lane] - less(8 * chunk + lane);
+            most[lane] = if height > most[lane] {
+                height
+            } else {
+                most[lane]
+            };
+        }
+    }
+    let behind = 8 * chunks.len();
+    let rest = rest
+        .iter()
+        .enumerate()
+        .map(|(at, number)| number - less(behind + at));
+    rest.chain(most).fold(f32::NEG_INFINITY, f32::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The best pair is that of all pairs, each computed from its atoms.
+    #[test]
+    fn the_best_pair_is_found() {
+        let (points, grid) = (64, 16);
+        for transform in [Transform::Dct, Transform::Dtft] {
+            let known = if transform == Transform::Dct {
+                vec![1, 2, 3, 4, 5]
+            } else {
+                vec![1, 3, 4, 9]
+            };
+            let overlaps = Turns::new(transform, points, grid).overlaps(&known);
+            let heights: Vec<f32> = (0..points)
+                .map(|at| (at * at % 23) as f32 / 7.0 - 1.5)
+                .collect();
+            let energies: Vec<f32> = (0..points).map(|at| (at % 5) as f32 / 9.0).collect();
+            let energy = |at: usize| {
+                if transform == Transform::Dct {
+                    energies[at]
+                } else {
+                    0.0
+                }
+            };
+            let atoms = |at: usize| {
+                let u = (at as f64 + 0.5) / points as f64;
+                let known = known.clone();
+                known
+                    .into_iter()
+                    .map(move |k| (omega(transform) * k as f64 * u).sin_cos())
+            };
+            let overlap = |a: usize, b: usize| -> f64 {
+                let products = atoms(a)
+                    .zip(atoms(b))
+                    .map(|((s, c), (t, d))| match transform {
+                        Transform::Dct => c * d,
+                        _ => c * d + s * t,
+                    });
+                products.sum()
+            };
+            for signs in [[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0]] {
+                let [p, q] = signs;
+                let value = |a: usize, b: usize| {
+                    let alone = p * heights[a] - energy(a) + q * heights[b] - energy(b);
+                    alone - p * q * overlap(a, b) as f32
+                };
+                let all = (0..points).flat_map(|a| (0..points).map(move |b| (a, b)));
+                let most = all
+                    .map(|(a, b)| value(a, b))
+                    .fold(f32::NEG_INFINITY, f32::max);
+                let found = overlaps.best(&heights, &energies, signs, &mut Vec::new());
+                let (height, [(a, of_a), (b, of_b)]) = found.unwrap();
+                assert_eq!([of_a, of_b], signs);
+                assert!((height - most).abs() < 1e-4, "{height} {most}");
+                assert!((value(a, b) - most).abs() < 1e-4);
+            }
+        }
+    }
+}
