@@ -7,7 +7,8 @@
 
 use eecvs_nostd::Transform;
 
-use super::{Pixel, crowd, ensemble, lattice, pairs, prony, pursuit, recover, refine};
+use super::pursuit::pairs;
+use super::{Pixel, crowd, ensemble, lattice, prony, pursuit, recover, refine};
 
 /// Work for any pixel: memory, sorting its events and writing them.
 pub const PIXEL: u64 = 500;
@@ -325,7 +326,7 @@ impl Search {
             return 0;
         }
         let table = self.points * (self.known + 3) + 4 * MEMORY;
-        let again = pursuit::PAIR_ROUNDS as u64 * events * events / 2;
+        let again = pairs::PAIR_ROUNDS as u64 * events * events / 2;
         let single = self.best() + self.add();
         table + (events / 2) * self.pair() + single + again * (self.pair() + 2 * self.add())
     }

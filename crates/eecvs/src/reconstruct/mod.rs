@@ -14,7 +14,6 @@ mod lanes;
 pub mod lattice;
 mod normal;
 pub mod order;
-mod pairs;
 pub mod prony;
 pub mod pursuit;
 pub mod recover;

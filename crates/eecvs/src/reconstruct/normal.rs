@@ -1,7 +1,7 @@
 //! Normal equations of least squares: A = J^T W J, and their solution by Cholesky's factors.
 //!
-//! Rows of J and of A are whole blocks of [`LANES`] numbers, the last of which zeros fill, so that all sums run over blocks, in the same
-//! order on every machine.
+//! Rows of J and of A are whole blocks of [`LANES`] numbers, the last of which zeros fill, so that all sums run over
+//! blocks, in the same order on every machine.
 
 use std::array::from_fn;
 

@@ -5,11 +5,12 @@
 //!                                        -> ensemble (many events) ------------------------^
 //! ```
 //!
-//! Starting points (`pairs`, [`super::pursuit`], [`super::prony`]) are tried one after the other until one, refined by
+//! Starting points ([`super::pursuit`], [`super::prony`]) are tried one after the other until one, refined by
 //! least squares ([`super::refine`]), explains the coefficients to within the quantisation error. Its times move to the
 //! microsecond grid ([`super::lattice`]), where they are verified by encoding them again; unless no others encode to the
-//! same, they first move to the centre of the possible times. With many events the coefficients have many solutions, and their median is taken
-//! ([`super::ensemble`]). Pixels with too many events for that get the flattest densities ([`super::crowd`]).
+//! same, they first move to the centre of the possible times. With many events the coefficients have many solutions, and
+//! their median is taken ([`super::ensemble`]). Pixels with too many events for that get the flattest densities
+//! ([`super::crowd`]).
 
 use eecvs_nostd::{Header, Polarity};
 use serde::Serialize;

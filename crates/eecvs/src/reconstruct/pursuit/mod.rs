@@ -14,6 +14,8 @@
 //!
 //! Mallat, Zhang: *Matching pursuits with time-frequency dictionaries*, IEEE Trans. Signal Processing 41 (1993).
 
+pub(super) mod pairs;
+
 use std::array::from_fn;
 use std::f64::consts::FRAC_PI_2;
 
@@ -25,8 +27,8 @@ use super::cost::{PIXEL, Search};
 use super::equations::Equations;
 use super::guide::Guide;
 use super::lanes::{LANES, Lanes, sin_cos, sum, wide};
-use super::pairs::{self, Overlaps, Turns};
 use super::refine::{Work, least_squares};
+use pairs::Turns;
 
 /// Points of the search grid for each atom.
 const POINTS_PER_ATOM: usize = 4;
@@ -37,9 +39,6 @@ pub(super) const ROUNDS: usize = 3;
 /// Largest number of events in a pixel whose events are placed again; for more, the rounds cost more than they
 /// gain.
 pub(super) const ROUNDS_EVENTS_MAX: usize = 16;
-
-/// Rounds in which every pair of events is placed again.
-pub(super) const PAIR_ROUNDS: usize = 2;
 
 /// Largest number of least-squares rounds after each event.
 pub(super) const PARTIAL_ROUNDS: usize = 6;
@@ -129,7 +128,7 @@ impl Peaks {
         )
     }
 
-    /// Returns the times u of a pixel's events, those of the ON events first, placed two at a time (`pairs.rs`) on
+    /// Returns the times u of a pixel's events, those of the ON events first, placed two at a time (`pairs`) on
     /// the points of the grid; `None` if the grid is too large, or the coefficients for f32.
     #[must_use]
     pub fn paired(&self, pixel: &Pixel, work: &mut Work) -> Option<Vec<f64>> {
@@ -138,7 +137,7 @@ impl Peaks {
         }
         let (pursuit, counts) = (Pursuit::new(self, pixel), (pixel.on, pixel.off));
         let turns = self.turns.as_ref()?;
-        Some(on_first(&in_pairs(pursuit, counts, turns, work)?))
+        Some(on_first(&pairs::placed(pursuit, counts, turns, work)?))
     }
 
     /// As [`Self::times`], but after each event all events placed so far move to where together they explain the
@@ -211,19 +210,6 @@ impl Peaks {
     fn omega(&self, k: usize) -> f64 {
         omega(self.transform) * k as f64
     }
-}
-
-fn in_pairs(
-    pursuit: Pursuit<'_>,
-    counts: (u32, u32),
-    turns: &Turns,
-    work: &mut Work,
-) -> Option<Vec<Placed>> {
-    wide!(
-        Pursuit::run_pairs,
-        pursuit: Pursuit<'_>, counts: (u32, u32), turns: &Turns, work: &mut Work;
-        Option<Vec<Placed>>
-    )
 }
 
 /// Returns the times of the ON events, followed by those of the OFF events.
@@ -332,92 +318,6 @@ impl<'d> Pursuit<'d> {
             }
         }
         placed
-    }
-
-    /// Places events two at a time, and then each pair again, until none moves.
-    #[inline(always)]
-    fn run_pairs(
-        mut self,
-        (mut on, mut off): (u32, u32),
-        turns: &Turns,
-        work: &mut Work,
-    ) -> Option<Vec<Placed>> {
-        let overlaps = turns.overlaps(&self.known);
-        let mut placed = Vec::with_capacity((on + off) as usize);
-        while on + off > 1 {
-            let signs = [
-                ([1.0, 1.0], on > 1),
-                ([1.0, -1.0], on > 0 && off > 0),
-                ([-1.0, -1.0], off > 1),
-            ];
-            let allowed = signs.into_iter().filter(|(_, is_allowed)| *is_allowed);
-            let pair = self.best_pair(&overlaps, allowed.map(|(signs, _)| signs), work)?;
-            for event in pair {
-                if event.1 > 0.0 {
-                    on -= 1;
-                } else {
-                    off -= 1;
-                }
-                placed.push(event);
-            }
-        }
-        if on + off > 0 {
-            work.spend(self.search.add());
-            let event = self.best(on > 0, off > 0, work);
-            self.add(event, -1.0);
-            placed.push(event);
-        }
-        if placed.len() == 2 {
-            return Some(placed);
-        }
-        for _ in 0..PAIR_ROUNDS {
-            let mut is_moved = false;
-            for i in 1..placed.len() {
-                for j in 0..i {
-                    let before = [placed[i], placed[j]];
-                    work.spend(2 * self.search.add());
-                    before.iter().for_each(|event| self.add(*event, 1.0));
-                    let signs = before.map(|(_, sign)| sign as f32);
-                    let pair = self.best_pair(&overlaps, [signs].into_iter(), work)?;
-                    is_moved |= pair != before;
-                    [placed[i], placed[j]] = pair;
-                }
-            }
-            if !is_moved {
-                break;
-            }
-        }
-        Some(placed)
-    }
-
-    /// Returns the pair of events with some of these signs that explains the residual best, and takes it from there.
-    #[inline(always)]
-    fn best_pair(
-        &mut self,
-        overlaps: &Overlaps,
-        signs: impl Iterator<Item = [f32; 2]>,
-        work: &mut Work,
-    ) -> Option<[Placed; 2]> {
-        work.spend(self.search.pair());
-        self.correlate();
-        let mut best = None;
-        for signs in signs {
-            let energies = &self.peaks.half_energy;
-            let found = overlaps.best(&self.correlations, energies, signs, &mut self.of_second);
-            if let Some((height, pair)) = found
-                && best.is_none_or(|(most, _)| height > most)
-            {
-                best = Some((height, pair));
-            }
-        }
-        let (_, pair) = best?;
-        let of_point = |(point, sign): (usize, f32)| {
-            let u = (point as f64 + 0.5) / self.peaks.points as f64;
-            (u, f64::from(sign))
-        };
-        let pair = pair.map(of_point);
-        pair.iter().for_each(|event| self.add(*event, -1.0));
-        Some(pair)
     }
 
     /// Adds `factor` times an event's atoms to the residual.
@@ -777,7 +677,8 @@ mod tests {
                 let turns = peaks.turns.as_ref().unwrap();
                 let pursuit = || Pursuit::new(&peaks, &pixel);
                 let plain = pursuit().run_pairs(counts, turns, &mut other);
-                assert_eq!(in_pairs(pursuit(), counts, turns, &mut work), plain);
+                let placed = pairs::placed(pursuit(), counts, turns, &mut work);
+                assert_eq!(placed, plain);
                 assert_eq!(work.take_units(), other.take_units());
             }
         }

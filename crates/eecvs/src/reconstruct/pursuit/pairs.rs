@@ -1,7 +1,7 @@
 //! Times of few events, two at a time: the best pair of points of a grid.
 //!
 //! Two events that cancel each other, or that share a peak, have no peak of their own. Together, two events of
-//! polarities p and q explain the residual c best where, with J of [`super::pursuit`],
+//! polarities p and q explain the residual c best where, with J of [`super`],
 //!
 //! ```text
 //! J(u) + J(v) - p q sum_k Re(phi_k(u) conj(phi_k(v)))
@@ -12,10 +12,15 @@
 
 use eecvs_nostd::Transform;
 
-use super::pursuit::omega;
+use super::{Placed, Pursuit, omega};
+use crate::reconstruct::lanes::wide;
+use crate::reconstruct::refine::Work;
 
 /// Largest number of points of a grid all of whose pairs are looked at.
 pub const POINTS_MAX: usize = 512;
+
+/// Rounds in which every pair of events is placed again.
+pub(in crate::reconstruct) const PAIR_ROUNDS: usize = 2;
 
 /// sum_k cos(omega_k m / P) over known coefficients k > 0, for m from -P to 2 P - 1.
 #[derive(Debug, Clone)]
@@ -123,6 +128,108 @@ impl Overlaps {
         let other = (0..points).max_by(|a, b| value(*a).total_cmp(&value(*b)))?;
         Some((height, [(at, first), (other, second)]))
     }
+}
+
+impl Pursuit<'_> {
+    /// Places events two at a time, and then each pair again, until none moves.
+    #[inline(always)]
+    pub(super) fn run_pairs(
+        mut self,
+        (mut on, mut off): (u32, u32),
+        turns: &Turns,
+        work: &mut Work,
+    ) -> Option<Vec<Placed>> {
+        let overlaps = turns.overlaps(&self.known);
+        let mut placed = Vec::with_capacity((on + off) as usize);
+        while on + off > 1 {
+            let signs = [
+                ([1.0, 1.0], on > 1),
+                ([1.0, -1.0], on > 0 && off > 0),
+                ([-1.0, -1.0], off > 1),
+            ];
+            let allowed = signs.into_iter().filter(|(_, is_allowed)| *is_allowed);
+            let pair = self.best_pair(&overlaps, allowed.map(|(signs, _)| signs), work)?;
+            for event in pair {
+                if event.1 > 0.0 {
+                    on -= 1;
+                } else {
+                    off -= 1;
+                }
+                placed.push(event);
+            }
+        }
+        if on + off > 0 {
+            work.spend(self.search.add());
+            let event = self.best(on > 0, off > 0, work);
+            self.add(event, -1.0);
+            placed.push(event);
+        }
+        if placed.len() == 2 {
+            return Some(placed);
+        }
+        for _ in 0..PAIR_ROUNDS {
+            let mut is_moved = false;
+            for i in 1..placed.len() {
+                for j in 0..i {
+                    let before = [placed[i], placed[j]];
+                    work.spend(2 * self.search.add());
+                    before.iter().for_each(|event| self.add(*event, 1.0));
+                    let signs = before.map(|(_, sign)| sign as f32);
+                    let pair = self.best_pair(&overlaps, [signs].into_iter(), work)?;
+                    is_moved |= pair != before;
+                    [placed[i], placed[j]] = pair;
+                }
+            }
+            if !is_moved {
+                break;
+            }
+        }
+        Some(placed)
+    }
+
+    /// Returns the pair of events with some of these signs that explains the residual best, and takes it from there.
+    #[inline(always)]
+    fn best_pair(
+        &mut self,
+        overlaps: &Overlaps,
+        signs: impl Iterator<Item = [f32; 2]>,
+        work: &mut Work,
+    ) -> Option<[Placed; 2]> {
+        work.spend(self.search.pair());
+        self.correlate();
+        let mut best = None;
+        for signs in signs {
+            let energies = &self.peaks.half_energy;
+            let found = overlaps.best(&self.correlations, energies, signs, &mut self.of_second);
+            if let Some((height, pair)) = found
+                && best.is_none_or(|(most, _)| height > most)
+            {
+                best = Some((height, pair));
+            }
+        }
+        let (_, pair) = best?;
+        let of_point = |(point, sign): (usize, f32)| {
+            let u = (point as f64 + 0.5) / self.peaks.points as f64;
+            (u, f64::from(sign))
+        };
+        let pair = pair.map(of_point);
+        pair.iter().for_each(|event| self.add(*event, -1.0));
+        Some(pair)
+    }
+}
+
+/// Places events two at a time: see [`Pursuit::run_pairs`].
+pub(super) fn placed(
+    pursuit: Pursuit<'_>,
+    counts: (u32, u32),
+    turns: &Turns,
+    work: &mut Work,
+) -> Option<Vec<Placed>> {
+    wide!(
+        Pursuit::run_pairs,
+        pursuit: Pursuit<'_>, counts: (u32, u32), turns: &Turns, work: &mut Work;
+        Option<Vec<Placed>>
+    )
 }
 
 /// Returns the largest of all numbers less `less`.
