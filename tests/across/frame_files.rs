@@ -49,11 +49,9 @@ const SENSOR: Sensor = Sensor {
 
 fn events(duration_us: u64) -> Vec<Event> {
     let scene = SceneConfig {
-        preset: Preset::OutdoorWellLitBlur,
         sensor: SENSOR,
         duration_us,
-        start_us: 0,
-        seed: 7,
+        ..SceneConfig::new(Preset::OutdoorWellLitBlur, 7)
     };
     let mut reader = emulate(scene).expect("a scene");
     let mut events = Vec::new();

@@ -32,14 +32,12 @@ fn sources() -> Vec<(&'static str, Box<dyn EventReader>)> {
     }
     if sources.is_empty() {
         let scene = SceneConfig {
-            preset: Preset::Motorcycle,
             sensor: Sensor {
                 width: 320,
                 height: 240,
             },
             duration_us: 200_000,
-            start_us: 0,
-            seed: 1,
+            ..SceneConfig::new(Preset::Motorcycle, 1)
         };
         sources.push(("scene", Box::new(emulate(scene).expect("a scene"))));
     }

@@ -50,14 +50,12 @@ fn sources() -> Vec<(&'static str, Vec<Event>)> {
     }
     if sources.is_empty() {
         let scene = SceneConfig {
-            preset: Preset::Motorcycle,
             sensor: Sensor {
                 width: 320,
                 height: 240,
             },
             duration_us: 200_000,
-            start_us: 0,
-            seed: 1,
+            ..SceneConfig::new(Preset::Motorcycle, 1)
         };
         sources.push(("scene", read(Box::new(emulate(scene).expect("a scene")))));
     }

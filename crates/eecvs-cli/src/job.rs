@@ -22,14 +22,12 @@ use crate::progress::Progress;
 
 /// Scene encoded if no recording is given: a few windows of a small sensor, covering every regime.
 const SCENE: SceneConfig = SceneConfig {
-    preset: Preset::OutdoorWellLitBlur,
     sensor: Sensor {
         width: 128,
         height: 96,
     },
     duration_us: 130_000,
-    start_us: 0,
-    seed: 3,
+    ..SceneConfig::new(Preset::OutdoorWellLitBlur, 3)
 };
 
 /// The recording and how it is encoded.

@@ -257,14 +257,12 @@ mod tests {
     use super::*;
 
     const SCENE: SceneConfig = SceneConfig {
-        preset: Preset::Motorcycle,
         sensor: Sensor {
             width: 30,
             height: 20,
         },
         duration_us: 50_000,
-        start_us: 0,
-        seed: 1,
+        ..SceneConfig::new(Preset::Motorcycle, 1)
     };
 
     static FRAMES: LazyLock<Vec<Message>> = LazyLock::new(|| {

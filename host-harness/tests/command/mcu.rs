@@ -29,14 +29,13 @@ use crate::mcu_peer::{Behaviour, Fault, Peer};
 use crate::support::{Folder, count, number, text};
 
 const SCENE: SceneConfig = SceneConfig {
-    preset: Preset::Motorcycle,
     sensor: Sensor {
         width: 48,
         height: 36,
     },
     duration_us: 100_000,
     start_us: 1_700_000_000_000_000,
-    seed: 3,
+    ..SceneConfig::new(Preset::Motorcycle, 3)
 };
 
 const QUICK: Mode = Mode::Hybrid(Hybrid {

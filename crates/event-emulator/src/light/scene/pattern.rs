@@ -1,81 +1,18 @@
-//! Everything that moves or flickers: the camera, boxes that travel or turn, lamps.
+//! Objects that move or flicker: boxes that travel or turn, lamps.
 //!
-//! Positions and sizes of single objects are fractions of the sensor's width and height, so that a scene keeps its
-//! event density on any sensor. The camera moves in pixels.
+//! Positions and sizes are fractions of the sensor's width and height, so that a scene keeps its event density on any
+//! sensor.
 
 use event_types::Sensor;
+
+use crate::light::Tile;
 
 /// One turn in radians.
 const TURN: f64 = core::f64::consts::TAU;
 
-/// Number of depth layers of the background, stacked from top to bottom.
-const LAYERS: u32 = 6;
-
-/// Movement of the camera, in pixels of the background.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Camera {
-    /// Mean velocity in pixels per second.
-    pub(super) drift: (f64, f64),
-    /// Amplitude of the velocity's oscillation about its mean: 0 for a steady velocity, 1 to slow down to rest.
-    pub(super) pulse: f64,
-    /// Frequency of that oscillation in Hz.
-    pub(super) pulse_hz: f64,
-    /// Two sways, each with horizontal and vertical amplitude in pixels and a frequency in Hz.
-    pub(super) sway: [(f64, f64, f64); 2],
-    /// Difference in horizontal speed between the lower and the upper edge, relative to the middle: near ground
-    /// passes faster than the sky.
-    pub(super) parallax: f64,
-}
-
-impl Camera {
-    /// A camera on a tripod.
-    pub(super) const STATIC: Self = Self {
-        drift: (0.0, 0.0),
-        pulse: 0.0,
-        pulse_hz: 0.0,
-        sway: [(0.0, 0.0, 0.0); 2],
-        parallax: 0.0,
-    };
-
-    /// Returns whether the background ever moves.
-    pub(super) fn moves(&self) -> bool {
-        let sways = self.sway.iter().any(|(x, y, _)| *x != 0.0 || *y != 0.0);
-        self.drift != (0.0, 0.0) || sways
-    }
-
-    /// Returns the position of the sensor's upper left corner on the background after `t` seconds.
-    pub(super) fn offset(&self, t: f64) -> (f64, f64) {
-        // Oscillating part of the integral of 1 + pulse * sin(turn * t).
-        let swing = if self.pulse_hz > 0.0 {
-            let turn = TURN * self.pulse_hz;
-            self.pulse / turn * (1.0 - libm::cos(turn * t))
-        } else {
-            0.0
-        };
-        let way = t + swing;
-        let (mut x, mut y) = (self.drift.0 * way, self.drift.1 * way);
-        for (i, (along, across, hz)) in self.sway.iter().enumerate() {
-            let angle = TURN * hz * t + i as f64;
-            x += along * libm::sin(angle);
-            y += across * libm::cos(angle);
-        }
-        (x, y)
-    }
-
-    /// Returns the horizontal speed of a row relative to the middle.
-    ///
-    /// Rows move in [`LAYERS`] bands: within a band the picture stays rigid however long the scene lasts, whereas a
-    /// speed per row would shear it more and more.
-    pub(super) fn row_speed(&self, y: u16, height: u16) -> f64 {
-        let layer = u32::from(y) * LAYERS / u32::from(height.max(1));
-        let middle = (f64::from(layer) + 0.5) / f64::from(LAYERS);
-        1.0 + self.parallax * (middle - 0.5)
-    }
-}
-
 /// An object in front of the background; it adds to the log intensity.
 #[derive(Debug, Clone, Copy)]
-pub(super) enum Pattern {
+pub(crate) enum Pattern {
     /// A box with soft edges that may travel and turn: a bar, a person, a drone, its rotor.
     Box {
         /// Position of the centre at the start, as fractions of width and height.
@@ -109,7 +46,7 @@ pub(super) enum Pattern {
 
 /// A pattern at one moment, in pixels.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Placed {
+pub(crate) struct Placed {
     /// Columns `x.0..x.1` and rows `y.0..y.1` that the pattern touches.
     x: (u16, u16),
     y: (u16, u16),
@@ -129,7 +66,7 @@ enum Shape {
 
 impl Pattern {
     /// Returns the pattern after `t` seconds; `None` if it is out of sight.
-    pub(super) fn place(&self, t: f64, sensor: Sensor) -> Option<Placed> {
+    pub(crate) fn place(&self, t: f64, sensor: Sensor) -> Option<Placed> {
         let (width, height) = (f64::from(sensor.width), f64::from(sensor.height));
         match *self {
             Self::Box {
@@ -189,8 +126,177 @@ impl Pattern {
         }
     }
 
+    /// As [`Self::place`], at a time in ns: lamps switch at whole nanoseconds, exactly.
+    pub(crate) fn place_at(&self, t_ns: u64, sensor: Sensor) -> Option<Placed> {
+        let placed = self.place(t_ns as f64 * 1e-9, sensor)?;
+        let Self::Flicker {
+            hz, depth, rest, ..
+        } = *self
+        else {
+            return Some(placed);
+        };
+        let wave = if is_resting(t_ns, rest) {
+            0.0
+        } else if self.is_square() {
+            match half_cycle(t_ns, hz) % 2 {
+                0 => 0.5,
+                _ => -0.5,
+            }
+        } else {
+            let cycles = hz * (t_ns as f64 * 1e-9);
+            0.5 * libm::sin(TURN * (cycles - libm::floor(cycles)))
+        };
+        let shape = Shape::Even(depth * wave as f32);
+        Some(Placed { shape, ..placed })
+    }
+
+    fn is_square(&self) -> bool {
+        matches!(self, Self::Flicker { square: true, .. })
+    }
+
+    /// Returns a bound of the rate of change of the log intensity, in 1/s, that the pattern causes in a tile between
+    /// two times in ns, switches left out.
+    pub(crate) fn rate_bound(
+        &self,
+        tile: Tile,
+        (from_ns, to_ns): (u64, u64),
+        sensor: Sensor,
+    ) -> f64 {
+        let from = t_s(from_ns);
+        match *self {
+            Self::Box {
+                velocity,
+                half,
+                spin_hz,
+                gain,
+                ..
+            } => {
+                if !self.changes() {
+                    return 0.0;
+                }
+                let (width, height) = (f64::from(sensor.width), f64::from(sensor.height));
+                let reach = (half.0 + half.1) * height + 2.0;
+                let travel = libm::fabs(velocity.0) * width + libm::fabs(velocity.1) * height;
+                let speed = travel + TURN * libm::fabs(spin_hz) * reach;
+                // Where the box may be: around the places at both ends, as far as it may come in between.
+                let around = reach + speed * (t_s(to_ns) - from);
+                let way = speed * (t_s(to_ns) - from);
+                let is_near = [from_ns, to_ns].into_iter().any(|t_ns| {
+                    let (x, y) = self.centre(t_s(t_ns), sensor);
+                    tile.touches(
+                        clip(x - around, x + around, sensor.width),
+                        clip(y - around, y + around, sensor.height),
+                    )
+                }) && self.comes_near(tile, from, way, sensor);
+                // The edges in both directions are 1.5 pixels wide: the gain's share is l w / 2.25, with l and w up
+                // to 1.5 that change with the speed at most, and both at once by its square root of 2.
+                if is_near {
+                    core::f64::consts::SQRT_2 / 1.5 * speed * f64::from(gain.abs())
+                } else {
+                    0.0
+                }
+            }
+            Self::Flicker {
+                hz, depth, rest, ..
+            } => {
+                let rests = is_resting(from_ns, rest) && to_ns <= self.next_edge_ns(from_ns);
+                if self.is_square() || rests || !self.is_in(tile, sensor) {
+                    0.0
+                } else {
+                    0.5 * TURN * hz * f64::from(depth.abs())
+                }
+            }
+        }
+    }
+
+    /// Returns the first time after `after_ns` at which the pattern makes the light of a tile jump, or `u64::MAX`.
+    pub(crate) fn next_switch_ns(&self, tile: Tile, after_ns: u64, sensor: Sensor) -> u64 {
+        match self {
+            Self::Flicker { .. } if self.is_in(tile, sensor) => self.next_edge_ns(after_ns),
+            _ => u64::MAX,
+        }
+    }
+
+    /// Returns the first time after `after_ns` at which a lamp switches or its rest begins or ends, or `u64::MAX`.
+    fn next_edge_ns(&self, after_ns: u64) -> u64 {
+        let Self::Flicker {
+            hz, square, rest, ..
+        } = *self
+        else {
+            return u64::MAX;
+        };
+        let second = after_ns / SECOND_NS * SECOND_NS;
+        if is_resting(after_ns, rest) {
+            return second + rest_ns(rest);
+        }
+        let next_second = if rest > 0.0 {
+            second.saturating_add(SECOND_NS)
+        } else {
+            u64::MAX
+        };
+        let next_half = if square {
+            half_begin_ns(half_cycle(after_ns, hz) + 1, hz)
+        } else {
+            u64::MAX
+        };
+        next_second.min(next_half)
+    }
+
+    /// Returns whether a lamp lights a pixel of the tile.
+    fn is_in(&self, tile: Tile, sensor: Sensor) -> bool {
+        let placed = self.place(0.0, sensor);
+        placed.is_some_and(|placed| tile.touches(placed.x, placed.y))
+    }
+
+    /// Returns whether a box that turns at `t` seconds, and any point of which moves by `way` pixels at most, may touch
+    /// a tile: its sides keep them apart otherwise.
+    fn comes_near(&self, tile: Tile, t: f64, way: f64, sensor: Sensor) -> bool {
+        let Self::Box {
+            half,
+            spin_hz,
+            velocity,
+            ..
+        } = *self
+        else {
+            return true;
+        };
+        if velocity != (0.0, 0.0) {
+            // Where it reappears, it is not near where it was.
+            return true;
+        }
+        let (x, y) = self.centre(t, sensor);
+        let (width, height) = (0.5 * f64::from(tile.width), 0.5 * f64::from(tile.height));
+        let (dx, dy) = (
+            f64::from(tile.x) + width - x,
+            f64::from(tile.y) + height - y,
+        );
+        let turn = TURN * (spin_hz * t - libm::floor(spin_hz * t));
+        let (c, s) = (libm::cos(turn), libm::sin(turn));
+        let (along, across) = (libm::fabs(dx * c + dy * s), libm::fabs(dy * c - dx * s));
+        let (c, s) = (libm::fabs(c), libm::fabs(s));
+        let side = f64::from(sensor.height);
+        along <= half.0 * side + width * c + height * s + way + 2.0
+            && across <= half.1 * side + width * s + height * c + way + 2.0
+    }
+
+    /// Returns the centre of a box after `t` seconds, in pixels.
+    fn centre(&self, t: f64, sensor: Sensor) -> (f64, f64) {
+        match *self {
+            Self::Box {
+                start,
+                velocity,
+                lap,
+                ..
+            } => (
+                along(start.0, velocity.0, lap, t) * f64::from(sensor.width),
+                along(start.1, velocity.1, lap, t) * f64::from(sensor.height),
+            ),
+            Self::Flicker { .. } => (0.0, 0.0),
+        }
+    }
+
     /// Returns whether the light may change from one step to the next.
-    pub(super) fn changes(&self) -> bool {
+    pub(crate) fn changes(&self) -> bool {
         match *self {
             Self::Box {
                 velocity, spin_hz, ..
@@ -206,7 +312,7 @@ impl Placed {
     }
 
     /// Returns the blocks of `block` pixels that the pattern touches: range of rows, and range of blocks in a row.
-    pub(super) fn blocks(
+    pub(crate) fn blocks(
         &self,
         block: usize,
     ) -> (core::ops::Range<usize>, core::ops::Range<usize>) {
@@ -216,7 +322,7 @@ impl Placed {
     }
 
     /// Adds the pattern to the log intensity of the pixels (x + i, y).
-    pub(super) fn add(&self, y: u16, x: u16, light: &mut [f32]) {
+    pub(crate) fn add(&self, y: u16, x: u16, light: &mut [f32]) {
         if y < self.y.0 || y >= self.y.1 {
             return;
         }
@@ -251,6 +357,41 @@ impl Placed {
     }
 }
 
+/// One second in ns.
+const SECOND_NS: u64 = 1_000_000_000;
+
+fn t_s(t_ns: u64) -> f64 {
+    t_ns as f64 * 1e-9
+}
+
+/// Returns the duration of a lamp's rest in ns, of a rest in seconds.
+fn rest_ns(rest: f64) -> u64 {
+    libm::ceil(rest.clamp(0.0, 1.0) * SECOND_NS as f64) as u64
+}
+
+/// Returns whether a lamp rests: it does so at the beginning of each second.
+fn is_resting(t_ns: u64, rest: f64) -> bool {
+    t_ns % SECOND_NS < rest_ns(rest)
+}
+
+/// Returns the number of the half cycle at `t_ns`; half cycle 0 begins at 0.
+fn half_cycle(t_ns: u64, hz: f64) -> u64 {
+    let mut half = (t_s(t_ns) * 2.0 * hz) as u64;
+    // The product may be rounded across a beginning; the beginnings themselves decide.
+    while half > 0 && half_begin_ns(half, hz) > t_ns {
+        half -= 1;
+    }
+    while half_begin_ns(half + 1, hz) <= t_ns {
+        half += 1;
+    }
+    half
+}
+
+/// Returns the time at which a half cycle begins.
+fn half_begin_ns(half: u64, hz: f64) -> u64 {
+    libm::ceil(half as f64 * (0.5 * SECOND_NS as f64 / hz)) as u64
+}
+
 /// Returns the coordinate of an object that starts at `start` and reappears after each lap; laps are centred on the
 /// sensor.
 fn along(start: f64, velocity: f64, lap: f64, t: f64) -> f64 {
@@ -279,39 +420,6 @@ mod tests {
         width: 100,
         height: 50,
     };
-
-    #[test]
-    fn camera_offset_is_the_integral_of_its_velocity() {
-        let camera = Camera {
-            drift: (40.0, -10.0),
-            pulse: 1.0,
-            pulse_hz: 2.0,
-            ..Camera::STATIC
-        };
-        // After whole oscillations only the mean velocity counts.
-        let (x, y) = camera.offset(1.5);
-        assert!(
-            (x - 60.0).abs() < 1e-9 && (y + 15.0).abs() < 1e-9,
-            "{x} {y}"
-        );
-        // The velocity is 0 at three quarters of an oscillation.
-        let slow = camera.offset(0.376).0 - camera.offset(0.374).0;
-        assert!(slow.abs() < 1e-3, "{slow}");
-        assert!(!Camera::STATIC.moves() && camera.moves());
-    }
-
-    #[test]
-    fn near_ground_is_faster_and_layers_are_rigid() {
-        let camera = Camera {
-            parallax: 1.2,
-            ..Camera::STATIC
-        };
-        let speeds: Vec<f64> = (0..60).map(|y| camera.row_speed(y, 60)).collect();
-        assert!(speeds.is_sorted());
-        assert_eq!(speeds.chunk_by(|a, b| a == b).count(), 6);
-        assert!((speeds[0] - 0.5).abs() < 1e-9 && (speeds[59] - 1.5).abs() < 1e-9);
-        assert!((camera.row_speed(0, 1) - 0.5).abs() < 1e-9);
-    }
 
     #[test]
     fn box_covers_its_area_and_nothing_outside_of_its_bounds() {

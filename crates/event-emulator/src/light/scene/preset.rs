@@ -1,9 +1,9 @@
-//! The nine scene types of the paper's evaluation, as parameters of the emulator.
+//! The nine scene types of the paper's evaluation, as parameters of their light.
 
 use event_types::Sensor;
 
-use super::pattern::{Camera, Pattern};
-use super::photoreceptor::PixelModel;
+use super::camera::Camera;
+use super::pattern::Pattern;
 use super::texture::Look;
 
 /// A named scene.
@@ -45,29 +45,13 @@ pub const PRESETS: [Preset; 9] = [
     Preset::OutdoorDark,
 ];
 
-/// Parameters of a preset.
+/// What is seen in a preset.
 #[derive(Debug, Clone)]
-pub(super) struct Script {
-    pub(super) step_us: u32,
-    pub(super) look: Look,
-    pub(super) camera: Camera,
-    pub(super) patterns: Vec<Pattern>,
-    pub(super) pixel: PixelModel,
-    /// Share of hot pixels, and their lowest rate in Hz.
-    pub(super) hot: (f32, f32),
+pub(crate) struct Script {
+    pub(crate) look: Look,
+    pub(crate) camera: Camera,
+    pub(crate) patterns: Vec<Pattern>,
 }
-
-/// Pixels as in a DAVIS346 with its usual biases.
-const PIXEL: PixelModel = PixelModel {
-    threshold_on: 0.25,
-    threshold_off: 0.27,
-    mismatch: 0.08,
-    refractory_us: 300,
-    jitter_us: 60,
-    leak_hz: 0.05,
-    noise_hz: (0.01, 0.12),
-    bandwidth_hz: 200.0,
-};
 
 const LOOK: Look = Look {
     light: 0.0,
@@ -136,7 +120,7 @@ impl Preset {
     }
 
     /// Returns the parameters of the preset.
-    pub(super) fn script(self) -> Script {
+    pub(crate) fn script(self) -> Script {
         match self {
             Self::IndoorDarkHdr => indoor_dark_hdr(),
             Self::IndoorDarkBlur => indoor_dark_blur(),
@@ -165,7 +149,6 @@ const fn walker(from: f64, velocity: f64, half: (f64, f64), gain: f32) -> Patter
 
 fn indoor_dark_hdr() -> Script {
     Script {
-        step_us: 1_000,
         look: Look {
             light: -2.5,
             hdr: 3.0,
@@ -190,14 +173,11 @@ fn indoor_dark_hdr() -> Script {
                 rest: 0.6,
             },
         ],
-        pixel: PIXEL,
-        hot: (2e-4, 20.0),
     }
 }
 
 fn indoor_dark_blur() -> Script {
     Script {
-        step_us: 1_000,
         look: Look {
             light: -3.0,
             hdr: 1.0,
@@ -213,14 +193,11 @@ fn indoor_dark_blur() -> Script {
             parallax: 0.0,
         },
         patterns: Vec::new(),
-        pixel: PIXEL,
-        hot: (2e-4, 20.0),
     }
 }
 
 fn indoor_hdr_blur() -> Script {
     Script {
-        step_us: 1_000,
         look: Look {
             light: 0.0,
             hdr: 3.0,
@@ -241,14 +218,11 @@ fn indoor_hdr_blur() -> Script {
             square: false,
             rest: 0.3,
         }],
-        pixel: PIXEL,
-        hot: (1e-4, 20.0),
     }
 }
 
 fn outdoor_well_lit_blur() -> Script {
     Script {
-        step_us: 1_000,
         look: Look {
             light: 1.5,
             hdr: 2.0,
@@ -263,14 +237,11 @@ fn outdoor_well_lit_blur() -> Script {
             parallax: 0.3,
         },
         patterns: vec![walker(0.1, 0.5, (0.08, 0.12), -1.0)],
-        pixel: PIXEL,
-        hot: (1e-4, 20.0),
     }
 }
 
 fn outdoor_dark_blur() -> Script {
     Script {
-        step_us: 1_000,
         look: Look {
             light: -3.5,
             hdr: 2.5,
@@ -291,17 +262,11 @@ fn outdoor_dark_blur() -> Script {
             square: false,
             rest: 0.2,
         }],
-        pixel: PixelModel {
-            noise_hz: (0.01, 0.2),
-            ..PIXEL
-        },
-        hot: (3e-4, 30.0),
     }
 }
 
 fn indoor_flying() -> Script {
     Script {
-        step_us: 1_000,
         look: Look {
             light: 0.7,
             patches: 130,
@@ -332,14 +297,11 @@ fn indoor_flying() -> Script {
                 rest: 0.0,
             },
         ],
-        pixel: PIXEL,
-        hot: (1e-4, 20.0),
     }
 }
 
 fn motorcycle() -> Script {
     Script {
-        step_us: 1_000,
         look: Look {
             light: 1.5,
             patches: 130,
@@ -371,17 +333,11 @@ fn motorcycle() -> Script {
                 rest: 0.0,
             },
         ],
-        pixel: PixelModel {
-            refractory_us: 200,
-            ..PIXEL
-        },
-        hot: (1e-4, 20.0),
     }
 }
 
 fn outdoor_low_brightness() -> Script {
     Script {
-        step_us: 1_000,
         look: Look {
             light: -1.8,
             hdr: 2.0,
@@ -397,14 +353,11 @@ fn outdoor_low_brightness() -> Script {
             parallax: 0.4,
         },
         patterns: vec![walker(0.4, 0.9, (0.09, 0.05), 1.0)],
-        pixel: PIXEL,
-        hot: (2e-4, 20.0),
     }
 }
 
 fn outdoor_dark() -> Script {
     Script {
-        step_us: 1_000,
         look: Look {
             light: -4.0,
             hdr: 1.5,
@@ -428,11 +381,5 @@ fn outdoor_dark() -> Script {
                 rest: 0.5,
             },
         ],
-        pixel: PixelModel {
-            leak_hz: 0.03,
-            noise_hz: (0.01, 0.06),
-            ..PIXEL
-        },
-        hot: (2e-4, 10.0),
     }
 }

@@ -6,9 +6,9 @@
 
 use event_types::{Polarity, Sensor};
 
-use super::noise::Random;
 use super::photoreceptor::{PixelModel, Tables};
-use super::queue::Queue;
+use crate::random::Random;
+use crate::readout::Queue;
 
 /// Number of neighbouring pixels of a row that are computed, or left asleep, together.
 pub(super) const BLOCK: usize = 64;

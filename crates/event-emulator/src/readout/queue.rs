@@ -2,15 +2,18 @@
 
 use event_types::{Event, Polarity};
 
-/// Bits below the time in a packed event: y 11, x 11, polarity 1.
-const PLACE_BITS: u32 = 23;
+use crate::noise::Cause;
+
+/// Bits below the time in a packed event: y 11, x 11, polarity 1, cause 3.
+const PLACE_BITS: u32 = 26;
+const CAUSE_BITS: u32 = 3;
 
 /// Events of the current step, packed so that integer order is the scene's order: time, y, x, OFF before ON.
 ///
 /// Events are only ever delayed, so once a step is computed, every event before its end is known. Later events wait
 /// for their own step.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Queue {
+pub(crate) struct Queue {
     packed: Vec<u64>,
     /// Time that corresponds to a packed time of 0.
     origin_us: u64,
@@ -21,7 +24,7 @@ pub(super) struct Queue {
 
 impl Queue {
     /// Begins a step at `start_us`; all ready events must have been taken.
-    pub(super) fn begin(&mut self, start_us: u64) {
+    pub(crate) fn begin(&mut self, start_us: u64) {
         self.packed.drain(..self.taken);
         let advance = start_us.saturating_sub(self.origin_us) << PLACE_BITS;
         for packed in &mut self.packed {
@@ -33,33 +36,65 @@ impl Queue {
     }
 
     /// Adds an event `after_us` after the start of the step.
-    pub(super) fn push(&mut self, after_us: u32, x: u16, y: u16, polarity: Polarity) {
-        self.packed.push(
-            u64::from(after_us) << PLACE_BITS
-                | u64::from(y) << 12
-                | u64::from(x) << 1
-                | u64::from(polarity as u8),
-        );
+    pub(crate) fn push(&mut self, after_us: u32, x: u16, y: u16, polarity: Polarity) {
+        self.push_with(after_us, x, y, polarity, Cause::Signal);
+    }
+
+    /// Adds an event and its cause.
+    pub(crate) fn push_with(
+        &mut self,
+        after_us: u32,
+        x: u16,
+        y: u16,
+        polarity: Polarity,
+        cause: Cause,
+    ) {
+        let place = u64::from(y) << 12 | u64::from(x) << 1 | u64::from(polarity as u8);
+        self.packed
+            .push(u64::from(after_us) << PLACE_BITS | place << CAUSE_BITS | u64::from(cause as u8));
+    }
+
+    /// Returns whether all ready events have been taken.
+    pub(crate) fn is_taken(&self) -> bool {
+        self.taken >= self.ready
     }
 
     /// Ends the step: events earlier than `end_us` become ready.
-    pub(super) fn end(&mut self, end_us: u64) {
+    pub(crate) fn end(&mut self, end_us: u64) {
         self.packed.sort_unstable();
         let limit = end_us.saturating_sub(self.origin_us) << PLACE_BITS;
         self.ready = self.packed.partition_point(|packed| *packed < limit);
     }
 
     /// Appends at most `most` of the ready events, their times offset by `start_us`, and returns their number.
-    pub(super) fn take(&mut self, most: usize, start_us: u64, events: &mut Vec<Event>) -> usize {
+    pub(crate) fn take(&mut self, most: usize, start_us: u64, events: &mut Vec<Event>) -> usize {
+        self.take_with(most, start_us, events, None)
+    }
+
+    /// As [`Self::take`]; appends the events' causes, too.
+    pub(crate) fn take_with(
+        &mut self,
+        most: usize,
+        start_us: u64,
+        events: &mut Vec<Event>,
+        causes: Option<&mut Vec<Cause>>,
+    ) -> usize {
         let until = self.ready.min(self.taken.saturating_add(most));
         let origin_us = self.origin_us + start_us;
         let batch = self.packed.get(self.taken..until).unwrap_or_default();
-        events.extend(batch.iter().map(|packed| Event {
-            t_us: origin_us + (packed >> PLACE_BITS),
-            x: (packed >> 1 & 0x7ff) as u16,
-            y: (packed >> 12 & 0x7ff) as u16,
-            polarity: Polarity::from_bool(packed & 1 == 1),
+        events.extend(batch.iter().map(|packed| {
+            let place = packed >> CAUSE_BITS;
+            Event {
+                t_us: origin_us + (packed >> PLACE_BITS),
+                x: (place >> 1 & 0x7ff) as u16,
+                y: (place >> 12 & 0x7ff) as u16,
+                polarity: Polarity::from_bool(place & 1 == 1),
+            }
         }));
+        if let Some(causes) = causes {
+            let number = |packed: &u64| (packed & ((1 << CAUSE_BITS) - 1)) as usize;
+            causes.extend(batch.iter().map(|packed| Cause::ALL[number(packed)]));
+        }
         self.taken = until;
         batch.len()
     }

@@ -1,35 +1,35 @@
 //! The textured background: a periodic tile of log intensity with hard-edged patches.
 
-use super::noise::Random;
+use crate::random::Random;
 
 /// Side of the tile in pixels; a power of two, so that wrapping is a mask.
-const SIDE: usize = 512;
+pub(super) const SIDE: usize = 512;
 
 /// Parameters of a background; all contrasts are natural logarithms.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Look {
+pub(crate) struct Look {
     /// Log intensity of the scene's mid-level; 0 is a well-lit room, -4 a street at night.
-    pub(super) light: f32,
+    pub(crate) light: f32,
     /// Log intensity of bright areas (a window in a dark room) relative to dark areas.
-    pub(super) hdr: f32,
+    pub(crate) hdr: f32,
     /// Patches per tile of 512 x 512 pixels.
-    pub(super) patches: u32,
+    pub(crate) patches: u32,
     /// Largest step at a patch's edge.
-    pub(super) contrast: f32,
+    pub(crate) contrast: f32,
     /// Standard deviation of the fine grain.
-    pub(super) grain: f32,
+    pub(crate) grain: f32,
 }
 
 /// A tile of log intensity.
 #[derive(Debug, Clone)]
-pub(super) struct Texture {
+pub(crate) struct Texture {
     /// Rows of `SIDE + 1`: the last column repeats the first.
     log: Vec<f32>,
 }
 
 impl Texture {
     /// Paints a tile.
-    pub(super) fn new(look: &Look, random: &mut Random) -> Self {
+    pub(crate) fn new(look: &Look, random: &mut Random) -> Self {
         let mut tile = vec![0.0_f32; SIDE * SIDE];
         // Large bright areas come first, so that patches lie in light and in shade alike.
         for _ in 0..3 {
@@ -61,7 +61,7 @@ impl Texture {
     ///
     /// All pixels of a call have the same offset from the lattice points, so the weights are constant and the loop
     /// vectorises.
-    pub(super) fn sample(&self, u: f64, v: f64, out: &mut [f32]) {
+    pub(crate) fn sample(&self, u: f64, v: f64, out: &mut [f32]) {
         let (mut column, right) = split(u);
         let (row, below) = split(v);
         let upper = self.row(row);
@@ -88,7 +88,7 @@ impl Texture {
         }
     }
 
-    fn row(&self, row: usize) -> &[f32] {
+    pub(super) fn row(&self, row: usize) -> &[f32] {
         let start = row * (SIDE + 1);
         &self.log[start..=start + SIDE]
     }
