@@ -322,7 +322,8 @@ impl PixelParameters {
     /// Returns the mean rate of ON events by leakage in constant light of `lux`, in Hz.
     #[must_use]
     pub fn leak_now_hz(&self, lux: f64) -> f64 {
-        self.leak_hz * self.warmth() + self.parasitic_hz_per_klux * 1e-3 * lux
+        self.leak_hz * self.warmth()
+            + self.parasitic_hz_per_klux * 1e-3 * (lux + self.dark_now_lux())
     }
 }
 

@@ -42,6 +42,8 @@ pub(super) struct Before {
     pole: [f32; BLOCK],
     /// Leakage in natural log units per second.
     leak: [f32; BLOCK],
+    /// Whether the hazards are those of before: there was too much light for noise.
+    is_silent: bool,
 }
 
 impl Default for Before {
@@ -55,6 +57,7 @@ impl Default for Before {
             hazard: none,
             pole: none,
             leak: none,
+            is_silent: true,
         }
     }
 }
@@ -74,8 +77,16 @@ pub(super) struct Start {
 }
 
 impl Before {
-    /// Returns one pixel, whose input at the end of the span is `next`.
-    pub(super) fn lane(&self, lane: usize, next: f32) -> Start {
+    /// Keeps the hazards before they change, if nothing has changed them yet.
+    pub(super) fn keep_hazards(&mut self, hazard: &[f32]) {
+        if self.is_silent {
+            self.hazard[..hazard.len()].copy_from_slice(hazard);
+            self.is_silent = false;
+        }
+    }
+
+    /// Returns one pixel, whose input and hazard at the end of the span are `next` and `hazard`.
+    pub(super) fn lane(&self, lane: usize, next: f32, hazard: f32) -> Start {
         Start {
             state: State {
                 x: self.x[lane],
@@ -84,7 +95,11 @@ impl Before {
             },
             next,
             reference: self.reference[lane],
-            hazard: self.hazard[lane],
+            hazard: if self.is_silent {
+                hazard
+            } else {
+                self.hazard[lane]
+            },
             pole: self.pole[lane],
             leak: self.leak[lane],
         }
@@ -132,11 +147,8 @@ fn advance(lanes: &mut Lanes<'_>, span: &Span, physics: &Physics, before: &mut B
         &lanes.leak[..count],
     );
     let (poles, leaks) = (&mut before.pole[..count], &mut before.leak[..count]);
-    before.x[..count].copy_from_slice(x);
-    before.v1[..count].copy_from_slice(v1);
-    before.v2[..count].copy_from_slice(v2);
-    before.reference[..count].copy_from_slice(reference);
-    before.hazard[..count].copy_from_slice(hazard);
+    let (before_x, before_v1) = (&mut before.x[..count], &mut before.v1[..count]);
+    let (before_v2, before_reference) = (&mut before.v2[..count], &mut before.reference[..count]);
 
     // Bits of positive numbers have the numbers' order.
     let mut lowest = u32::MAX;
@@ -153,7 +165,8 @@ fn advance(lanes: &mut Lanes<'_>, span: &Span, physics: &Physics, before: &mut B
     let second_pole = physics.photoreceptor.second_pole;
     let per_second_pole = 1.0 / second_pole;
     let decay = span.decay;
-    let mut due = [0_u8; BLOCK];
+    // All bits of a pixel that may have to fire.
+    let mut due = [0_u32; BLOCK];
     for i in 0..count {
         let (x0, x1, u, v) = (x[i], next[i], v1[i], v2[i]);
         let (pole, leak) = (poles[i], leaks[i]);
@@ -169,8 +182,9 @@ fn advance(lanes: &mut Lanes<'_>, span: &Span, physics: &Physics, before: &mut B
         let first_decay = math::exp(-pole * seconds);
         let u1 = x1 - lag + d * first_decay;
         let v1_ = x1 - behind + a * first_decay + b * decay;
-        let reference1 = reference[i] - leak * seconds;
-        let (begin, end) = (v - reference[i], v1_ - reference1);
+        let reference0 = reference[i];
+        let reference1 = reference0 - leak * seconds;
+        let (begin, end) = (v - reference0, v1_ - reference1);
         let rise0 = second_pole * (u - v) + leak;
         let rise1 = second_pole * (u1 - v1_) + leak;
         // Where the output turns within the span, its tangents bound how far it goes.
@@ -183,27 +197,44 @@ fn advance(lanes: &mut Lanes<'_>, span: &Span, physics: &Physics, before: &mut B
         };
         let highest = if begin > end { begin } else { end } + bulge;
         let lowest = if begin < end { begin } else { end } - bulge;
-        x[i] = x1;
-        v1[i] = u1;
-        v2[i] = v1_;
+        (before_x[i], before_v1[i]) = (x0, u);
+        (before_v2[i], before_reference[i]) = (v, reference0);
+        (x[i], v1[i], v2[i]) = (x1, u1, v1_);
         reference[i] = reference1;
-        due[i] = u8::from((highest >= on[i]) | (lowest <= -off[i]) | (on[i] == f32::INFINITY));
+        let is_due = (highest >= on[i]) | (lowest <= -off[i]) | (on[i] == f32::INFINITY);
+        due[i] = u32::from(is_due).wrapping_neg();
     }
-    // In good light noise is too rare to be counted.
-    if !physics.noise.is_silent(f32::from_bits(lowest)) {
+    let mut noisy = [0_u32; BLOCK];
+    before.is_silent = physics.noise.is_silent(f32::from_bits(lowest));
+    if !before.is_silent {
+        let before_hazard = &mut before.hazard[..count];
         for i in 0..count {
+            before_hazard[i] = hazard[i];
             hazard[i] -= physics.noise.rate(poles[i]) * seconds;
-            due[i] |= u8::from(hazard[i] <= 0.0);
+            noisy[i] = u32::from(hazard[i] <= 0.0).wrapping_neg();
         }
     }
-    let (eights, _) = due.as_chunks::<8>();
-    let mut bits = 0;
-    for (i, eight) in eights.iter().enumerate() {
-        // The product has the lowest bits of the eight bytes in its highest byte.
-        let eight = u64::from_le_bytes(*eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
-        bits |= eight << (8 * i);
+    for (due, noisy) in due.iter_mut().zip(&noisy) {
+        *due |= noisy;
     }
-    bits
+    let (low, high) = due.split_at(BLOCK / 2);
+    u64::from(bits(low)) | u64::from(bits(high)) << 32
+}
+
+/// Returns a bit for each of 32 values whose bits are all set or all clear.
+#[inline(always)]
+fn bits(due: &[u32]) -> u32 {
+    const PLACES: [u32; 32] = {
+        let mut places = [0; 32];
+        let mut i = 0;
+        while i < 32 {
+            places[i] = 1 << i;
+            i += 1;
+        }
+        places
+    };
+    let places = due.iter().zip(&PLACES);
+    places.fold(0, |bits, (due, place)| bits | due & place)
 }
 
 #[inline(always)]
@@ -309,7 +340,7 @@ mod tests {
         let mut before = Before::default();
         advance(&mut lanes(&mut arrays), &span, &physics, &mut before);
         for (lane, (next, end)) in arrays[0].iter().zip(&arrays[5]).enumerate() {
-            let start = before.lane(lane, *next);
+            let start = before.lane(lane, *next, 1.0);
             let slope = f64::from(start.next - start.state.x) / 7e-4;
             let poles = (start.pole, physics.photoreceptor.second_pole);
             let response = crate::photoreceptor::Response::new(start.state, slope, poles, 0.0);

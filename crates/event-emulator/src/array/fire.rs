@@ -104,17 +104,18 @@ struct NoiseClock {
 
 impl NoiseClock {
     fn new(pixels: &TilePixels, index: usize, start: &Start, seconds: f64) -> Self {
-        let end = pixels.hazard[index];
-        let rate = f64::from(start.hazard - end) / seconds;
+        let passed = f64::from(start.hazard - pixels.hazard[index]);
         // Not so of an infinite hazard, from which nothing is taken.
-        let is_noisy = rate > 0.0;
+        let is_noisy = passed > 0.0;
+        let (next, rate) = if is_noisy {
+            let rate = passed / seconds;
+            (f64::from(start.hazard) / rate, rate)
+        } else {
+            (f64::INFINITY, 0.0)
+        };
         Self {
-            next: if is_noisy {
-                f64::from(start.hazard) / rate
-            } else {
-                f64::INFINITY
-            },
-            rate: if is_noisy { rate } else { 0.0 },
+            next,
+            rate,
             hazard: start.hazard,
         }
     }

@@ -41,6 +41,7 @@ struct Stuck {
 
 /// What a pixel needs to fire, together: the rest is computed for many pixels at once, array by array.
 #[derive(Debug, Clone, Copy)]
+#[repr(align(32))]
 pub(super) struct Own {
     /// End of the last reset.
     pub(super) since_ns: u64,
@@ -290,38 +291,84 @@ impl TilePixels {
 
     /// Emulates the time from one sample to the next.
     fn run(&mut self, span: Span, physics: &Physics) {
-        let mut before = Before::default();
         let count = self.x.len();
         let mut hot = 0;
+        // A block's events are found after the next block is computed: what its pixels need comes from memory meanwhile.
+        let (mut now, mut last) = (&mut Before::default(), &mut Before::default());
+        let mut pending = (0, 0);
         for first in (0..count).step_by(BLOCK) {
-            let range = first..(first + BLOCK).min(count);
-            let lanes = Lanes {
-                next: &self.next[range.clone()],
-                next_current: &self.next_current[range.clone()],
-                current: &mut self.current[range.clone()],
-                x: &mut self.x[range.clone()],
-                v1: &mut self.v1[range.clone()],
-                v2: &mut self.v2[range.clone()],
-                reference: &mut self.reference[range.clone()],
-                on: &self.on[range.clone()],
-                off: &self.off[range.clone()],
-                hazard: &mut self.hazard[range.clone()],
-                leak: &self.leak[range.clone()],
-            };
-            let mut due = lanes.advance(&span, physics, &mut before);
-            while let Some((index, rate)) = self.hot.get(hot).filter(|(i, _)| range.contains(i)) {
-                self.hazard[*index] -= rate * span.seconds * self.patience[*index];
-                if self.hazard[*index] <= 0.0 {
-                    due |= 1 << (index - first);
-                }
-                hot += 1;
+            let due = self.advance_block(first, &span, &mut hot, now, physics);
+            self.prefetch(first, due);
+            self.fire_block(pending, &span, last, physics);
+            pending = (first, due);
+            core::mem::swap(&mut now, &mut last);
+        }
+        self.fire_block(pending, &span, last, physics);
+    }
+
+    /// Takes a block to the end of the span, and returns which of its pixels may have to fire. `hot` is the number of
+    /// the next hot pixel.
+    fn advance_block(
+        &mut self,
+        first: usize,
+        span: &Span,
+        hot: &mut usize,
+        before: &mut Before,
+        physics: &Physics,
+    ) -> u64 {
+        let range = first..(first + BLOCK).min(self.x.len());
+        let lanes = Lanes {
+            next: &self.next[range.clone()],
+            next_current: &self.next_current[range.clone()],
+            current: &mut self.current[range.clone()],
+            x: &mut self.x[range.clone()],
+            v1: &mut self.v1[range.clone()],
+            v2: &mut self.v2[range.clone()],
+            reference: &mut self.reference[range.clone()],
+            on: &self.on[range.clone()],
+            off: &self.off[range.clone()],
+            hazard: &mut self.hazard[range.clone()],
+            leak: &self.leak[range.clone()],
+        };
+        let mut due = lanes.advance(span, physics, before);
+        while let Some((index, rate)) = self.hot.get(*hot).filter(|(i, _)| range.contains(i)) {
+            before.keep_hazards(&self.hazard[range.clone()]);
+            self.hazard[*index] -= rate * span.seconds * self.patience[*index];
+            if self.hazard[*index] <= 0.0 {
+                due |= 1 << (index - first);
             }
-            while due != 0 {
-                let lane = due.trailing_zeros() as usize;
-                due &= due - 1;
-                let start = before.lane(lane, self.x[first + lane]);
-                self.fire(first + lane, &span, start, physics);
+            *hot += 1;
+        }
+        due
+    }
+
+    /// Has memory send what pixels need to fire.
+    fn prefetch(&self, first: usize, due: u64) {
+        #[cfg(target_arch = "x86_64")]
+        for own in lanes_of(due).filter_map(|lane| self.own.get(first + lane)) {
+            use core::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+            // SAFETY: Every x86-64 core has the instruction, which changes nothing but the cache, at any address.
+            #[expect(unsafe_code, reason = "a prefetch")]
+            unsafe {
+                _mm_prefetch::<_MM_HINT_T0>(core::ptr::from_ref(own).cast());
             }
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        let _ = (first, due);
+    }
+
+    /// Finds the events of those pixels of a block that may have to fire.
+    fn fire_block(
+        &mut self,
+        (first, due): (usize, u64),
+        span: &Span,
+        before: &Before,
+        physics: &Physics,
+    ) {
+        for lane in lanes_of(due) {
+            let index = first + lane;
+            let start = before.lane(lane, self.x[index], self.hazard[index]);
+            self.fire(index, span, start, physics);
         }
     }
 
@@ -371,4 +418,15 @@ impl TilePixels {
             cause,
         });
     }
+}
+
+/// Returns the numbers of the bits that are set.
+fn lanes_of(mut due: u64) -> impl Iterator<Item = usize> {
+    core::iter::from_fn(move || {
+        let lane = due.trailing_zeros();
+        (due != 0).then(|| {
+            due &= due - 1;
+            lane as usize
+        })
+    })
 }

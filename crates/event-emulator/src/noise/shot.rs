@@ -52,8 +52,7 @@ impl ShotNoise {
         crossings * (math::exp(-self.on * narrow) + math::exp(-self.off * narrow))
     }
 
-    /// Returns whether there are less than 1e-9 noise events per second where the first pole is at `pole` rad/s or
-    /// above.
+    /// Returns whether there are less than 1e-5 noise events per second where the first pole is at `pole` rad/s or above.
     #[inline(always)]
     pub(crate) fn is_silent(&self, pole: f32) -> bool {
         let least = if self.on < self.off {
@@ -61,9 +60,14 @@ impl ShotNoise {
         } else {
             self.off
         };
-        // The rate falls from a third of the second pole on, and is at most 1e6 times e^-35 there.
-        pole > 0.5 * self.second_pole && least * (1.0 + pole / self.second_pole) > 35.0
-            || least >= 1e3
+        // The rate falls from half of the second pole on if on^2 / 2 s0^2 is above 1. Where e^-22 is the exponential,
+        // sqrt(f1 f2) is below 22 times the second corner.
+        let exponent = least * (1.0 + pole / self.second_pole);
+        let corner = self.second_pole * (1.0 / TAU);
+        least >= 1e3
+            || least > 1.0
+                && pole > 0.5 * self.second_pole
+                && exponent > 22.0 + math::ln(corner / 300.0 + 1.0)
     }
 
     /// Returns the standard deviation of the output, in natural log units.

@@ -31,7 +31,8 @@ impl SceneLight {
     #[must_use]
     pub fn new(preset: Preset, sensor: Sensor, seed: u64) -> Self {
         let script = preset.script();
-        let texture = Texture::new(&script.look, &mut Random::new(seed, 1));
+        let mut texture = Texture::new(&script.look, &mut Random::new(seed, 1));
+        texture.brighten(ROOM_LN_LUX);
         let slopes = Slopes::new(&texture);
         Self {
             sensor,
@@ -87,9 +88,6 @@ impl Light for SceneLight {
             let row_u = u * camera.row_speed(y, self.sensor.height);
             let (u, v) = (row_u + f64::from(tile.x), v + f64::from(y));
             self.texture.sample(u, v, row);
-            for log in row {
-                *log += ROOM_LN_LUX;
-            }
         }
         for pattern in &self.script.patterns {
             let Some(placed) = pattern.place_at(t_ns, self.sensor) else {

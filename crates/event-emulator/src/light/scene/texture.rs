@@ -1,6 +1,7 @@
 //! The textured background: a periodic tile of log intensity with hard-edged patches.
 
 use crate::random::Random;
+use crate::wide::wide;
 
 /// Side of the tile in pixels; a power of two, so that wrapping is a mask.
 pub(super) const SIDE: usize = 512;
@@ -57,6 +58,13 @@ impl Texture {
         Self { log: soften(&tile) }
     }
 
+    /// Adds to the log intensity.
+    pub(crate) fn brighten(&mut self, log: f32) {
+        for value in &mut self.log {
+            *value += log;
+        }
+    }
+
     /// Writes the log intensity at (u + i, v) to `out[i]`, interpolated bilinearly between lattice points.
     ///
     /// All pixels of a call have the same offset from the lattice points, so the weights are constant and the loop
@@ -78,11 +86,7 @@ impl Texture {
             let (now, later) = rest.split_at_mut(run);
             let a = &upper[column..=column + run];
             let b = &lower[column..=column + run];
-            for (((out, a), b), (a1, b1)) in
-                now.iter_mut().zip(a).zip(b).zip(a[1..].iter().zip(&b[1..]))
-            {
-                *out = weights[0] * a + weights[1] * a1 + weights[2] * b + weights[3] * b1;
-            }
+            interpolate_wide(a, b, weights, now);
             rest = later;
             column = 0;
         }
@@ -91,6 +95,18 @@ impl Texture {
     pub(super) fn row(&self, row: usize) -> &[f32] {
         let start = row * (SIDE + 1);
         &self.log[start..=start + SIDE]
+    }
+}
+
+fn interpolate_wide(a: &[f32], b: &[f32], weights: [f32; 4], out: &mut [f32]) {
+    wide!(interpolate, a: &[f32], b: &[f32], weights: [f32; 4], out: &mut [f32]);
+}
+
+/// Interpolates between neighbours in two rows.
+#[inline(always)]
+fn interpolate(a: &[f32], b: &[f32], weights: [f32; 4], out: &mut [f32]) {
+    for (((out, a), b), (a1, b1)) in out.iter_mut().zip(a).zip(b).zip(a[1..].iter().zip(&b[1..])) {
+        *out = weights[0] * a + weights[1] * a1 + weights[2] * b + weights[3] * b1;
     }
 }
 
