@@ -1,0 +1,91 @@
+//! The tables of docs/emulator.md that are made by the tests: the parameters, and measured against stated.
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use event_emulator::{PARAMETERS, PixelParameters};
+
+use crate::measure::Row;
+
+const COMMAND: &str = "EECVS_BLESS=1 cargo test -p event-emulator --test effects";
+
+/// Compares the document with its tables, or writes them if `EECVS_BLESS` is set.
+pub fn check(rows: &[Row]) {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../docs/emulator.md");
+    let text = std::fs::read_to_string(&path).expect("docs/emulator.md");
+    let text = text.replace("\r\n", "\n");
+    let mut expected = text.clone();
+    for (name, table) in [("parameters", parameters()), ("effects", effects(rows))] {
+        expected = replace(&expected, name, &table);
+    }
+    if std::env::var_os("EECVS_BLESS").is_some() {
+        std::fs::write(&path, expected).expect("docs/emulator.md is written");
+    } else {
+        assert_eq!(
+            text, expected,
+            "{COMMAND} writes the tables of docs/emulator.md"
+        );
+    }
+}
+
+/// Replaces the lines between the two marks of a table.
+fn replace(text: &str, name: &str, table: &str) -> String {
+    let begin = format!("<!-- {name}: {COMMAND} writes what is below -->\n");
+    let end = format!("<!-- {name} end -->");
+    let (before, rest) = text.split_once(&begin).expect("the first mark");
+    let (_, after) = rest.split_once(&end).expect("the second mark");
+    [before, &begin, table, &end, after].concat()
+}
+
+fn parameters() -> String {
+    let mut table = "| parameter | unit | range | default | what it is | source |\n\
+                     |---|---|---|---|---|---|\n"
+        .to_owned();
+    let defaults = PixelParameters::default();
+    for parameter in PARAMETERS {
+        let (least, most) = (parameter.least, parameter.most);
+        let line = writeln!(
+            table,
+            "| `{}` | {} | {least} to {most} | {} | {} | {} |",
+            parameter.name,
+            parameter.unit,
+            parameter.of(&defaults),
+            parameter.about,
+            parameter.source
+        );
+        line.expect("a string");
+    }
+    table
+}
+
+fn effects(rows: &[Row]) -> String {
+    let mut table =
+        "| effect | at | stated | measured | difference |\n|---|---|---|---|---|\n".to_owned();
+    for row in rows {
+        let unit = match row.unit {
+            "1" => "",
+            "ln" => " ln",
+            "us" => " us",
+            "Hz" => " Hz",
+            unit => unreachable!("{unit}"),
+        };
+        let line = writeln!(
+            table,
+            "| {} | {} | {}{unit} | {}{unit} | {:+.1} % |",
+            row.effect,
+            row.at,
+            digits(row.stated),
+            digits(row.measured),
+            100.0 * (row.measured / row.stated - 1.0)
+        );
+        line.expect("a string");
+    }
+    table
+}
+
+/// Writes three digits, and more before the point where there are.
+fn digits(value: f64) -> String {
+    let before = value.abs().log10().floor() as i32;
+    let after = usize::try_from(2 - before).unwrap_or(0);
+    format!("{value:.after$}")
+}
