@@ -144,4 +144,22 @@ mod tests {
             ]
         );
     }
+
+    #[test]
+    fn causes_stay_with_their_events() {
+        let mut queue = Queue::default();
+        queue.begin(0);
+        for (i, cause) in Cause::ALL.into_iter().enumerate() {
+            queue.push_with(90 - i as u32, 2047, 2047, Polarity::On, cause);
+        }
+        queue.end(100);
+        assert!(!queue.is_taken());
+        let (mut events, mut causes) = (Vec::new(), Vec::new());
+        assert_eq!(queue.take_with(9, 0, &mut events, Some(&mut causes)), 5);
+        assert!(queue.is_taken());
+        let mut expected = Cause::ALL;
+        expected.reverse();
+        assert_eq!(causes, expected);
+        assert!(events.iter().all(|e| (e.x, e.y) == (2047, 2047)));
+    }
 }

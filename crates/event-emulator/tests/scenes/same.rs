@@ -1,6 +1,8 @@
 //! The same seed gives the same events, whoever computes them, and however they are read.
 
-use event_emulator::{Cause, Model, PRESETS, PixelParameters, Preset, emulate, emulate_with};
+use event_emulator::{
+    Cause, Model, PARAMETERS, PRESETS, PixelParameters, Preset, emulate, emulate_with,
+};
 use event_types::stream::EventReader;
 use event_types::{Event, Sensor};
 
@@ -172,4 +174,42 @@ fn parameters_out_of_range_are_errors() {
     };
     let error = emulate_with(small(Preset::OutdoorDark, 1), &bad).expect_err("no threshold");
     assert!(error.to_string().contains("threshold_on"), "{error}");
+}
+
+#[test]
+fn every_parameter_works_at_the_ends_of_its_range() {
+    for preset in [Preset::Motorcycle, Preset::OutdoorDark] {
+        let mut config = small(preset, 9);
+        config.sensor = Sensor {
+            width: 30,
+            height: 20,
+        };
+        config.duration_us = 20_000;
+        // All effects at once, with little in between that would hide one of them.
+        let base = PixelParameters {
+            refractory_us: 0.0,
+            hot_share: 0.1,
+            stuck_share: 0.1,
+            latency_us: 10_000.0,
+            ..PixelParameters::default()
+        };
+        for parameter in PARAMETERS {
+            for value in [parameter.least, parameter.most] {
+                let mut pixel = base;
+                pixel.set(parameter.name, value).expect("a value in range");
+                if pixel.check().is_err() {
+                    // Latency without jitter, one share at a time.
+                    pixel.jitter_us = 0.0;
+                    (pixel.hot_share, pixel.stuck_share) = (0.0, 0.0);
+                    pixel.set(parameter.name, value).expect("a value in range");
+                }
+                let events = crate::events_with(config, &pixel);
+                let is_inside = |e: &Event| config.sensor.contains(e.x, e.y) && e.t_us < 20_000;
+                assert!(events.iter().all(is_inside), "{} {value}", parameter.name);
+                assert!(events.is_sorted_by_key(|e| e.t_us));
+                // A pixel of 10 kHz for 20 ms, and a jump across many small thresholds.
+                assert!(events.len() < 600 * 2_000, "{} {value}", parameter.name);
+            }
+        }
+    }
 }
