@@ -76,7 +76,7 @@ pub(super) struct TilePixels {
     pub(super) hazard: Vec<f32>,
     /// Leakage in natural log units per second, without that by light.
     leak: Vec<f32>,
-    /// Noise events of the mean pixel per noise event of this one.
+    /// Noise events of the mean pixel per noise event of this one; never 0.
     pub(super) patience: Vec<f32>,
     /// What is looked at only where a pixel fires.
     pub(super) own: Vec<Own>,
@@ -140,7 +140,7 @@ impl TilePixels {
             pixels.leak[index] = (leak * spread(parameters.leak_spread).max(0.0)) as f32;
             let (mean_on, mean_off) = (on as f32, off as f32);
             let factor = physics.noise.factor(mean_on, mean_off);
-            pixels.patience[index] = (1.0 / factor).min(1e30) as f32;
+            pixels.patience[index] = (1.0 / factor) as f32;
             // As long after the last event as may be: what leaks rises from the reference to the ON threshold.
             // Without leakage the output is anywhere between the thresholds.
             let share = draws.unit() as f32;

@@ -82,7 +82,8 @@ impl ShotNoise {
         Polarity::from_bool(unit * f64::from(on + off) < f64::from(on))
     }
 
-    /// Returns how many times as often as the mean pixel one of these thresholds fires by noise in the dark.
+    /// Returns how many times as often as the mean pixel one of these thresholds fires by noise in the dark, 10^-6 to
+    /// 10^6: where it would be more, the mean pixel has no noise to speak of.
     pub(crate) fn factor(&self, on: f32, off: f32) -> f64 {
         if self.rms <= 0.0 {
             return 1.0;
@@ -93,7 +94,7 @@ impl ShotNoise {
             libm::exp(-(threshold * threshold / variance).min(600.0))
         };
         let mean = libm::exp(-f64::from(self.on)) + libm::exp(-f64::from(self.off));
-        (share(on) + share(off)) / mean.max(1e-300)
+        ((share(on) + share(off)) / mean.max(1e-300)).clamp(1e-6, 1e6)
     }
 }
 
@@ -116,6 +117,13 @@ mod tests {
         }
         assert!((noise.factor(0.25, 0.27) - 1.0).abs() < 1e-5);
         assert!(noise.factor(0.2, 0.27) > 3.0);
+        let small = PixelParameters {
+            shot_noise: 0.03,
+            ..parameters
+        };
+        let noise = ShotNoise::new(&small);
+        assert_eq!(noise.factor(0.02, 0.02), 1e6);
+        assert_eq!(noise.factor(0.5, 0.5), 1e-6);
     }
 
     #[test]

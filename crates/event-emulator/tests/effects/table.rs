@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::path::PathBuf;
 
-use event_emulator::{PARAMETERS, PixelParameters};
+use event_emulator::{Effect, PARAMETERS, PixelParameters};
 
 use crate::measure::Row;
 
@@ -14,6 +14,10 @@ pub fn check(rows: &[Row]) {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../docs/emulator.md");
     let text = std::fs::read_to_string(&path).expect("docs/emulator.md");
     let text = text.replace("\r\n", "\n");
+    for effect in Effect::ALL {
+        let flag = format!("`--no-{}`", effect.name());
+        assert!(text.contains(&flag), "docs/emulator.md lacks {flag}");
+    }
     let mut expected = text.clone();
     for (name, table) in [("parameters", parameters()), ("effects", effects(rows))] {
         expected = replace(&expected, name, &table);

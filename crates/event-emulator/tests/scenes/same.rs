@@ -188,13 +188,17 @@ fn every_parameter_works_at_the_ends_of_its_range() {
         // All effects at once, with little in between that would hide one of them.
         let base = PixelParameters {
             refractory_us: 0.0,
+            threshold_spread: 0.3,
             hot_share: 0.1,
             stuck_share: 0.1,
             latency_us: 10_000.0,
             ..PixelParameters::default()
         };
         for parameter in PARAMETERS {
-            for value in [parameter.least, parameter.most] {
+            let (least, most) = (parameter.least, parameter.most);
+            // Between, by its order of magnitude, too.
+            let small = 0.01 * most;
+            for value in [least, small.max(least), (0.1 * most).max(least), most] {
                 let mut pixel = base;
                 pixel.set(parameter.name, value).expect("a value in range");
                 if pixel.check().is_err() {
