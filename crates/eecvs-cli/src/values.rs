@@ -2,13 +2,21 @@
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use eecvs::reconstruct::events::Finder;
-use event_emulator::{PRESETS, Preset};
+use event_emulator::{Model, PRESETS, Preset};
 use mcu_link::qemu::Machine;
 
 /// Returns the parser of a scene name; the help describes each scene in one line.
 pub fn preset() -> impl TypedValueParser<Value = Preset> {
     let values = PRESETS.map(|preset| PossibleValue::new(preset.name()).help(preset.about()));
     named(values, Preset::from_name)
+}
+
+/// Returns the parser of the number of an emulator's model; the help describes each model in one line.
+pub fn model() -> impl TypedValueParser<Value = Model> {
+    let values = Model::ALL.map(|model| PossibleValue::new(model.name()).help(model.about()));
+    named(values, |name| {
+        Model::ALL.into_iter().find(|model| model.name() == name)
+    })
 }
 
 /// Returns the parser for a method of finding event times; the help describes each method in one line.

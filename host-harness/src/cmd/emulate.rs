@@ -1,31 +1,39 @@
 //! `eecvs emulate`: writes a seeded scene to a recording.
 
+mod pixel;
+
 use std::path::PathBuf;
 use std::time::Instant;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use eecvs_cli::options::{FormatOptions, OutputOptions};
 use eecvs_cli::output::{Place, print, print_json};
 use eecvs_cli::progress::Progress;
-use eecvs_cli::values::preset;
+use eecvs_cli::values::{model, preset};
 use eecvs_nostd::{Event, Polarity, Sensor};
-use event_emulator::{Emulator, PRESETS, Preset, SceneConfig};
+use event_emulator::{Emulator, Model, PRESETS, PixelParameters, Preset, SceneConfig};
 use event_files::{EventReader, EventWriter};
+use pixel::PixelOptions;
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde::Serialize;
 
 /// Emulate a seeded scene and write its events to a recording
 #[derive(Debug, Clone, clap::Args)]
 pub struct Emulate {
     /// Scene type
-    #[arg(value_parser = preset(), value_name = "SCENE", required_unless_present = "list")]
+    #[arg(value_parser = preset(), value_name = "SCENE", required_unless_present_any = ["list", "print_pixel"])]
     scene: Option<Preset>,
 
     /// List the scenes, one per line with a description, and exit; with --json, as an array of objects
     #[arg(long, conflicts_with_all = ["scene", "output"])]
     list: bool,
 
+    /// Print the pixel of model 2 as the flags make it, as a file for --pixel, and exit
+    #[arg(long, conflicts_with_all = ["scene", "output", "list", "json"])]
+    print_pixel: bool,
+
     /// Recording to write; the extension names the format
-    #[arg(short, long, value_name = "FILE", required_unless_present = "list")]
+    #[arg(short, long, value_name = "FILE", required_unless_present_any = ["list", "print_pixel"])]
     output: Option<PathBuf>,
 
     #[command(flatten)]
@@ -50,6 +58,17 @@ pub struct Emulate {
     /// Time at which the scene starts, in microseconds
     #[arg(long, value_name = "T", default_value_t = 0)]
     start_us: u64,
+
+    /// Model of the pixel
+    #[arg(long, value_parser = model(), default_value = "1")]
+    model: Model,
+
+    /// Number of threads of model 2; the events do not depend on it [default: the number of cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+
+    #[command(flatten)]
+    pixel: PixelOptions,
 
     #[command(flatten)]
     overwrite: OutputOptions,
@@ -84,14 +103,19 @@ impl Emulate {
     /// Emulates the scene, writes it and prints the result on stdout.
     ///
     /// # Errors
-    /// Fails if the scene cannot exist (its end is beyond 2^64 us), the extension is unknown, the file cannot be
-    /// written, or the format cannot hold an event.
+    /// Fails if the scene cannot exist (its end is beyond 2^64 us), the pixel's file cannot be read or has a value out of
+    /// range, a flag of model 2 is given with model 1, the extension is unknown, the file cannot be written, or the
+    /// format cannot hold an event.
     pub fn run(self) -> anyhow::Result<()> {
         if self.list {
             return match self.json {
                 true => print_json(&listed()),
                 false => print(&scenes()),
             };
+        }
+        let pixel = self.pixel.parameters()?;
+        if self.print_pixel {
+            return print(&pixel::file(&pixel));
         }
         let (preset, output) = self.scene.zip(self.output.as_ref()).with_context(|| {
             format!(
@@ -107,19 +131,50 @@ impl Emulate {
         }
         config.duration_us = self.duration_us.unwrap_or(config.duration_us);
         config.start_us = self.start_us;
+        config.model = self.model;
+        if config.model == Model::Steps {
+            ensure!(
+                self.pixel.is_default() && self.threads.is_none(),
+                "the pixel's flags and --threads are of model 2: give --model 2"
+            );
+        }
 
-        let mut emulator = event_emulator::emulate(config)?;
+        let mut emulator = event_emulator::emulate_with(config, &pixel)?;
         let mut writer = event_files::create_as(output, format, config.sensor)?;
         let begun = Instant::now();
-        let written = write_scene(&mut emulator, writer.as_mut())?;
+        let pool = self.pool()?;
+        emulator = emulator.parallel(pool.is_some());
+        let written = write_scene(&mut emulator, writer.as_mut(), pool.as_ref())?;
         writer.finish()?;
         let seconds = begun.elapsed().as_secs_f64();
+        let samples = emulator.samples();
         let place = Place::beside([output.as_path()]);
-        place.print(&format!("{}\n", self.report(&config, written, seconds)))
+        let pixel = samples.map(|samples| (pixel, samples));
+        place.print(&format!(
+            "{}\n",
+            self.report(&config, pixel, written, seconds)
+        ))
     }
 
-    /// Formats the result as a table or as JSON.
-    fn report(&self, config: &SceneConfig, written: Written, seconds: f64) -> String {
+    /// Returns the threads that the tiles of model 2 are shared by; `None` if this thread does all.
+    fn pool(&self) -> anyhow::Result<Option<ThreadPool>> {
+        if self.model == Model::Steps || self.threads == Some(1) {
+            return Ok(None);
+        }
+        // 0 threads are as many as there are cores.
+        let threads = self.threads.map_or(0, usize::from);
+        let pool = ThreadPoolBuilder::new().num_threads(threads).build();
+        Ok(Some(pool.context("the threads cannot be started")?))
+    }
+
+    /// Formats the result as a table or as JSON; `pixel` has the parameters and the samples of model 2.
+    fn report(
+        &self,
+        config: &SceneConfig,
+        pixel: Option<(PixelParameters, u64)>,
+        written: Written,
+        seconds: f64,
+    ) -> String {
         let scene_s = config.duration_us as f64 * 1e-6;
         let exposure = f64::from(config.sensor.pixels()) * scene_s;
         // The density of an empty scene is 0, not 0 / 0.
@@ -129,8 +184,15 @@ impl Emulate {
             0.0
         };
         let output = self.output.as_deref().unwrap_or_else(|| "".as_ref());
+        let samples_hz = |samples: u64| {
+            if exposure > 0.0 {
+                samples as f64 / exposure
+            } else {
+                0.0
+            }
+        };
         if self.json {
-            return serde_json::json!({
+            let mut report = serde_json::json!({
                 "scene": config.preset.name(),
                 "file": output.display().to_string(),
                 "seed": config.seed,
@@ -143,15 +205,24 @@ impl Emulate {
                 "off": written.events - written.on,
                 "density_per_px_s": density,
                 "emulate_s": seconds,
-            })
-            .to_string();
+                "model": config.model.name(),
+            });
+            if let Some((pixel, samples)) = pixel {
+                report["samples_per_px_s"] = samples_hz(samples).into();
+                report["pixel"] = pixel::json(&pixel);
+            }
+            return report.to_string();
         }
+        let sampled = pixel.map_or(String::new(), |(_, samples)| {
+            format!("sampled   {:.0} times/px/s\n", samples_hz(samples))
+        });
         format!(
-            "scene     {}, seed {}\nfile      {}\nsensor    {} x {}\nduration  {scene_s} s\n\
-             events    {} ({} on, {} off)\ndensity   {density:.3} events/px/s\n\
+            "scene     {}, seed {}, model {}\nfile      {}\nsensor    {} x {}\nduration  {scene_s} s\n\
+             events    {} ({} on, {} off)\ndensity   {density:.3} events/px/s\n{sampled}\
              took      {seconds:.2} s",
             config.preset.name(),
             config.seed,
+            config.model.name(),
             output.display(),
             config.sensor.width,
             config.sensor.height,
@@ -185,12 +256,23 @@ fn scenes() -> String {
         .collect()
 }
 
-/// Writes every event of a scene, batch by batch, and counts them.
-fn write_scene(emulator: &mut Emulator, writer: &mut dyn EventWriter) -> anyhow::Result<Written> {
+/// Writes every event of a scene, batch by batch, and counts them. The threads of `pool` read, this one writes.
+fn write_scene(
+    emulator: &mut Emulator,
+    writer: &mut dyn EventWriter,
+    pool: Option<&ThreadPool>,
+) -> anyhow::Result<Written> {
     let progress = Progress::new("ms of scene");
     let mut written = Written::default();
     let mut events: Vec<Event> = Vec::with_capacity(event_files::BATCH_EVENTS);
-    while emulator.read(&mut events)? > 0 {
+    loop {
+        let read = match pool {
+            Some(pool) => pool.install(|| emulator.read(&mut events))?,
+            None => emulator.read(&mut events)?,
+        };
+        if read == 0 {
+            break;
+        }
         writer.write(&events)?;
         written.events += events.len() as u64;
         let on = events.iter().filter(|e| e.polarity == Polarity::On);
@@ -294,7 +376,7 @@ mod tests {
             room: usize::MAX,
         };
         let mut emulator = event_emulator::emulate(config).unwrap();
-        let written = write_scene(&mut emulator, &mut writer).unwrap();
+        let written = write_scene(&mut emulator, &mut writer, None).unwrap();
         assert_eq!(written.events, writer.events.len() as u64);
         assert!(written.on > 0 && written.on < written.events);
 
@@ -306,7 +388,7 @@ mod tests {
         writer.events.clear();
         writer.room = 10;
         let mut emulator = event_emulator::emulate(config).unwrap();
-        assert!(write_scene(&mut emulator, &mut writer).is_err());
+        assert!(write_scene(&mut emulator, &mut writer, None).is_err());
     }
 
     #[test]
@@ -317,7 +399,7 @@ mod tests {
             events: 179_920,
             on: 89_000,
         };
-        let text = command.report(&config, written, 0.5);
+        let text = command.report(&config, None, written, 0.5);
         let value: serde_json::Value = serde_json::from_str(&text).unwrap();
         assert_eq!(value["scene"], "outdoor-dark");
         assert_eq!(value["off"], 90_920);
@@ -325,10 +407,59 @@ mod tests {
         config.duration_us = 0;
         let none = Written::default();
         let value: serde_json::Value =
-            serde_json::from_str(&command.report(&config, none, 0.0)).unwrap();
+            serde_json::from_str(&command.report(&config, None, none, 0.0)).unwrap();
         assert_eq!(value["density_per_px_s"], 0.0);
         command.json = false;
-        assert!(command.report(&config, none, 0.0).contains("night.csv"));
+        assert!(
+            command
+                .report(&config, None, none, 0.0)
+                .contains("night.csv")
+        );
+    }
+
+    #[test]
+    fn model_2_gives_the_same_file_with_any_number_of_threads() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = |name: &str, flags: &str| {
+            let file = dir.path().join(name);
+            let line = format!(
+                "motorcycle -o {} --width 70 --height 50 --duration-us 30000 --json {flags}",
+                file.display()
+            );
+            parse(&line)
+                .unwrap()
+                .run()
+                .map(|()| std::fs::read(file).unwrap())
+        };
+        let one = run("1.csv", "--model 2 --threads 1").unwrap();
+        assert!(one.len() > 1_000);
+        assert_eq!(run("2.csv", "--model 2 --threads 2").unwrap(), one);
+        assert_eq!(run("3.csv", "--model 2").unwrap(), one);
+        assert_ne!(run("4.csv", "--model 2 --threshold-on 0.5").unwrap(), one);
+        assert_ne!(run("5.csv", "--model 1").unwrap(), one);
+        for flags in ["--threads 2", "--no-noise", "--model 1 --leak-hz 1"] {
+            let error = run("6.csv", flags).unwrap_err().to_string();
+            assert!(error.contains("--model 2"), "{error}");
+            assert!(!dir.path().join("6.csv").exists());
+        }
+        let error = run("7.csv", "--model 2 --threshold-on 0").unwrap_err();
+        assert!(error.to_string().contains("give 0.01 to 10"), "{error}");
+        assert!(!dir.path().join("7.csv").exists());
+    }
+
+    #[test]
+    fn the_report_of_model_2_has_the_pixel() {
+        let mut command = parse("outdoor-dark -o x.csv --json --model 2").unwrap();
+        let config = SceneConfig::new(Preset::OutdoorDark, 7);
+        let pixel = Some((PixelParameters::default(), 89_960_000));
+        let written = Written::default();
+        let text = command.report(&config, pixel, written, 0.5);
+        let value: serde_json::Value = serde_json::from_str(&text).unwrap();
+        assert_eq!(value["samples_per_px_s"], 1_000.0);
+        assert_eq!(value["pixel"]["refractory_us"], 300.0);
+        command.json = false;
+        let text = command.report(&config, pixel, written, 0.5);
+        assert!(text.contains("sampled   1000 times/px/s"), "{text}");
     }
 
     #[test]
