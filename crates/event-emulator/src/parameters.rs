@@ -63,7 +63,7 @@ macro_rules! parameters {
 parameters! {
     sample_change: 1.0, "1", 0.01 to 4.0,
         "Largest change of light between two samples, relative to the smaller threshold.",
-        "ESIM, Rebecq 2018: half a threshold";
+        "the idea: ESIM, Rebecq 2018, with half a threshold";
     dark_lux: 0.1, "lx", 0.0 to 10_000.0,
         "Dark current at 25 °C as an illuminance; below it the response is linear.",
         "Lichtsteiner 2008: the sensor works down to 0.1 lx";
