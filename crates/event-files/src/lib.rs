@@ -148,15 +148,14 @@ fn create_file(path: &Path) -> Result<(BufWriter<File>, String)> {
 
 /// Creates four unnamed temporary files in the folder of `path`, one per column, which hold the columns until the
 /// last event is known. Messages call the output `name`.
-fn columns_beside(path: &Path, name: &str) -> Result<[BufWriter<File>; 4]> {
+fn files_beside(path: &Path, name: &str) -> Result<[File; 4]> {
     let folder = path.parent();
     let folder = folder.filter(|folder| !folder.as_os_str().is_empty());
-    let column = || {
+    let file = || {
         tempfile::tempfile_in(folder.unwrap_or(Path::new(".")))
-            .map(BufWriter::new)
             .with_context(|| format!("{name}: no temporary file can be created beside it"))
     };
-    Ok([column()?, column()?, column()?, column()?])
+    Ok([file()?, file()?, file()?, file()?])
 }
 
 /// Returns an error if `event`, number `index`, lies outside the sensor.
@@ -192,6 +191,32 @@ fn signed_us(name: &str, index: u64, t_us: u64) -> Result<i64> {
             "{name}: event {index}: time {t_us} us is above 2^63 us"
         )
     })
+}
+
+/// Puts the times of `events`, the first of which has number `index`, into `times`, as [`signed_us`], up to the first event
+/// that lies outside the sensor or has no such time, which is the error.
+#[cfg(any(feature = "hdf5", feature = "npz"))]
+fn signed_times(
+    name: &str,
+    index: u64,
+    events: &[Event],
+    sensor: Sensor,
+    times: &mut Vec<i64>,
+) -> Result<()> {
+    times.clear();
+    // Without a branch per event, several are compared at once.
+    let is_held = |event: &Event| {
+        sensor.contains(event.x, event.y) & (event.t_us <= i64::MAX.cast_unsigned())
+    };
+    if events.iter().fold(true, |all, event| all & is_held(event)) {
+        times.extend(events.iter().map(|event| event.t_us.cast_signed()));
+        return Ok(());
+    }
+    for (event, index) in events.iter().zip(index..) {
+        check_inside(name, index, event, sensor)?;
+        times.push(signed_us(name, index, event.t_us)?);
+    }
+    Ok(())
 }
 
 /// Returns the message for a time that a format's wrapping counter cannot reach.

@@ -9,6 +9,7 @@ use event_types::{Event, Polarity, Sensor};
 use lz4_flex::frame::{FrameEncoder, FrameInfo};
 
 use crate::aedat::aedat4::{EVENT_BYTES, MAGIC};
+use crate::output::workers::Workers;
 use crate::{BATCH_EVENTS, EventWriter, create_file};
 
 /// Message for a packet or a file that exceeds the format's fields.
@@ -60,9 +61,18 @@ struct Packet {
     last_us: i64,
 }
 
+/// A packet's content, compressed, with its number of events, and first and last time.
+struct Compressed {
+    content: Result<Vec<u8>>,
+    events: u32,
+    first_us: i64,
+    last_us: i64,
+}
+
 /// A writer of AEDAT 4.0 files, for times up to 2^63 - 1 us in any order.
 ///
-/// It holds one packet, and 32 bytes for every packet written (16,384 events).
+/// It holds one packet, those that are being compressed on other threads (at most nine), and 32 bytes for every packet
+/// written (16,384 events).
 pub struct Aedat4Writer {
     file: BufWriter<File>,
     name: String,
@@ -73,6 +83,7 @@ pub struct Aedat4Writer {
     pending: Vec<u8>,
     first_us: i64,
     last_us: i64,
+    compressing: Workers<Compressed>,
     packets: Vec<Packet>,
     events: u64,
 }
@@ -101,6 +112,7 @@ impl Aedat4Writer {
             pending: Vec::with_capacity(PACKET_EVENTS * EVENT_BYTES),
             first_us: i64::MAX,
             last_us: i64::MIN,
+            compressing: Workers::new(),
             packets: Vec::new(),
             events: 0,
         };
@@ -116,24 +128,39 @@ impl Aedat4Writer {
             .with_context(|| format!("{}: cannot be written", self.name))
     }
 
-    fn compress(&self, bytes: &[u8]) -> Result<Vec<u8>> {
-        let compressed = (self.compression.compress)(bytes);
-        compressed.with_context(|| format!("{}: compression failed", self.name))
-    }
-
     fn close_packet(&mut self) -> Result<()> {
         let events = u32::try_from(self.pending.len() / EVENT_BYTES).context(TOO_LARGE)?;
         if events == 0 {
             return Ok(());
         }
-        let content = self.compress(&event_packet(&self.pending, events))?;
-        self.pending.clear();
+        let pending = Vec::with_capacity(PACKET_EVENTS * EVENT_BYTES);
+        let pending = std::mem::replace(&mut self.pending, pending);
+        let (first_us, last_us) = (self.first_us, self.last_us);
+        (self.first_us, self.last_us) = (i64::MAX, i64::MIN);
+        let compress = self.compression.compress;
+        let compressed = self.compressing.give(move || Compressed {
+            content: compress(&event_packet(&pending, events)),
+            events,
+            first_us,
+            last_us,
+        });
+        compressed.map_or(Ok(()), |compressed| self.place(compressed))
+    }
+
+    /// Writes a packet.
+    fn place(&mut self, compressed: Compressed) -> Result<()> {
+        let Compressed {
+            content,
+            events,
+            first_us,
+            last_us,
+        } = compressed;
+        let content = self.compressed(content)?;
         let size = i32::try_from(content.len()).context(TOO_LARGE)?;
         self.put(&STREAM.to_le_bytes())?;
         self.put(&size.to_le_bytes())?;
         let content_at = self.position;
         self.put(&content)?;
-        let (first_us, last_us) = (self.first_us, self.last_us);
         self.packets.push(Packet {
             content_at,
             size,
@@ -141,8 +168,11 @@ impl Aedat4Writer {
             first_us,
             last_us,
         });
-        (self.first_us, self.last_us) = (i64::MAX, i64::MIN);
         Ok(())
+    }
+
+    fn compressed(&self, compressed: Result<Vec<u8>>) -> Result<Vec<u8>> {
+        compressed.with_context(|| format!("{}: compression failed", self.name))
     }
 }
 
@@ -169,8 +199,11 @@ impl EventWriter for Aedat4Writer {
 
     fn finish(mut self: Box<Self>) -> Result<()> {
         self.close_packet()?;
+        while let Some(compressed) = self.compressing.take() {
+            self.place(compressed)?;
+        }
         let table_position = i64::try_from(self.position).context(TOO_LARGE)?;
-        let table = self.compress(&packet_table(&self.packets))?;
+        let table = self.compressed((self.compression.compress)(&packet_table(&self.packets)))?;
         self.put(&table)?;
         let patched = self
             .file

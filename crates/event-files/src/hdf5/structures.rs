@@ -212,6 +212,9 @@ pub struct Column {
     chunks: Vec<(u64, u32)>,
 }
 
+/// A chunk of a column, as it is stored.
+pub type Packed = std::io::Result<Vec<u8>>;
+
 impl Column {
     /// Creates an empty column.
     pub fn new(of: Integer) -> Self {
@@ -223,40 +226,46 @@ impl Column {
         }
     }
 
-    /// Appends a number, given as the bytes of its type.
-    pub fn push(&mut self, file: &mut Growing, number: &[u8]) -> std::io::Result<()> {
-        debug_assert_eq!(number.len(), usize::from(self.of.bytes));
-        self.pending.extend_from_slice(number);
-        self.rows += 1;
-        if self.rows.is_multiple_of(CHUNK_ROWS as u64) {
-            self.write_chunk(file)?;
-        }
-        Ok(())
+    /// Returns how many numbers fit into the chunk.
+    pub fn room(&self) -> usize {
+        CHUNK_ROWS - self.pending.len() / usize::from(self.of.bytes)
     }
 
-    fn write_chunk(&mut self, file: &mut Growing) -> std::io::Result<()> {
-        let size = usize::from(self.of.bytes);
-        // Chunks have full length; rows after the last are not part of the dataset.
-        self.pending.resize(CHUNK_ROWS * size, 0);
-        let mut encoder = ZlibEncoder::new(Vec::new(), Compression::new(DEFLATE_LEVEL));
-        let mut plane = Vec::with_capacity(CHUNK_ROWS);
-        for byte in 0..size {
-            plane.clear();
-            plane.extend(self.pending.iter().skip(byte).step_by(size));
-            encoder.write_all(&plane)?;
+    /// Appends numbers, given as the bytes of its type, for which the chunk has room.
+    pub fn extend<const N: usize>(&mut self, numbers: impl ExactSizeIterator<Item = [u8; N]>) {
+        debug_assert_eq!(N, usize::from(self.of.bytes));
+        self.rows += numbers.len() as u64;
+        let begin = self.pending.len();
+        self.pending.resize(begin + N * numbers.len(), 0);
+        let places = self.pending[begin..].as_chunks_mut().0;
+        for (place, number) in places.iter_mut().zip(numbers) {
+            *place = number;
         }
-        let packed = encoder.finish()?;
+    }
+
+    /// Returns what packs the chunk, if it is full, or if it `ends` the column and is not empty.
+    pub fn chunk(&mut self, ends: bool) -> Option<impl FnOnce() -> Packed + Send + 'static> {
+        let size = usize::from(self.of.bytes);
+        let bytes = CHUNK_ROWS * size;
+        if self.pending.len() < bytes && (!ends || self.pending.is_empty()) {
+            return None;
+        }
+        let mut rows = std::mem::replace(&mut self.pending, Vec::with_capacity(bytes));
+        // Chunks have full length; rows after the last are not part of the dataset.
+        rows.resize(bytes, 0);
+        Some(move || deflated(&rows, size))
+    }
+
+    /// Writes the next chunk.
+    pub fn place(&mut self, packed: Packed, file: &mut Growing) -> std::io::Result<()> {
+        let packed = packed?;
         let address = file.append(&packed)?;
         self.chunks.push((address, packed.len() as u32));
-        self.pending.clear();
         Ok(())
     }
 
-    /// Writes the last chunk, the chunk index and the header; returns the dataset's address.
-    pub fn finish(mut self, file: &mut Growing) -> std::io::Result<u64> {
-        if !self.pending.is_empty() {
-            self.write_chunk(file)?;
-        }
+    /// Writes the chunk index and the header, behind the last chunk; returns the dataset's address.
+    pub fn finish(self, file: &mut Growing) -> std::io::Result<u64> {
         let size = u16::from(self.of.bytes);
         // One dimension of unlimited size.
         let mut space = vec![1, 1, 1, 0, 0, 0, 0, 0];
@@ -327,4 +336,26 @@ impl Column {
             level += 1;
         }
     }
+}
+
+/// Shuffles and deflates the numbers of a chunk, of `size` bytes each.
+fn deflated(numbers: &[u8], size: usize) -> Packed {
+    let mut encoder = ZlibEncoder::new(Vec::new(), Compression::new(DEFLATE_LEVEL));
+    let mut plane = Vec::with_capacity(CHUNK_ROWS);
+    for byte in 0..size {
+        plane.clear();
+        match size {
+            2 => pick::<2>(numbers, byte, &mut plane),
+            8 => pick::<8>(numbers, byte, &mut plane),
+            _ => plane.extend(numbers.iter().skip(byte).step_by(size)),
+        }
+        encoder.write_all(&plane)?;
+    }
+    encoder.finish()
+}
+
+/// Appends a byte of every number.
+fn pick<const N: usize>(numbers: &[u8], byte: usize, plane: &mut Vec<u8>) {
+    let numbers: &[[u8; N]] = numbers.as_chunks().0;
+    plane.extend(numbers.iter().map(|number| number[byte]));
 }

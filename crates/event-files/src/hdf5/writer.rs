@@ -8,9 +8,10 @@
 use std::path::Path;
 
 use event_types::stream::{Context, Result};
-use event_types::{Event, Sensor, ensure};
+use event_types::{Event, Sensor, bail};
 
-use super::structures::{Column, Growing, Integer};
+use super::structures::{Column, Growing, Integer, Packed};
+use crate::output::workers::Workers;
 use crate::{EventWriter, create_file};
 
 const MILLISECOND_US: i64 = 1000;
@@ -18,16 +19,24 @@ const MILLISECOND_US: i64 = 1000;
 /// Longest recording, about 38 hours: the index has an entry for every millisecond.
 const SPAN_MAX_US: i64 = 1 << 37;
 
-/// A writer of HDF5 files. It holds one chunk of every column, 65,536 numbers.
+/// Places of the columns.
+const T: usize = 0;
+const X: usize = 1;
+const Y: usize = 2;
+const P: usize = 3;
+const MILLISECONDS: usize = 4;
+
+/// A writer of HDF5 files. It holds one chunk of every column, 65,536 numbers, and those that are being packed on other
+/// threads, at most nine.
 pub struct Hdf5Writer {
     file: Growing,
     name: String,
     sensor: Sensor,
-    t: Column,
-    x: Column,
-    y: Column,
-    p: Column,
-    milliseconds: Column,
+    columns: [Column; 5],
+    /// Chunks on their way, with the places of their columns.
+    packing: Workers<(usize, Packed)>,
+    /// Times of a batch after the offset.
+    times: Vec<i64>,
     /// Start of the first millisecond after the offset that is not yet in the index.
     next_us: i64,
     /// Time of the first event.
@@ -48,52 +57,95 @@ impl Hdf5Writer {
             file,
             name,
             sensor,
-            t: column(8, true),
-            x: column(2, false),
-            y: column(2, false),
-            p: column(1, false),
-            milliseconds: column(8, false),
+            columns: [
+                column(8, true),
+                column(2, false),
+                column(2, false),
+                column(1, false),
+                column(8, false),
+            ],
+            packing: Workers::new(),
+            times: Vec::new(),
             next_us: 0,
             offset_us: None,
             events: 0,
         })
     }
 
-    /// Returns the event's time after the offset, which is the first event's time.
-    fn relative_us(&mut self, t_us: u64) -> Result<i64> {
-        let (name, index) = (&self.name, self.events);
-        let t = crate::signed_us(name, index, t_us)?;
-        let relative = t - *self.offset_us.get_or_insert(t);
-        ensure!(
-            relative < SPAN_MAX_US,
-            CannotHold,
-            "{name}: event {index}: time {t_us} us is 38 hours or more after the first event's, too \
-             long for DSEC's index: write .npz"
-        );
-        Ok(relative)
+    /// Puts the times of events after the offset, which is the first event's time, into `times`, up to the first event
+    /// that the file cannot hold, which is the error.
+    fn relative_times(&mut self, events: &[Event]) -> Result<()> {
+        let (name, first) = (&self.name, self.events);
+        let checked = crate::signed_times(name, first, events, self.sensor, &mut self.times);
+        let Some(earliest) = self.times.first() else {
+            return checked;
+        };
+        let offset = *self.offset_us.get_or_insert(*earliest);
+        for index in 0..self.times.len() {
+            let t = self.times[index];
+            let relative = t - offset;
+            self.times[index] = relative;
+            if relative >= SPAN_MAX_US {
+                self.times.truncate(index);
+                bail!(
+                    CannotHold,
+                    "{name}: event {}: time {t} us is 38 hours or more after the first event's, too long for DSEC's \
+                     index: write .npz",
+                    first + index as u64
+                );
+            }
+        }
+        checked
     }
 
-    fn put(&mut self, event: &Event, relative: i64) -> std::io::Result<()> {
-        let file = &mut self.file;
-        while self.next_us <= relative {
-            self.milliseconds.push(file, &self.events.to_le_bytes())?;
-            self.next_us += MILLISECOND_US;
+    /// Appends events, and the times of these after the offset; the columns' chunks have room for them.
+    fn put(&mut self, events: &[Event]) -> std::io::Result<()> {
+        let times = std::mem::take(&mut self.times);
+        for relative in &times {
+            while self.next_us <= *relative {
+                let first = self.events.to_le_bytes();
+                self.columns[MILLISECONDS].extend(std::iter::once(first));
+                self.pack(MILLISECONDS, false)?;
+                self.next_us += MILLISECOND_US;
+            }
+            self.events += 1;
         }
-        self.t.push(file, &relative.to_le_bytes())?;
-        self.x.push(file, &event.x.to_le_bytes())?;
-        self.y.push(file, &event.y.to_le_bytes())?;
-        self.p.push(file, &[event.polarity as u8])
+        self.times = times;
+        let [t, x, y, p, _] = &mut self.columns;
+        t.extend(self.times.iter().map(|t| t.to_le_bytes()));
+        x.extend(events.iter().map(|event| event.x.to_le_bytes()));
+        y.extend(events.iter().map(|event| event.y.to_le_bytes()));
+        p.extend(events.iter().map(|event| [event.polarity as u8]));
+        for column in [T, X, Y, P] {
+            self.pack(column, false)?;
+        }
+        Ok(())
+    }
+
+    /// Packs a column's chunk, if it is full, or `ends` the column.
+    fn pack(&mut self, column: usize, ends: bool) -> std::io::Result<()> {
+        let Some(pack) = self.columns[column].chunk(ends) else {
+            return Ok(());
+        };
+        let packed = self.packing.give(move || (column, pack()));
+        packed.map_or(Ok(()), |packed| self.place(packed))
+    }
+
+    fn place(&mut self, (column, packed): (usize, Packed)) -> std::io::Result<()> {
+        self.columns[column].place(packed, &mut self.file)
     }
 }
 
 impl EventWriter for Hdf5Writer {
     fn write(&mut self, events: &[Event]) -> Result<()> {
-        for event in events {
-            crate::check_inside(&self.name, self.events, event, self.sensor)?;
-            let relative = self.relative_us(event.t_us)?;
-            self.put(event, relative)
+        let mut rest = events;
+        while !rest.is_empty() {
+            let (part, behind) = rest.split_at(rest.len().min(self.columns[T].room()));
+            let checked = self.relative_times(part);
+            self.put(&part[..self.times.len()])
                 .with_context(|| format!("{}: cannot be written", self.name))?;
-            self.events += 1;
+            checked?;
+            rest = behind;
         }
         Ok(())
     }
@@ -106,17 +158,24 @@ impl EventWriter for Hdf5Writer {
 }
 
 impl Hdf5Writer {
-    fn close(self) -> std::io::Result<()> {
+    fn close(mut self) -> std::io::Result<()> {
+        for column in 0..self.columns.len() {
+            self.pack(column, true)?;
+        }
+        while let Some(packed) = self.packing.take() {
+            self.place(packed)?;
+        }
         let mut file = self.file;
+        let [t, x, y, p, milliseconds] = self.columns;
         let columns = [
-            ("t", self.t.finish(&mut file)?),
-            ("x", self.x.finish(&mut file)?),
-            ("y", self.y.finish(&mut file)?),
-            ("p", self.p.finish(&mut file)?),
+            ("t", t.finish(&mut file)?),
+            ("x", x.finish(&mut file)?),
+            ("y", y.finish(&mut file)?),
+            ("p", p.finish(&mut file)?),
         ];
         let members = [
             ("events", file.group(&columns, &[])?),
-            ("ms_to_idx", self.milliseconds.finish(&mut file)?),
+            ("ms_to_idx", milliseconds.finish(&mut file)?),
             ("t_offset", file.scalar(self.offset_us.unwrap_or(0))?),
         ];
         let Sensor { width, height } = self.sensor;

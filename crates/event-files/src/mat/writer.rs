@@ -75,7 +75,7 @@ impl MatWriter {
     /// The file, or a temporary file beside it, cannot be created.
     pub fn create(path: &Path, sensor: Sensor) -> Result<Self> {
         let (file, name) = create_file(path)?;
-        let columns = crate::columns_beside(path, &name)?;
+        let columns = crate::files_beside(path, &name)?.map(BufWriter::new);
         Ok(Self {
             file,
             name,

@@ -86,6 +86,24 @@ impl Stream {
         self.reader.is_damaged()
     }
 
+    /// Puts a field of the first `count` records into `numbers`, if its type is one of whole numbers.
+    pub fn whole(&self, field: Field, count: usize, numbers: &mut Vec<i64>) -> bool {
+        numbers.clear();
+        if !field.dtype.is_whole() {
+            return false;
+        }
+        let bytes = &self.bytes[..count * self.record];
+        if self.record == field.dtype.bytes {
+            field.dtype.whole_numbers(bytes, numbers);
+        } else {
+            let place = field.offset..field.offset + field.dtype.bytes;
+            for record in bytes.chunks_exact(self.record) {
+                field.dtype.whole_numbers(&record[place.clone()], numbers);
+            }
+        }
+        true
+    }
+
     /// Returns a field of record `index`.
     pub fn number(&self, index: usize, field: Field) -> Option<Number> {
         field

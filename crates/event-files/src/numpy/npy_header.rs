@@ -182,6 +182,32 @@ impl Dtype {
         }
     }
 
+    /// Returns whether [`Dtype::whole_numbers`] reads the type: bools and little-endian integers, but for unsigned ones of 8
+    /// bytes.
+    pub const fn is_whole(self) -> bool {
+        matches!(
+            (self.kind, self.bytes),
+            (b'i', 1 | 2 | 4 | 8) | (b'u', 1 | 2 | 4) | (b'b', 1)
+        ) && (self.bytes == 1 || !self.big_endian)
+    }
+
+    /// Appends all numbers of `bytes`, of a type for which [`Dtype::is_whole`].
+    pub fn whole_numbers(self, bytes: &[u8], out: &mut Vec<i64>) {
+        fn each<const N: usize>(bytes: &[u8], out: &mut Vec<i64>, number: impl Fn([u8; N]) -> i64) {
+            out.extend(bytes.as_chunks().0.iter().map(|bytes| number(*bytes)));
+        }
+        match (self.kind, self.bytes) {
+            (b'i', 8) => each(bytes, out, i64::from_le_bytes),
+            (b'i', 4) => each(bytes, out, |bytes| i32::from_le_bytes(bytes).into()),
+            (b'u', 4) => each(bytes, out, |bytes| u32::from_le_bytes(bytes).into()),
+            (b'i', 2) => each(bytes, out, |bytes| i16::from_le_bytes(bytes).into()),
+            (b'u', 2) => each(bytes, out, |bytes| u16::from_le_bytes(bytes).into()),
+            (b'i', 1) => each(bytes, out, |[byte]| byte.cast_signed().into()),
+            (b'u' | b'b', 1) => each(bytes, out, |[byte]| byte.into()),
+            _ => {}
+        }
+    }
+
     /// Returns the number at the start of `bytes`; `None` if they are too few or hold an unsigned number of 2^63 or
     /// more.
     #[inline]

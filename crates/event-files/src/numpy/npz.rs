@@ -195,6 +195,7 @@ impl NpzReader {
             plan,
             streams,
             rows,
+            whole: Default::default(),
             events: 0,
         }))
     }
@@ -207,10 +208,24 @@ pub struct NpzDecoder {
     plan: Plan,
     streams: Vec<Stream>,
     rows: RowEvents,
+    /// Whole numbers of t, x, y and p, kept for their memory.
+    whole: [Vec<i64>; 4],
     events: u64,
 }
 
 impl NpzDecoder {
+    /// Appends the events of the first `count` records of every stream.
+    fn append(&mut self, count: usize, batch: &mut Batch<'_>) -> Result<(), (usize, String)> {
+        let (streams, fields) = (&self.streams, &self.plan.fields);
+        let mut columns = self.whole.iter_mut().zip(fields);
+        if columns.all(|(numbers, field)| streams[field.stream].whole(*field, count, numbers)) {
+            let columns = self.whole.each_ref().map(Vec::as_slice);
+            return self.rows.append_columns(columns, &mut self.events, batch);
+        }
+        let rows: Vec<Row> = (0..count).map(|row| self.row(row)).collect();
+        self.rows.append(&rows, &mut self.events, batch)
+    }
+
     fn row(&self, row: usize) -> Row {
         let number = |field: Field| self.streams.get(field.stream)?.number(row, field);
         self.plan.fields.map(number)
@@ -264,8 +279,7 @@ impl Decode for NpzDecoder {
         loop {
             let count = count(self.plan.events - self.events, batch.room());
             let (whole, ended) = fill(&mut self.streams, count);
-            let rows: Vec<Row> = (0..whole).map(|row| self.row(row)).collect();
-            let appended = self.rows.append(&rows, &mut self.events, batch);
+            let appended = self.append(whole, batch);
             appended.map_err(|(which, what)| self.error(self.plan.fields[which].stream, what))?;
             match ended {
                 // The CRC-32 does not show where the damage is, so it is checked after all events have been

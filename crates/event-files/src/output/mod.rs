@@ -7,6 +7,7 @@ mod same;
 pub(crate) mod sequential;
 mod sync;
 pub mod temporary;
+pub(crate) mod workers;
 
 use std::fs::File;
 use std::io::ErrorKind;

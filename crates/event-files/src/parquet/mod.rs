@@ -132,6 +132,8 @@ pub struct ParquetDecoder {
     next_group: usize,
     rows: Option<Rows>,
     events: u64,
+    /// Whole numbers of the four columns, kept for their memory.
+    whole: [Vec<i64>; 4],
 }
 
 /// A row group that is being read.
@@ -149,6 +151,8 @@ struct Column {
     is_optional: bool,
     codec: i64,
     dictionary: Vec<Option<Number>>,
+    /// The dictionary, if it has whole numbers alone.
+    whole_dictionary: Option<Vec<i64>>,
     values: Option<Values>,
     /// Number of values left in the page.
     left: u64,
@@ -188,6 +192,35 @@ impl Column {
             return Err("a damaged page".to_owned());
         }
         Ok(())
+    }
+
+    /// Returns how many of the page's next values [`Column::take_whole`] gives: at the page's end none, and `None` where
+    /// values are missing or are no whole numbers.
+    fn whole(&mut self) -> Option<u64> {
+        let Some(values) = self.values.as_ref().filter(|_| self.left > 0) else {
+            return Some(0);
+        };
+        if !values.is_whole(self.whole_dictionary.as_deref()) {
+            return None;
+        }
+        match &mut self.present {
+            Some(present) => Some(present.ones()?.min(self.left)),
+            None => Some(self.left),
+        }
+    }
+
+    /// Appends the next `count` numbers, of those that [`Column::whole`] counts, to `numbers`; fewer if the page is damaged.
+    fn take_whole(&mut self, count: usize, numbers: &mut Vec<i64>) {
+        let before = numbers.len();
+        if let Some(values) = &mut self.values {
+            let dictionary = self.whole_dictionary.as_deref().unwrap_or_default();
+            values.take_whole(count, dictionary, numbers);
+        }
+        let taken = numbers.len() - before;
+        self.left -= taken as u64;
+        if let Some(present) = &mut self.present {
+            present.skip_ones(taken);
+        }
     }
 
     fn next(&mut self) -> Result<Option<Number>, String> {
@@ -236,6 +269,11 @@ impl Column {
                 self.dictionary = std::iter::from_fn(|| values.next(&[]))
                     .take(usize::try_from(page.values).unwrap_or(usize::MAX))
                     .collect();
+                let whole = self.dictionary.iter().map(|number| match number {
+                    Some(Number::Whole(value)) => Some(*value),
+                    _ => None,
+                });
+                self.whole_dictionary = whole.collect();
                 Ok(())
             }
             3 => self.open_values_2(&page, &stored),
@@ -372,6 +410,7 @@ impl ParquetDecoder {
             next_group: 0,
             rows: None,
             events: 0,
+            whole: Default::default(),
         };
         Ok((decoder, stated))
     }
@@ -424,6 +463,7 @@ impl ParquetDecoder {
                 is_optional: field.is_some_and(|field| field.is_optional),
                 codec: chunk.codec,
                 dictionary: Vec::new(),
+                whole_dictionary: None,
                 values: None,
                 left: 0,
                 present: None,
@@ -469,6 +509,44 @@ impl ParquetDecoder {
             self.error(which, event, what)
         });
         (rows, ended)
+    }
+
+    /// Appends the events of up to `count` of the next rows, if these are whole numbers within the columns' pages, and
+    /// returns how many rows to read by [`ParquetDecoder::read_rows`] before it is called again.
+    fn read_whole(&mut self, count: usize, batch: &mut Batch<'_>) -> Result<usize> {
+        let Some(rows) = self.rows.as_mut().filter(|rows| rows.left > 0) else {
+            return Ok(1);
+        };
+        let mut ready = rows.left.min(count as u64);
+        for column in &mut rows.columns {
+            let Some(whole) = column.whole() else {
+                return Ok(count);
+            };
+            ready = ready.min(whole);
+        }
+        let ready = ready as usize;
+        rows.left -= ready as u64;
+        let mut least: Option<(usize, usize)> = None;
+        for (which, (column, numbers)) in rows.columns.iter_mut().zip(&mut self.whole).enumerate() {
+            numbers.clear();
+            column.take_whole(ready, numbers);
+            if least.is_none_or(|(_, length)| numbers.len() < length) {
+                least = Some((which, numbers.len()));
+            }
+        }
+        let (which, whole) = least.unwrap_or_default();
+        let columns = self.whole.each_ref().map(|numbers| &numbers[..whole]);
+        let appended = self
+            .numbers
+            .append_columns(columns, &mut self.events, batch);
+        if let Err((which, what)) = appended {
+            return Err(self.error(which, self.events, what));
+        }
+        if whole < ready {
+            return Err(self.error(which, self.events, "a damaged page"));
+        }
+        // A row at the end of a page, which opens the next one.
+        Ok(1)
     }
 
     /// Returns the first rows; damage ends them, and the reader reports it later.
@@ -599,7 +677,8 @@ impl Decode for ParquetDecoder {
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> Result<()> {
         while batch.room() > 0 {
-            let (rows, ended) = self.read_rows(batch.room());
+            let count = self.read_whole(batch.room(), batch)?;
+            let (rows, ended) = self.read_rows(count.min(batch.room()));
             let appended = self.numbers.append(&rows, &mut self.events, batch);
             if let Err((which, what)) = appended {
                 return Err(self.error(which, self.events, what));

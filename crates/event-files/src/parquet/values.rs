@@ -47,20 +47,35 @@ fn bits_at_end(bytes: &[u8], at: usize, width: usize) -> Option<u64> {
     Some((value >> (at % 8) & mask) as u64)
 }
 
-/// Returns `count` numbers of `width` bits from bit `at` on, or as many as there are.
-fn packed(
-    bytes: &[u8],
-    at: usize,
-    width: usize,
-    count: usize,
-) -> impl ExactSizeIterator<Item = u64> {
+/// Bits of four numbers that are taken from one word, wherever in a byte they begin.
+const QUAD_BITS: usize = 57;
+
+/// Puts numbers of `width` bits from bit `at` on into `out`, and returns how many there are.
+#[inline]
+fn unpack(bytes: &[u8], at: usize, width: usize, out: &mut [u64]) -> usize {
     let left = (8 * bytes.len()).checked_sub(at);
     let there = match left {
-        Some(left) => left.checked_div(width).unwrap_or(count),
+        Some(left) => left.checked_div(width).unwrap_or(out.len()),
         None => 0,
     };
-    let each = move |i: usize| bits(bytes, at + i * width, width).unwrap_or_default();
-    (0..count.min(there)).map(each)
+    let there = there.min(out.len());
+    let mut done = 0;
+    if 4 * width <= QUAD_BITS {
+        let mask = (1 << width) - 1;
+        for quad in out[..there].as_chunks_mut::<4>().0 {
+            let at = at + done * width;
+            let Some(word) = bytes.get(at / 8..).and_then(<[u8]>::first_chunk) else {
+                break;
+            };
+            let word = u64::from_le_bytes(*word) >> (at % 8);
+            *quad = std::array::from_fn(|i| word >> (i * width) & mask);
+            done += 4;
+        }
+    }
+    for (i, number) in out[..there].iter_mut().enumerate().skip(done) {
+        *number = bits(bytes, at + i * width, width).unwrap_or_default();
+    }
+    there
 }
 
 /// A decoder of runs of one value, and of packed values in groups of eight.
@@ -129,14 +144,35 @@ impl Runs {
                     out.extend(std::iter::repeat_n(value, now));
                 }
                 Run::Packed(at) => {
-                    for _ in 0..now {
-                        out.push(each(bits(&self.bytes, *at, self.width)?)?);
-                        *at += self.width;
+                    let mut left = now;
+                    while left > 0 {
+                        let mut part = [0; PART_VALUES];
+                        let part = &mut part[..left.min(PART_VALUES)];
+                        let there = unpack(&self.bytes, *at, self.width, part);
+                        for value in &part[..there] {
+                            out.push(each(*value)?);
+                        }
+                        *at += there * self.width;
+                        if there < part.len() {
+                            return None;
+                        }
+                        left -= there;
                     }
                 }
             }
         }
         Some(())
+    }
+
+    /// Returns how many of the next values are 1, if they are a run of one value.
+    pub fn ones(&mut self) -> Option<u64> {
+        self.open_run()?;
+        matches!(self.run, Run::Of(1)).then_some(self.left)
+    }
+
+    /// Leaves out the next `count` values, which [`Runs::ones`] has counted.
+    pub fn skip_ones(&mut self, count: usize) {
+        self.left = self.left.saturating_sub(count as u64);
     }
 
     /// Moves to the next run that is not empty, if the current one has ended.
@@ -174,8 +210,9 @@ pub struct Deltas {
     last: i64,
     is_first: bool,
     least: i64,
-    /// Bit widths of the block's remaining miniblocks.
-    widths: std::vec::IntoIter<u8>,
+    /// Bit widths of the block's miniblocks, and how many have been opened.
+    widths: Vec<u8>,
+    opened: usize,
     /// Of the current miniblock: bit position of the next difference, its width, and how many are left.
     part: (usize, usize, usize),
 }
@@ -202,7 +239,8 @@ impl Deltas {
             last,
             is_first: true,
             least: 0,
-            widths: Vec::new().into_iter(),
+            widths: Vec::new(),
+            opened: 0,
             part: (0, 0, 0),
         })
     }
@@ -241,12 +279,13 @@ impl Deltas {
             if now == 0 {
                 return None;
             }
-            let packed = packed(&self.bytes, *at, *width, now);
-            let there = packed.len();
+            let mut part = [0; PART_VALUES];
+            let now = now.min(PART_VALUES);
+            let there = unpack(&self.bytes, *at, *width, &mut part[..now]);
             *at += there * *width;
             let (mut last, least) = (self.last, self.least);
-            out.extend(packed.map(|delta| {
-                last = last.wrapping_add(least.wrapping_add(delta as i64));
+            out.extend(part[..there].iter().map(|delta| {
+                last = last.wrapping_add(least.wrapping_add(*delta as i64));
                 each(last)
             }));
             self.last = last;
@@ -261,17 +300,18 @@ impl Deltas {
     }
 
     fn open_part(&mut self) -> Option<()> {
-        let width = match self.widths.next() {
-            Some(width) => width,
-            None => {
-                let mut rest = self.bytes.get(self.at..)?;
-                let length = rest.len();
-                self.least = Compact::new(&mut rest).integer()?;
-                self.widths = rest.get(..self.parts)?.to_vec().into_iter();
-                self.at += length - rest.len() + self.parts;
-                self.widths.next()?
-            }
-        };
+        if self.opened == self.widths.len() {
+            let mut rest = self.bytes.get(self.at..)?;
+            let length = rest.len();
+            self.least = Compact::new(&mut rest).integer()?;
+            let widths = rest.get(..self.parts)?;
+            self.at += length - rest.len() + self.parts;
+            self.widths.clear();
+            self.widths.extend_from_slice(widths);
+            self.opened = 0;
+        }
+        let width = *self.widths.get(self.opened)?;
+        self.opened += 1;
         let width = usize::from(width);
         if width > 64 {
             return None;
@@ -379,6 +419,68 @@ impl Values {
             Self::Split(..) => {
                 out.extend((0..count).map_while(|_| self.next(dictionary)));
             }
+        }
+    }
+
+    /// Returns whether [`Values::take_whole`] gives all values.
+    pub fn is_whole(&self, dictionary: Option<&[i64]>) -> bool {
+        match self {
+            Self::Plain(_, dtype, _) => dtype.is_whole(),
+            Self::Bits(..) | Self::Runs(_) => true,
+            Self::Dictionary(_) => dictionary.is_some(),
+            Self::Deltas(_, dtype) => dtype.is_whole(),
+            Self::Split(..) => false,
+        }
+    }
+
+    /// Appends up to `count` of the next values to `out`, each as [`Values::next`] returns it, where [`Values::is_whole`];
+    /// fewer mean damage or the end.
+    pub fn take_whole(&mut self, count: usize, dictionary: &[i64], out: &mut Vec<i64>) {
+        let whole = |value: u64| Some(value as i64);
+        match self {
+            Self::Plain(bytes, dtype, at) => {
+                let rest = bytes.get(*at..).unwrap_or_default();
+                let count = count.min(rest.len() / dtype.bytes.max(1));
+                let taken = count * dtype.bytes;
+                dtype.whole_numbers(rest.get(..taken).unwrap_or_default(), out);
+                *at += taken;
+            }
+            Self::Runs(runs) => {
+                let _ = runs.take(count, out, whole);
+            }
+            Self::Dictionary(runs) => {
+                let _ = runs.take(count, out, |place| {
+                    dictionary.get(usize::try_from(place).ok()?).copied()
+                });
+            }
+            Self::Deltas(deltas, dtype) => {
+                let _ = match dtype.whole_bits() {
+                    Some((64, true)) => deltas.take(count, out, |value| value),
+                    Some((bits, true)) => deltas.take(count, out, |value| {
+                        let unused = 64 - bits;
+                        value << unused >> unused
+                    }),
+                    Some((bits, false)) if bits < 64 => {
+                        deltas.take(count, out, |value| value & ((1 << bits) - 1))
+                    }
+                    _ => None,
+                };
+            }
+            Self::Bits(bytes, at) => {
+                let mut left = count;
+                while left > 0 {
+                    let mut part = [0; PART_VALUES];
+                    let part = &mut part[..left.min(PART_VALUES)];
+                    let there = unpack(bytes, *at, 1, part);
+                    out.extend(part[..there].iter().map(|bit| *bit as i64));
+                    *at += there;
+                    left -= there;
+                    if there < part.len() {
+                        break;
+                    }
+                }
+            }
+            Self::Split(..) => {}
         }
     }
 

@@ -26,6 +26,7 @@ use super::packets::{
     DEFINITION_ROS2, Message, MessageFile, PacketWriter, Packets, TOPIC, TYPE_ROS2,
 };
 use crate::output::sequential::Output;
+use crate::output::workers::Workers;
 
 /// Size in bytes at which a chunk is closed.
 const CHUNK_BYTES: usize = 1 << 20;
@@ -96,6 +97,36 @@ struct Chunk {
     messages: Vec<(u64, u64)>,
 }
 
+/// A chunk, compressed.
+struct Packed {
+    packed: Result<Vec<u8>, lz4_flex::frame::Error>,
+    /// Size in bytes and CRC-32 of the chunk before.
+    size: u64,
+    crc: u32,
+    messages: Vec<(u64, u64)>,
+}
+
+impl Packed {
+    fn pack(chunk: Chunk) -> Self {
+        let Chunk { bytes, messages } = chunk;
+        // Small blocks, so that most of a chunk that was cut off can be read.
+        let info = FrameInfo::new()
+            .block_size(BlockSize::Max64KB)
+            .content_size(Some(bytes.len() as u64));
+        let mut encoder = FrameEncoder::with_frame_info(info, Vec::new());
+        let packed = encoder
+            .write_all(&bytes)
+            .map_err(lz4_flex::frame::Error::from)
+            .and_then(|()| encoder.finish());
+        Self {
+            packed,
+            size: bytes.len() as u64,
+            crc: crc32fast::hash(&bytes),
+            messages,
+        }
+    }
+}
+
 /// The place of a chunk in the file.
 struct Placed {
     first_ns: u64,
@@ -115,6 +146,7 @@ pub struct Records {
     crc: Hasher,
     chunk_bytes: usize,
     chunk: Chunk,
+    packing: Workers<Packed>,
     chunks: Vec<Placed>,
     messages: u64,
 }
@@ -142,6 +174,9 @@ impl MessageFile for Records {
     fn finish(mut self) -> Result<()> {
         if !self.chunk.messages.is_empty() {
             self.close()?;
+        }
+        while let Some(packed) = self.packing.take() {
+            self.place(packed)?;
         }
         let crc = std::mem::take(&mut self.crc).finalize();
         self.record(DATA_END, &crc.to_le_bytes())?;
@@ -194,6 +229,7 @@ impl Records {
             chunk_bytes,
             crc: Hasher::new(),
             chunk: Chunk::default(),
+            packing: Workers::new(),
             chunks: Vec::new(),
             messages: 0,
         };
@@ -218,27 +254,31 @@ impl Records {
         self.put(content)
     }
 
-    /// Writes the chunk and the index of its messages.
+    /// Closes the chunk.
     fn close(&mut self) -> Result<()> {
-        let Chunk { bytes, messages } = std::mem::take(&mut self.chunk);
+        let chunk = std::mem::take(&mut self.chunk);
+        let packed = self.packing.give(|| Packed::pack(chunk));
+        packed.map_or(Ok(()), |packed| self.place(packed))
+    }
+
+    /// Writes a chunk and the index of its messages.
+    fn place(&mut self, packed: Packed) -> Result<()> {
+        let Packed {
+            packed,
+            size,
+            crc,
+            messages,
+        } = packed;
+        let packed = packed
+            .with_context(|| format!("{}: a chunk cannot be compressed", self.file.name()))?;
         // The messages' times never fall.
         let first_ns = messages.first().map_or(0, |(time_ns, _)| *time_ns);
         let last_ns = messages.last().map_or(0, |(time_ns, _)| *time_ns);
-        // Small blocks, so that most of a chunk that was cut off can be read.
-        let info = FrameInfo::new()
-            .block_size(BlockSize::Max64KB)
-            .content_size(Some(bytes.len() as u64));
-        let mut encoder = FrameEncoder::with_frame_info(info, Vec::new());
-        let packed = encoder
-            .write_all(&bytes)
-            .map_err(lz4_flex::frame::Error::from)
-            .and_then(|()| encoder.finish())
-            .with_context(|| format!("{}: a chunk cannot be compressed", self.file.name()))?;
         let mut content = Vec::new();
-        for number in [first_ns, last_ns, bytes.len() as u64] {
+        for number in [first_ns, last_ns, size] {
             content.extend_from_slice(&number.to_le_bytes());
         }
-        content.extend_from_slice(&crc32fast::hash(&bytes).to_le_bytes());
+        content.extend_from_slice(&crc.to_le_bytes());
         string(&mut content, "lz4");
         content.extend_from_slice(&(packed.len() as u64).to_le_bytes());
         content.extend_from_slice(&packed);
@@ -260,7 +300,7 @@ impl Records {
             index,
             index_length: self.file.position() - index,
             packed: packed.len() as u64,
-            size: bytes.len() as u64,
+            size,
         });
         Ok(())
     }

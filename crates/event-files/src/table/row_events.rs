@@ -17,6 +17,12 @@ use crate::table::event_numbers::{P, Row, T, X, Y, coordinate};
 use crate::table::time_unit;
 use crate::{Assumption, Skipped};
 
+/// Rows of columns that are taken at once.
+const COLUMN_ROWS: usize = 1 << 12;
+
+/// Rows of columns that are taken by the rules for single rows at once, behind one that asks for them.
+const ROWS_BY_RULES: usize = 1 << 10;
+
 /// Half the range of a 32-bit clock.
 const HALF_CLOCK: i64 = 1 << 31;
 
@@ -322,6 +328,72 @@ impl RowEvents {
         }
     }
 
+    /// As [`RowEvents::append`], of four columns of whole numbers, t, x, y and p, of one length.
+    pub fn append_columns(
+        &mut self,
+        columns: [&[i64]; 4],
+        count: &mut u64,
+        batch: &mut Batch<'_>,
+    ) -> Result<(), (usize, String)> {
+        let rows = columns[T].len();
+        let mut at = 0;
+        while at < rows {
+            let ends = rows.min(at + COLUMN_ROWS);
+            let plain = self.plain_columns(columns.map(|column| &column[at..ends]), batch);
+            *count += plain as u64;
+            at += plain;
+            // Where one row does not stand as it is, others do not: by the rules, some at a time.
+            let by_rules = (at..ends).take(ROWS_BY_RULES);
+            let row = |at: usize| columns.map(|column| Some(Number::Whole(column[at])));
+            let by_rules: Vec<Row> = by_rules.map(row).collect();
+            self.append(&by_rules, count, batch)?;
+            at += by_rules.len();
+        }
+        Ok(())
+    }
+
+    /// As [`RowEvents::plain`], of columns, in which -1 may be off too.
+    fn plain_columns(&mut self, [t, x, y, p]: [&[i64]; 4], batch: &mut Batch<'_>) -> usize {
+        let off = match (self.met.zero, self.met.minus) {
+            _ if self.zero_is_none => return 0,
+            (_, false) => 0,
+            (false, true) => -1,
+            (true, true) => return 0,
+        };
+        if !self.is_as_written {
+            return 0;
+        }
+        let [right, bottom] =
+            [self.sensor.width, self.sensor.height].map(|side| i64::from(side) - 1);
+        // Negative for a row that does not stand as it is: by signs alone, several rows are looked at at once.
+        let bad = |(((t, x), y), p): (((&i64, &i64), &i64), &i64)| {
+            let outside = x | right.wrapping_sub(*x) | y | bottom.wrapping_sub(*y);
+            let polarity = (1_i64.wrapping_sub(*p)) | p.wrapping_sub(off);
+            // Of -1, 0 and 1, the 0.
+            let between = if off == 0 { 0 } else { (p & 1) - 1 };
+            t | outside | polarity | between
+        };
+        let rows = || t.iter().zip(x).zip(y).zip(p);
+        let taken = if rows().fold(0, |any, row| any | bad(row)) >= 0 {
+            t.len()
+        } else {
+            rows().take_while(|row| bad(*row) >= 0).count()
+        };
+        // ON counts 1, OFF `off`.
+        let sum: i64 = p[..taken].iter().sum();
+        let on = (sum - off * taken as i64) / (1 - off);
+        self.met.one |= on > 0;
+        self.met.zero |= off == 0 && on < taken as i64;
+        let events = t[..taken].iter().zip(x).zip(y).zip(p);
+        batch.extend(events.map(|(((t, x), y), p)| Event {
+            t_us: *t as u64,
+            x: *x as u16,
+            y: *y as u16,
+            polarity: Polarity::from_bool(*p == 1),
+        }));
+        taken
+    }
+
     /// Appends the events of the first rows that stand as they are, and returns their number: rows of whole
     /// microseconds, a pixel of the sensor, and a polarity of 1, or of 0 where that is off. [`RowEvents::event`] makes the
     /// same of them.
@@ -540,7 +612,7 @@ impl Bad {
 fn mixed(has_one: bool) -> String {
     if has_one {
         "more than two polarities: -1, 0 and 1. If 0 means no event, as in CeleX recordings, \
-         --leave-out-bad-events leaves those out; if files of 0 and 1 and of -1 and 1 were merged, \
+         --leave-out-bad-events leaves those out where one is among the first events; if files of 0 and 1 and of -1 and 1 were merged, \
          write p as 0 and 1 again"
             .to_owned()
     } else {
@@ -555,6 +627,8 @@ pub struct Extent {
     width: u16,
     height: u16,
     leave_out: bool,
+    /// Whether an invalid event has ended the search.
+    is_ended: bool,
 }
 
 impl Extent {
@@ -565,12 +639,14 @@ impl Extent {
             width: 0,
             height: 0,
             leave_out: reading.bad_events == BadEvents::LeaveOut,
+            is_ended: false,
         }
     }
 
     /// Adds an event; returns `false` if it is invalid and thus ends the search.
     pub fn add(&mut self, x: Option<Number>, y: Option<Number>) -> bool {
         let (Some(x), Some(y)) = (coordinate(x), coordinate(y)) else {
+            self.is_ended = !self.leave_out;
             return self.leave_out;
         };
         self.width = self.width.max(x + 1);
@@ -588,10 +664,15 @@ impl Extent {
     /// # Errors
     /// There was no event; the message names the file `name`.
     pub fn sensor(&self, name: &str) -> Result<Sensor> {
+        let what = if self.is_ended {
+            "the first event is outside of every sensor (x and y are 0 to 2047), so no sensor size"
+        } else {
+            "no event, so no sensor size"
+        };
         Sensor::new(self.width, self.height).ok_or_else(|| {
             error!(
                 Undecided,
-                "{name}: byte 0: no event, so no sensor size: give --width W --height H"
+                "{name}: byte 0: {what}: give --width W --height H"
             )
         })
     }
@@ -669,6 +750,56 @@ mod tests {
             prop_assert_eq!((got, ended, counts[0]), (want, end, counts[1]));
             prop_assert_eq!(plain.skipped, by_rules.skipped);
             prop_assert_eq!(format!("{:?}", plain.met), format!("{:?}", by_rules.met));
+        }
+    }
+
+    proptest! {
+        /// Columns of whole numbers are what the rules make of their rows.
+        #[test]
+        fn columns_are_rows(
+            seed in any::<u64>(),
+            length in 0..12_000_usize,
+            odd in proptest::collection::vec((any::<prop::sample::Index>(), 0..4_usize, -2..9_i64), 0..8),
+            off in -1..=0_i64,
+            leaves_out: bool,
+        ) {
+            let mut state = seed;
+            let mut random = |below: i64| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (state >> 33) as i64 % below
+            };
+            let mut columns = [const { Vec::new() }; 4];
+            for _ in 0..length {
+                columns[T].push(random(1 << 30));
+                columns[X].push(random(8));
+                columns[Y].push(random(7));
+                columns[P].push(if random(2) == 1 { 1 } else { off });
+            }
+            for (at, which, value) in odd {
+                if length > 0 {
+                    columns[which][at.index(length)] = value;
+                }
+            }
+            let reading = Reading {
+                bad_events: if leaves_out { BadEvents::LeaveOut } else { BadEvents::Refuse },
+                time_unit: Some(TimeUnit::Us),
+                ..Reading::default()
+            };
+            let sensor = Sensor { width: 8, height: 7 };
+            let new = || RowEvents::new(&reading, Times::default(), Base::default(), &[])
+                .map(|rows| RowEvents { sensor, ..rows });
+            let mut by_columns = new().unwrap();
+            let mut by_rules = RowEvents { is_as_written: false, ..new().unwrap() };
+            let rows: Vec<Row> = (0..length)
+                .map(|at| columns.each_ref().map(|column| Some(Number::Whole(column[at]))))
+                .collect();
+            let (mut got, mut want, mut counts) = (Vec::new(), Vec::new(), [0, 0]);
+            let slices = columns.each_ref().map(Vec::as_slice);
+            let ended = by_columns.append_columns(slices, &mut counts[0], &mut Batch::new(&mut got));
+            let end = by_rules.append(&rows, &mut counts[1], &mut Batch::new(&mut want));
+            prop_assert_eq!((got, ended, counts[0]), (want, end, counts[1]));
+            prop_assert_eq!(by_columns.skipped, by_rules.skipped);
+            prop_assert_eq!(format!("{:?}", by_columns.met), format!("{:?}", by_rules.met));
         }
     }
 
