@@ -135,8 +135,22 @@ links() {
     each < <(grep -vE "$LINKS" <<<"$list" | tac)
 }
 
+# A Python with h5py, for the filter of HDF5: that of the system, or one of its own. EECVS_H5PY names the latter.
+h5py() {
+    local folder=target/python
+    ! python3 -c "import h5py" >/dev/null 2>&1 || return 0
+    if ! "$folder/bin/python" -c "import h5py" >/dev/null 2>&1; then
+        echo "installing h5py in $folder"
+        python3 -m venv "$folder" >/dev/null 2>&1 ||
+            { packages python3-venv && python3 -m venv "$folder" >/dev/null 2>&1; } &&
+            "$folder/bin/pip" install -q h5py || return
+    fi
+    export EECVS_H5PY=$PWD/$folder/bin/python
+}
+
 unit() {
     umockdev
+    h5py || skip "unit: the filter of HDF5 in h5py: pip cannot install h5py"
     # The firmware stage reports a missing one.
     emulator || true
     target thumbv7em-none-eabihf || true

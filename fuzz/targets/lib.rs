@@ -6,6 +6,7 @@ mod drain;
 pub mod encode;
 pub mod event_link;
 pub mod frames;
+pub mod hdf5_chunk;
 pub mod ingest;
 pub mod read;
 pub mod sealed;

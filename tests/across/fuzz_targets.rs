@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use event_files::FORMATS;
 use proptest::collection::vec;
 use proptest::prelude::{ProptestConfig, any, proptest};
-use targets::{encode, event_link, frames, ingest, read, sealed, unpack};
+use targets::{encode, event_link, frames, hdf5_chunk, ingest, read, sealed, unpack};
 
 /// Longest input, as `cargo xtask fuzz` has it.
 const BYTES_MAX: usize = 8192;
@@ -79,6 +79,7 @@ proptest! {
             encode::run,
             event_link::run,
             frames::run,
+            hdf5_chunk::run,
             ingest::run,
             sealed::run,
             unpack::run,

@@ -36,6 +36,11 @@ const BLOCKS: usize = 64;
 /// Largest part of a dataset read at once; a batch of events has 2 MB.
 const READ_BYTES: usize = 64 << 20;
 
+/// Chunks of datasets that are kept unpacked, in bytes: some of each column, of 64 Ki numbers each. Files of larger chunks
+/// are opened with more, as a chunk that is not kept is unpacked again for each batch of its rows.
+const KEPT_BYTES: usize = 4 << 20;
+const KEPT_BYTES_MAX: usize = 8 * filters::CHUNK_BYTES;
+
 /// Largest header of a dataset or group, in bytes.
 const HEADER_BYTES: usize = 1 << 20;
 
@@ -109,11 +114,21 @@ impl Storage for Pieces {
     }
 }
 
+fn options(kept_bytes: usize) -> OpenOptions {
+    OpenOptions::default()
+        .with_filter_registry(filters::registry())
+        .with_chunk_cache_bytes(kept_bytes)
+        .with_max_chunk_bytes(filters::CHUNK_BYTES)
+        .with_max_read_bytes(READ_BYTES)
+        .with_max_object_header_bytes(HEADER_BYTES)
+}
+
 /// An HDF5 file.
 pub struct Hdf5 {
     name: String,
     file: Hdf5File,
     source: Arc<Source>,
+    storage: Arc<Pieces>,
     length: u64,
     is_matlab: bool,
 }
@@ -141,13 +156,9 @@ impl Hdf5 {
             source: source.clone(),
             kept,
         };
-        let options = OpenOptions::default()
-            .with_filter_registry(filters::registry())
-            .with_max_chunk_bytes(filters::CHUNK_BYTES)
-            .with_max_read_bytes(READ_BYTES)
-            .with_max_object_header_bytes(HEADER_BYTES);
-        let file =
-            Hdf5File::from_storage_with_options(Arc::new(storage), options).map_err(damaged)?;
+        let storage = Arc::new(storage);
+        let file = Hdf5File::from_storage_with_options(storage.clone(), options(KEPT_BYTES));
+        let file = file.map_err(damaged)?;
         let superblock = file.superblock();
         let mut bytes = source.source.lock().unwrap_or_else(PoisonError::into_inner);
         for base in [0, superblock.base_address] {
@@ -172,9 +183,32 @@ impl Hdf5 {
             name,
             file,
             source,
+            storage,
             length,
             is_matlab,
         })
+    }
+
+    /// Makes room for two chunks of each of these datasets, which are part of this file; returns whether it had less. Then
+    /// the datasets have to be looked up again.
+    ///
+    /// # Errors
+    /// The file is damaged.
+    pub fn keep_chunks<'d>(&mut self, datasets: impl Iterator<Item = &'d Dataset>) -> Result<bool> {
+        let bytes = datasets.fold(0_u64, |sum, dataset| {
+            sum.saturating_add(chunk_bytes(dataset))
+        });
+        let bytes = usize::try_from(bytes.saturating_mul(2)).unwrap_or(usize::MAX);
+        if bytes <= KEPT_BYTES {
+            return Ok(false);
+        }
+        let options = options(bytes.min(KEPT_BYTES_MAX));
+        let file = Hdf5File::from_storage_with_options(self.storage.clone(), options);
+        self.file = file.map_err(|error| {
+            let what = plain(&error);
+            error!(Damaged, "{}: byte 0: damaged HDF5 file: {what}", self.name)
+        })?;
+        Ok(true)
     }
 
     /// Returns the name for messages.
@@ -622,4 +656,22 @@ pub fn read_rows<T: H5Type>(dataset: &Dataset, start: u64, count: u64) -> Result
 /// Returns the number of rows in a chunk; `None` if the dataset is not chunked.
 pub fn chunk_rows(dataset: &Dataset) -> Option<u64> {
     dataset.chunks()?.first().copied().map(u64::from)
+}
+
+/// Returns the unpacked size of a dataset's chunks; 0 if it has none.
+fn chunk_bytes(dataset: &Dataset) -> u64 {
+    let size = match dataset.dtype() {
+        Datatype::FixedPoint { size, .. } | Datatype::FloatingPoint { size, .. } => {
+            u64::from(*size)
+        }
+        Datatype::Compound { size, .. } => u64::from(*size),
+        _ => 8,
+    };
+    let sides = dataset.chunks().unwrap_or_default();
+    if sides.is_empty() {
+        return 0;
+    }
+    sides
+        .iter()
+        .fold(size, |bytes, side| bytes.saturating_mul(u64::from(*side)))
 }

@@ -54,6 +54,15 @@ pub fn registry() -> FilterRegistry {
         BITSHUFFLE,
         Box::new(move |filter, bytes, _| bitshuffle(bytes, &filter.client_data)),
     );
+    #[cfg(feature = "eecvs")]
+    registry.register(
+        eecvs_hdf5::NUMBER,
+        Box::new(|filter, bytes, _| {
+            let layout = eecvs_hdf5::Layout::from_values(&filter.client_data);
+            let rows = layout.and_then(|layout| eecvs_hdf5::unpack(bytes, &layout, CHUNK_BYTES));
+            rows.map_err(|what| Error::DecompressionError(format!("EECVS: {what}")))
+        }),
+    );
     registry
 }
 

@@ -254,7 +254,8 @@ impl Plan {
     }
 
     /// Returns the datasets that are read, t first if there are several.
-    fn datasets(&self) -> &[Dataset] {
+    /// Returns the datasets that hold the events.
+    pub fn datasets(&self) -> &[Dataset] {
         match &self.source {
             Source::Columns(columns) => columns.as_slice(),
             Source::Addresses(both) => both.as_slice(),

@@ -22,9 +22,9 @@
 //! events; the caller's; that of the data set's cameras; the largest x and y plus one.
 //!
 //! Datasets may be contiguous or chunked, packed by gzip, Blosc, Blosc 2, bitshuffle, LZF, LZ4 or Zstandard, with
-//! or without shuffle, or by Prophesee's ECF; the error names any other filter. The reader holds one batch, some
-//! chunks, blocks of the file's structures, and the places of all ECF chunks. It does not follow links to other
-//! files.
+//! or without shuffle, by Prophesee's ECF, or by the filter of EECVS (`eecvs-hdf5`); the error names any other filter. The
+//! reader holds one batch, some chunks, blocks of the file's structures, and the places of all ECF chunks. It does not
+//! follow links to other files.
 
 mod bitshuffle;
 mod blosc;
@@ -102,8 +102,11 @@ impl Hdf5Reader {
         place: Option<&str>,
         reading: &Reading,
     ) -> Result<Self> {
-        let file = Hdf5::open(source, name)?;
+        let mut file = Hdf5::open(source, name)?;
         let mut plan = Plan::find(&file, place, reading)?;
+        if file.keep_chunks(plan.datasets().iter())? {
+            plan = Plan::find(&file, place, reading)?;
+        }
         let (stated, sizes) = file.stated_size(&plan.place);
         let compounds = plan.compounds();
         let packed = compounds.and_then(|dataset| Packed::find(&file, dataset));
