@@ -5,6 +5,7 @@ mod host_instructions;
 mod image_recordings;
 mod instructions;
 mod kernels;
+mod pipelines;
 mod read_speed;
 mod record;
 mod saved;
@@ -93,6 +94,15 @@ enum Task {
         #[arg(long, default_value_t = 5)]
         rounds: u32,
     },
+    /// Measure how fast recordings are converted, here and by other libraries
+    Pipelines {
+        /// Also write the rows as a record
+        #[arg(long)]
+        record: Option<PathBuf>,
+        /// Number of rounds, of which the best counts
+        #[arg(long, default_value_t = 3)]
+        rounds: u32,
+    },
     /// Take long streams of events through each coder and back: do rate and memory stay, is every event the same?
     Stream {
         /// Number of events; the quicker coders take five times as many
@@ -175,6 +185,7 @@ fn main() -> Result<ExitCode> {
         Task::HostInstructions { action } => host_instructions::run(action),
         Task::HostCases { folder } => host_instructions::run_cases(&folder),
         Task::ImageRecordings { events, eecvs } => image_recordings::run(events, eecvs),
+        Task::Pipelines { record, rounds } => pipelines::run(record.as_deref(), rounds),
         Task::ReadSpeed { record, rounds } => read_speed::run(record.as_deref(), rounds),
         Task::Stream { events } => stream::run(events, None),
         Task::Seek { events } => seek::run(events, None),

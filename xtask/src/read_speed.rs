@@ -5,7 +5,7 @@
 //! counts. The files are the shared recordings, and two of them repeated to some 12 million events in each format. It
 //! needs python3 with venv, the network for the packages, and a machine that does nothing else.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::thread::available_parallelism;
 
@@ -25,23 +25,7 @@ const PACKAGES: [&str; 5] = [
 pub fn run(record: Option<&Path>, rounds: u32) -> Result<ExitCode> {
     let work = tree::target().join("read_speed");
     std::fs::create_dir_all(&work)?;
-    let python = work.join("venv/bin/python");
-    if !python.exists() {
-        tree::run(
-            tree::command("python3")
-                .args(["-m", "venv"])
-                .arg(work.join("venv")),
-        )?;
-    }
-    let mut install = tree::command(&python);
-    install.args([
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--disable-pip-version-check",
-    ]);
-    tree::run(install.args(PACKAGES))?;
+    let python = python(&work, &PACKAGES)?;
     let eecvs = tree::eecvs(&[])?;
     // One processor for everything, threads of the libraries' own included: the last.
     let mut measure = if tree::command("taskset").arg("--version").output().is_ok() {
@@ -59,4 +43,26 @@ pub fn run(record: Option<&Path>, rounds: u32) -> Result<ExitCode> {
         measure.arg("--record").arg(std::path::absolute(record)?);
     }
     tree::status(&mut measure)
+}
+
+/// Returns the Python of a virtual environment in `folder`, made if it is not there, with these packages.
+pub fn python(folder: &Path, packages: &[&str]) -> Result<PathBuf> {
+    let python = folder.join("venv/bin/python");
+    if !python.exists() {
+        tree::run(
+            tree::command("python3")
+                .args(["-m", "venv"])
+                .arg(folder.join("venv")),
+        )?;
+    }
+    let mut install = tree::command(&python);
+    install.args([
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+    ]);
+    tree::run(install.args(packages))?;
+    Ok(python)
 }

@@ -1,7 +1,7 @@
 //! The records of measurements, and the tables of documents that are made from them.
 //!
 //! All but the demo, the streams and the long files is measured on the recordings in `../shared/data`, beside the
-//! project. Times of a clock (demo, kernels, skips, read-speed, ros-delay, hub-load, stream, seek, report) need a machine
+//! project. Times of a clock (demo, kernels, skips, read-speed, pipelines, ros-delay, hub-load, stream, seek, report) need a machine
 //! that does nothing else; all other figures are the same in every run.
 
 use std::path::Path;
@@ -11,7 +11,7 @@ use anyhow::Result;
 use clap::ValueEnum;
 
 use crate::saved::Action;
-use crate::{instructions, kernels, read_speed, seek, stream, tree};
+use crate::{instructions, kernels, pipelines, read_speed, seek, stream, tree};
 
 /// Where records are.
 const RECORD: &str = "host-harness/record";
@@ -37,6 +37,8 @@ pub enum Part {
     ExactTimes,
     /// crates/event-files/README.md; Python's packages come from the network
     ReadSpeed,
+    /// crates/event-files/README.md: conversions; Python's packages come from the network
+    Pipelines,
     /// eecvs-ros/README.md: delays on ROS 2
     RosDelay,
     /// docs/hub.md: sensors under load
@@ -98,6 +100,10 @@ fn measure(part: Part) -> Result<()> {
         Part::ExactTimes => bless("exact_times::come_back_with_the_documented_exactness"),
         Part::ReadSpeed => {
             read_speed::run(Some(&tree::path(file("read-speed"))), 5)?;
+            sections()
+        }
+        Part::Pipelines => {
+            pipelines::run(Some(&tree::path(file("pipelines"))), 3)?;
             sections()
         }
         Part::RosDelay => {

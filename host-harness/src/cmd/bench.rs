@@ -1,5 +1,6 @@
 //! `eecvs bench`: measures run time and error of every kernel, how encoding scales, what skipping saves, rate
-//! against distortion, what a largest mean error costs, and how fast recordings are read.
+//! against distortion, what a largest mean error costs, and how fast
+//! recordings are read and converted.
 
 use std::path::{Path, PathBuf};
 
@@ -20,6 +21,7 @@ use eecvs_cli::say;
 use event_files::output;
 use serde::Serialize;
 
+use super::bench_pipelines;
 use super::bench_rate::{self, Rate};
 use super::bench_read;
 use super::bench_selection::Selection;
@@ -126,6 +128,17 @@ pub struct Bench {
     ])]
     read: Vec<PathBuf>,
 
+    /// Instead: measure events per second when converting each of these recordings to every format, in a temporary folder
+    /// (TMPDIR), as `eecvs convert` does; the fastest of several runs counts
+    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = [
+        "scaling", "recordings", "skips", "errors", "rate", "selection", "mcu", "save", "record", "read",
+    ])]
+    pipelines: Vec<PathBuf>,
+
+    /// Formats to convert to for --pipelines, by their names in `eecvs info` [default: all that are written]
+    #[arg(long, value_name = "FORMAT", num_args = 1.., requires = "pipelines")]
+    to: Vec<String>,
+
     /// Recordings for --rate or --selection, or folders of them, searched two levels deep [default: ../shared/data if
     /// it exists, else emulated scenes]
     #[arg(long, value_name = "PATH", num_args = 1.., requires = "of_data")]
@@ -154,6 +167,9 @@ impl Bench {
     pub fn run(self) -> Result<()> {
         if !self.read.is_empty() {
             return bench_read::run(&self.read, self.quick, self.json);
+        }
+        if !self.pipelines.is_empty() {
+            return bench_pipelines::run(&self.pipelines, &self.to, self.quick, self.json);
         }
         for document in &self.save {
             self.marks(document).check(document)?;

@@ -1,6 +1,7 @@
 //! Subcommands of `eecvs`: one file each, with its flags.
 
 pub mod bench;
+mod bench_pipelines;
 mod bench_rate;
 mod bench_read;
 mod bench_selection;

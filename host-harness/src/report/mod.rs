@@ -8,6 +8,7 @@ pub mod kernel_chart;
 pub mod kernel_table;
 pub mod part;
 pub mod picture_backend;
+pub mod pipelines_table;
 pub mod rate_chart;
 pub mod rate_table;
 pub mod read_speed_table;

@@ -9,8 +9,8 @@ use eecvs_bench::table::{exact_times, keep_order, rate_control};
 
 use super::study::tables;
 use super::{
-    demo, hub_load_table, kernel_table, rate_table, read_speed_table, ros_delay_table, seek_table,
-    selection_table, skip_table, stream_table,
+    demo, hub_load_table, kernel_table, pipelines_table, rate_table, read_speed_table,
+    ros_delay_table, seek_table, selection_table, skip_table, stream_table,
 };
 use crate::cmd::report;
 use crate::study::Results;
@@ -125,6 +125,11 @@ pub fn of_records(folder: &Path) -> Result<Vec<Section>> {
             files,
             read_speed_table::MARKS,
             read_speed_table::document(&read(folder, "read-speed")?.rows),
+        ),
+        section(
+            files,
+            pipelines_table::MARKS,
+            pipelines_table::document(&read(folder, "pipelines")?.rows),
         ),
         section(
             ros,
@@ -303,6 +308,21 @@ mod tests {
         assert!(document.contains("No other library reads one of these files more quickly"));
         assert!(rows.len() > 13);
         assert_eq!(read_speed_table::slower(&rows), []);
+    }
+
+    /// Checks the sentence on converting in crates/event-files/README.md.
+    #[test]
+    fn the_sentence_about_converting_is_of_its_record() {
+        let rows: Vec<pipelines_table::Row> = read(&folder(), "pipelines").unwrap().rows;
+        let document = of_project("crates/event-files/README.md");
+        assert!(document.contains("faery writes AEDAT 4 more quickly on one thread"));
+        let slower = pipelines_table::slower(&rows);
+        assert!(
+            slower
+                .iter()
+                .all(|(_, to, library)| (*to, *library) == ("aedat4", "faery"))
+        );
+        assert_eq!(slower.len(), 3);
     }
 
     /// Checks the sentences on kernels in docs/results.md.

@@ -11,6 +11,8 @@ mod hybrid;
 mod kernel;
 mod mcu;
 mod mcu_peer;
+#[cfg(target_os = "linux")]
+mod memory;
 mod metrics_reference;
 #[cfg(feature = "onnx")]
 mod onnx;

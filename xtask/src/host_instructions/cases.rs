@@ -10,9 +10,10 @@ use anyhow::{Context, bail, ensure};
 use eecvs::encode::{HostStorage, WINDOW_EVENTS, readout};
 use eecvs::reconstruct::hybrid::{HybridDecoder, Refused};
 use eecvs_bench::moderate::{self, SENSOR, config, encode};
+use eecvs_nostd::ingest::reorder::Reorder;
 use eecvs_nostd::{
     Coder, Config, Effort, Event, FRAME_BYTES_MAX, Fidelity, Hybrid, Mode, Polarity, Scan,
-    Transform, scan,
+    Transform, Window, WindowBuffers, WindowConfig, scan,
 };
 use event_files::Reading;
 use event_files::convert::{Conversion, Converted, convert};
@@ -26,7 +27,7 @@ const READERS: [(&str, &str); 3] = [
     ("read evt3", "events.raw"),
 ];
 /// Names of formats as in a case's name, with the extension of the input and of the output.
-const CONVERSIONS: [(&str, &str); 10] = [
+const CONVERSIONS: [(&str, &str); 13] = [
     ("csv", "dat"),
     ("dat", "aedat4"),
     ("dat", "csv"),
@@ -34,12 +35,17 @@ const CONVERSIONS: [(&str, &str); 10] = [
     ("dat", "es"),
     ("dat", "evt2"),
     ("dat", "evt3"),
+    ("dat", "h5"),
     ("dat", "mcap"),
+    ("dat", "npz"),
     ("dat", "parquet"),
+    ("npz", "dat"),
     ("parquet", "dat"),
 ];
 /// Extensions of the files that are converted.
-const CONVERTED: [&str; 3] = ["csv", "dat", "parquet"];
+const CONVERTED: [&str; 4] = ["csv", "dat", "npz", "parquet"];
+/// Memory of a window that is cut, in words.
+const CUT_WORDS: usize = 1 << 16;
 const M: [u8; 2] = [8, 16];
 /// Coders of events, lossless. Frames are key frames.
 const CODERS: [(&str, Coder); 5] = [
@@ -124,6 +130,24 @@ pub fn run(folder: &Path) -> anyhow::Result<Vec<Case>> {
         cases.push((name, events.len()));
     }
     let window = moderate::window(&events)?;
+    for (name, keeps_arrival) in [("cut", false), ("cut in order", true)] {
+        let config = WindowConfig {
+            keeps_arrival,
+            ..WindowConfig::new(SENSOR, moderate::WINDOW_US)
+        };
+        let mut memory = vec![0; CUT_WORDS];
+        let buffers = WindowBuffers::share(&mut memory, 1, &config);
+        let buffers = buffers.and_then(|mut shares| shares.next());
+        let empty = buffers.and_then(|buffers| Window::new(config, buffers));
+        let mut filled = empty.context("no room for a window")?;
+        let mut reorder = Reorder::new(Vec::<Event>::new(), 0);
+        count_these(&mut || {
+            black_box(reorder.fill(&mut filled, window));
+        });
+        let counted = filled.events() as usize;
+        ensure!(counted == window.len(), "{name}: {counted} events");
+        cases.push((name.to_owned(), window.len()));
+    }
     for transform in Transform::ALL {
         for m in M {
             let mut storage = HostStorage::new(SENSOR, WINDOW_EVENTS);
