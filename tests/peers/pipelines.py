@@ -10,17 +10,17 @@ where the output is compressed. An output of another library has to give as many
 """
 
 import argparse
-import datetime
-import importlib.metadata
+import importlib
 import json
 import os
 import pathlib
-import platform
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
+
+import speed_record
 
 EVENTS = 6_000_000
 # Converted to each other by eecvs and faery.
@@ -121,30 +121,6 @@ def make(eecvs, recording, folder):
             subprocess.run([eecvs, "convert", str(dat), str(folder / name(format)), *form], check=True, capture_output=True)
 
 
-def processor():
-    try:
-        lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
-        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.machine()
-
-
-def write(path, eecvs, rows):
-    """A record as host-harness/src/record_file.rs reads it, a row a line."""
-    for row in rows:
-        if row["library"] != "eecvs":
-            row["version"] = importlib.metadata.version(row["library"])
-    version = subprocess.run([eecvs, "--version"], check=True, capture_output=True, text=True).stdout
-    head = {
-        "date": datetime.datetime.now(datetime.timezone.utc).date().isoformat(),
-        "machine": f"{processor()}, {os.cpu_count()} threads, {sys.platform}",
-        "version": version.split()[1],
-    }
-    lines = ",\n".join(json.dumps(row, separators=(",", ":")) for row in rows)
-    head = json.dumps(head, separators=(",", ":"))
-    path.write_text(f'{head[:-1]},"rows":[\n{lines}\n]}}\n')
-
-
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("eecvs")
@@ -198,7 +174,7 @@ def main():
         rows.append({"from": of, "to": to, "library": library, "threads": threads, "events": events,
                      "seconds": seconds})
     if options.record:
-        write(options.record, eecvs, rows)
+        speed_record.write(options.record, eecvs, rows, f"{os.cpu_count()} threads")
 
 
 if sys.argv[1:2] == ["--one"]:

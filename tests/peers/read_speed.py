@@ -10,14 +10,13 @@ eecvs.
 """
 
 import argparse
-import datetime
-import importlib.metadata
 import json
 import pathlib
-import platform
 import subprocess
 import sys
 import time
+
+import speed_record
 
 # As often as eecvs reads it.
 REPETITIONS = 7
@@ -140,30 +139,6 @@ def larger(eecvs, recordings, folder):
         yield from files
 
 
-def processor():
-    try:
-        lines = pathlib.Path("/proc/cpuinfo").read_text().splitlines()
-        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.machine()
-
-
-def write(path, eecvs, rows):
-    """A record as host-harness/src/record_file.rs reads it, a row a line."""
-    for row in rows:
-        if row["library"] != "eecvs":
-            row["version"] = importlib.metadata.version(row["library"])
-    version = subprocess.run([eecvs, "--version"], check=True, capture_output=True, text=True).stdout
-    head = {
-        "date": datetime.datetime.now(datetime.timezone.utc).date().isoformat(),
-        "machine": f"{processor()}, 1 thread, {sys.platform}",
-        "version": version.split()[1],
-    }
-    lines = ",\n".join(json.dumps(row, separators=(",", ":")) for row in rows)
-    head = json.dumps(head, separators=(",", ":"))
-    path.write_text(f'{head[:-1]},"rows":[\n{lines}\n]}}\n')
-
-
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("eecvs")
@@ -199,7 +174,7 @@ def main():
         print(f"{file:<20} {library:<12} {rate / 1e6:8.1f}")
         rows.append({"file": file, "library": library, **row})
     if options.record:
-        write(options.record, options.eecvs, rows)
+        speed_record.write(options.record, options.eecvs, rows, "1 thread")
 
 
 if sys.argv[1:2] == ["--one"]:

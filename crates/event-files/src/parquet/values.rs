@@ -338,6 +338,42 @@ pub enum Values {
     Split(Vec<u8>, Dtype, usize),
 }
 
+/// What whole numbers are taken as.
+pub trait Whole: Copy {
+    /// Returns a whole number as such a value.
+    fn whole(value: i64) -> Self;
+
+    /// Appends all numbers of `bytes`, which are of this type.
+    fn plain(dtype: Dtype, bytes: &[u8], out: &mut Vec<Self>);
+}
+
+impl Whole for i64 {
+    fn whole(value: i64) -> Self {
+        value
+    }
+
+    fn plain(dtype: Dtype, bytes: &[u8], out: &mut Vec<Self>) {
+        dtype.whole_numbers(bytes, out);
+    }
+}
+
+impl Whole for Option<Number> {
+    fn whole(value: i64) -> Self {
+        Some(Number::Whole(value))
+    }
+
+    fn plain(dtype: Dtype, bytes: &[u8], out: &mut Vec<Self>) {
+        dtype.numbers(bytes, out);
+    }
+}
+
+/// Returns the bits of a type of integers whose differences add up to whole numbers of 64 bits with a sign, and whether it
+/// is signed.
+fn whole_bits(dtype: Dtype) -> Option<(u32, bool)> {
+    let fits = |(bits, is_signed): &(u32, bool)| *is_signed || *bits < 64;
+    dtype.whole_bits().filter(fits)
+}
+
 impl Values {
     /// Prepares to decode the values in `bytes`.
     ///
@@ -380,73 +416,40 @@ impl Values {
         dictionary: &[Option<Number>],
         out: &mut Vec<Option<Number>>,
     ) {
-        let whole = |value: u64| Some(Some(Number::Whole(value as i64)));
         match self {
-            Self::Plain(bytes, dtype, at) => {
-                let rest = bytes.get(*at..).unwrap_or_default();
-                let count = count.min(rest.len() / dtype.bytes.max(1));
-                let taken = count * dtype.bytes;
-                dtype.numbers(rest.get(..taken).unwrap_or_default(), out);
-                *at += taken;
-            }
-            Self::Runs(runs) => {
-                let _ = runs.take(count, out, whole);
-            }
-            Self::Dictionary(runs) => {
-                let _ = runs.take(count, out, |place| {
-                    dictionary.get(usize::try_from(place).ok()?).copied()
-                });
-            }
-            Self::Deltas(deltas, dtype) => {
-                let _ = match dtype.whole_bits() {
-                    Some((bits, true)) => deltas.take(count, out, |value| {
-                        let unused = 64 - bits;
-                        Some(Number::Whole(value << unused >> unused))
-                    }),
-                    Some((bits, false)) if bits < 64 => deltas.take(count, out, |value| {
-                        Some(Number::Whole(value & ((1 << bits) - 1)))
-                    }),
-                    _ => deltas.take(count, out, |value| dtype.number(&value.to_le_bytes())),
-                };
-            }
-            Self::Bits(bytes, at) => {
-                let rest = (8 * bytes.len()).saturating_sub(*at);
-                let ends = *at + count.min(rest);
-                let bit = |at: usize| Some(Number::Whole((bytes[at / 8] >> (at % 8) & 1).into()));
-                out.extend((*at..ends).map(bit));
-                *at = ends;
+            Self::Deltas(deltas, dtype) if whole_bits(*dtype).is_none() => {
+                let _ = deltas.take(count, out, |value| dtype.number(&value.to_le_bytes()));
             }
             Self::Split(..) => {
                 out.extend((0..count).map_while(|_| self.next(dictionary)));
             }
+            _ => self.take_whole(count, dictionary, out),
         }
     }
 
-    /// Returns whether [`Values::take_whole`] gives all values.
+    /// Returns whether [`Values::take_whole`] gives all values as whole numbers.
     pub fn is_whole(&self, dictionary: Option<&[i64]>) -> bool {
         match self {
             Self::Plain(_, dtype, _) => dtype.is_whole(),
             Self::Bits(..) | Self::Runs(_) => true,
             Self::Dictionary(_) => dictionary.is_some(),
-            Self::Deltas(_, dtype) => dtype.is_whole(),
+            Self::Deltas(_, dtype) => whole_bits(*dtype).is_some(),
             Self::Split(..) => false,
         }
     }
 
-    /// Appends up to `count` of the next values to `out`, each as [`Values::next`] returns it, where [`Values::is_whole`];
-    /// fewer mean damage or the end.
-    pub fn take_whole(&mut self, count: usize, dictionary: &[i64], out: &mut Vec<i64>) {
-        let whole = |value: u64| Some(value as i64);
+    /// As [`Values::take`], of whole numbers, where [`Values::is_whole`].
+    pub fn take_whole<V: Whole>(&mut self, count: usize, dictionary: &[V], out: &mut Vec<V>) {
         match self {
             Self::Plain(bytes, dtype, at) => {
                 let rest = bytes.get(*at..).unwrap_or_default();
                 let count = count.min(rest.len() / dtype.bytes.max(1));
                 let taken = count * dtype.bytes;
-                dtype.whole_numbers(rest.get(..taken).unwrap_or_default(), out);
+                V::plain(*dtype, rest.get(..taken).unwrap_or_default(), out);
                 *at += taken;
             }
             Self::Runs(runs) => {
-                let _ = runs.take(count, out, whole);
+                let _ = runs.take(count, out, |value| Some(V::whole(value as i64)));
             }
             Self::Dictionary(runs) => {
                 let _ = runs.take(count, out, |place| {
@@ -454,16 +457,16 @@ impl Values {
                 });
             }
             Self::Deltas(deltas, dtype) => {
-                let _ = match dtype.whole_bits() {
-                    Some((64, true)) => deltas.take(count, out, |value| value),
+                let _ = match whole_bits(*dtype) {
+                    Some((64, _)) => deltas.take(count, out, V::whole),
                     Some((bits, true)) => deltas.take(count, out, |value| {
                         let unused = 64 - bits;
-                        value << unused >> unused
+                        V::whole(value << unused >> unused)
                     }),
-                    Some((bits, false)) if bits < 64 => {
-                        deltas.take(count, out, |value| value & ((1 << bits) - 1))
+                    Some((bits, false)) => {
+                        deltas.take(count, out, |value| V::whole(value & ((1 << bits) - 1)))
                     }
-                    _ => None,
+                    None => None,
                 };
             }
             Self::Bits(bytes, at) => {
@@ -472,7 +475,7 @@ impl Values {
                     let mut part = [0; PART_VALUES];
                     let part = &mut part[..left.min(PART_VALUES)];
                     let there = unpack(bytes, *at, 1, part);
-                    out.extend(part[..there].iter().map(|bit| *bit as i64));
+                    out.extend(part[..there].iter().map(|bit| V::whole(*bit as i64)));
                     *at += there;
                     left -= there;
                     if there < part.len() {
