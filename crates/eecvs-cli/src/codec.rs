@@ -3,16 +3,13 @@
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Result, ensure};
 use clap::{Args, ValueEnum};
-use eecvs::encode::step::quantiser_within;
+use eecvs::encode::options::{self, EncodeOptions, TransformChoice};
 use eecvs::encode::{Limits, readout};
 use eecvs::hot_pixels;
-use eecvs_nostd::{
-    Coder, Config, Effort, Fidelity, Filter, Hybrid, KEY_WINDOWS, Kernel, Mode, OUTPUT_BYTES_MIN,
-    Quantiser, Region, Sensor, Transform, WindowConfig,
-};
-use event_files::EventReader;
+use eecvs_nostd::{Config, KEY_WINDOWS, Kernel, OUTPUT_BYTES_MIN, Region, Sensor, Transform};
+use event_files::{ErrorKind, EventReader};
 
 use crate::options::ThresholdOptions;
 use crate::order::OrderOptions;
@@ -268,6 +265,14 @@ fn share(text: &str) -> std::result::Result<f64, String> {
     }
 }
 
+/// Makes flags that exclude each other an error of the command line.
+fn flags(error: event_files::Error) -> anyhow::Error {
+    match error.kind() {
+        ErrorKind::Refused => usage(&error.to_string()).into(),
+        _ => error.into(),
+    }
+}
+
 impl CodecOptions {
     /// Returns the configuration of the encoder for a sensor.
     ///
@@ -275,130 +280,49 @@ impl CodecOptions {
     /// A thresholds file that cannot be read, a region outside the sensor, a `--max-error` that no step meets, or
     /// flags that exclude each other.
     pub fn config(&self, sensor: Sensor) -> Result<Config> {
-        let fidelity = match (self.time_tolerance_us, self.bins) {
-            (None | Some(0), None) => Fidelity::Lossless,
-            (Some(tolerance_us), _) => Fidelity::ToleranceUs(tolerance_us),
-            (_, Some(bins)) => Fidelity::Bins(bins),
-        };
-        ensure!(
-            self.effort == 0
-                || (self.mode == ModeName::Hybrid && self.coder == Some(CoderName::Dense)),
-            usage("--effort is for --coder dense in --mode hybrid")
-        );
-        let mode = match self.mode {
-            ModeName::Hybrid => Mode::Hybrid(Hybrid {
-                coder: match self.coder {
-                    None | Some(CoderName::Fast) => Coder::Fast,
-                    Some(CoderName::Quick) => {
-                        ensure!(
-                            fidelity == Fidelity::Lossless
-                                && self.max_emd_us.is_none()
-                                && self.max_nmse.is_none()
-                                && !self.isolated
-                                && self.bytes_per_second.is_none(),
-                            usage(
-                                "--coder quick is lossless: it excludes --time-tolerance-us, --bins, --max-emd-us, --max-nmse, \
-                             --isolated and --bytes-per-second"
-                            )
-                        );
-                        Coder::Quick
-                    }
-                    Some(CoderName::Dense) => {
-                        Effort::from_number(self.effort).map_or(Coder::Dense, Coder::Tree)
-                    }
-                    Some(CoderName::Plain) => {
-                        bail!(usage("--coder plain is for --mode transform"))
-                    }
-                },
-                fidelity,
+        self.options()?.config(sensor).map_err(flags)
+    }
+
+    /// Returns the options as the codec takes them.
+    fn options(&self) -> Result<EncodeOptions> {
+        Ok(EncodeOptions {
+            mode: match self.mode {
+                ModeName::Hybrid => options::ModeName::Hybrid,
+                ModeName::Transform => options::ModeName::Transform,
+            },
+            time_tolerance_us: self.time_tolerance_us,
+            bins: self.bins,
+            max_emd_us: self.max_emd_us,
+            max_nmse: self.max_nmse,
+            coder: self.coder.map(|coder| match coder {
+                CoderName::Plain => options::CoderName::Plain,
+                CoderName::Fast => options::CoderName::Fast,
+                CoderName::Quick => options::CoderName::Quick,
+                CoderName::Dense => options::CoderName::Dense,
             }),
-            ModeName::Transform => {
-                ensure!(
-                    !self.keep_order,
-                    usage(
-                        "--keep-order is for --mode hybrid: coefficients have no order of events"
-                    )
-                );
-                ensure!(
-                    fidelity == Fidelity::Lossless
-                        && self.max_emd_us.is_none()
-                        && self.max_nmse.is_none()
-                        && self.bytes_per_second.is_none(),
-                    usage(
-                        "--time-tolerance-us, --bins, --max-emd-us, --max-nmse and --bytes-per-second are for --mode hybrid"
-                    )
-                );
-                match self.coder {
-                    None | Some(CoderName::Plain) => Mode::Transform,
-                    Some(CoderName::Fast) => Mode::Coefficients(Coder::Fast),
-                    Some(CoderName::Quick) => bail!(usage("--coder quick is for --mode hybrid")),
-                    Some(CoderName::Dense) => Mode::Coefficients(Coder::Dense),
-                }
-            }
-        };
-        let is_best = self.transform == TransformName::Best;
-        ensure!(
-            mode.is_transform() || !is_best || self.max_emd_us.is_some() || self.max_nmse.is_some(),
-            usage(
-                "--transform best is for --mode transform, or with --max-emd-us or --max-nmse for --mode hybrid"
-            )
-        );
-        ensure!(
-            mode.is_transform() || !self.few_as_times,
-            usage("--few-as-times is for --mode transform")
-        );
-        let few_as_times = mode.is_transform() && (self.few_as_times || is_best);
-        if let Some(Region {
-            x,
-            y,
-            width,
-            height,
-        }) = self.region
-        {
-            let is_inside =
-                |from: u16, side: u16, of: u16| u32::from(from) + u32::from(side) <= u32::from(of);
-            ensure!(
-                is_inside(x, width, sensor.width) && is_inside(y, height, sensor.height),
-                "--region {x},{y},{width},{height}: reaches outside the sensor of {} x {}",
-                sensor.width,
-                sensor.height
-            );
-        }
-        Ok(Config {
-            window: WindowConfig {
-                origin_us: self.origin_us,
-                every_window: self.every_window,
-                ..WindowConfig::new(sensor, self.window_us.get())
-            },
-            thresholds: self.thresholds.load()?,
+            effort: self.effort,
+            key_windows: self.key_windows,
+            key_us: self.key_us,
+            region: self.region,
+            isolated: self.isolated,
+            keep_order: self.keep_order,
+            bytes_per_second: self.bytes_per_second,
             transform: match self.transform {
-                TransformName::Auto => None,
-                TransformName::Best if !mode.is_transform() => None,
-                TransformName::Dct | TransformName::Best => Some(Transform::Dct),
-                TransformName::Dtft => Some(Transform::Dtft),
-                TransformName::Dwt => Some(Transform::Dwt),
+                TransformName::Auto => TransformChoice::Auto,
+                TransformName::Best => TransformChoice::Best,
+                TransformName::Dct => TransformChoice::Only(Transform::Dct),
+                TransformName::Dtft => TransformChoice::Only(Transform::Dtft),
+                TransformName::Dwt => TransformChoice::Only(Transform::Dwt),
             },
+            few_as_times: self.few_as_times,
             m: self.m,
             grid: self.grid,
-            quantiser: match self.max_error {
-                None => Quantiser::new(self.step_log2).context("the quantiser step is out of range")?,
-                Some(error) => quantiser_within(error).with_context(|| {
-                    format!(
-                        "--max-error {error}: no quantiser step meets it: give 2^-16 (0.0000153) or more"
-                    )
-                })?,
-            },
-            few_as_times,
-            max_emd_us: self.max_emd_us,
-            mode,
-            key_windows: self.key_windows(self.window_us.get()),
-            readout: None,
-            filter: Filter {
-                region: self.region,
-                isolated: self.isolated,
-            },
-            bytes_per_second: self.bytes_per_second,
-            keep_order: self.keep_order,
+            step_log2: self.step_log2,
+            max_error: self.max_error,
+            window_us: self.window_us,
+            origin_us: self.origin_us,
+            every_window: self.every_window,
+            thresholds: Some(self.thresholds.load()?),
         })
     }
 
@@ -412,10 +336,12 @@ impl CodecOptions {
     /// Returns the number of windows of that duration after which a key frame follows.
     #[must_use]
     pub fn key_windows(&self, window_us: u32) -> u16 {
-        self.key_us.map_or(self.key_windows, |key_us| {
-            // It is 256 at the most.
-            (key_us.get() / window_us.max(1)).clamp(1, 256) as u16
-        })
+        EncodeOptions {
+            key_windows: self.key_windows,
+            key_us: self.key_us,
+            ..EncodeOptions::default()
+        }
+        .key_windows(window_us)
     }
 
     /// Returns the configuration of an encoder for a file, on a host: that of [`CodecOptions::config`], with the keys
@@ -424,15 +350,7 @@ impl CodecOptions {
     /// # Errors
     /// As for [`CodecOptions::config`].
     pub fn config_of_file(&self, sensor: Sensor) -> Result<Config> {
-        let mut config = self.config(sensor)?;
-        let suits_keys = config.suits_keys();
-        if let Mode::Hybrid(hybrid) = &mut config.mode
-            && hybrid.coder == Coder::Fast
-            && suits_keys
-        {
-            hybrid.coder = Coder::Keys;
-        }
-        Ok(config)
+        self.options()?.config_of_file(sensor).map_err(flags)
     }
 
     /// Returns the configuration of an encoder on a microcontroller.

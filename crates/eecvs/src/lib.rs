@@ -41,6 +41,7 @@ pub mod exact_density;
 pub mod frame_file;
 pub mod hot_pixels;
 pub mod reconstruct;
+pub mod representation;
 pub mod search_budget;
 pub mod storage;
 pub mod stream_buffer;

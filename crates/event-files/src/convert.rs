@@ -10,7 +10,7 @@ use crate::fit::{Fit, Lost, beyond, fits};
 use crate::input::growing::{Follow, open_growing};
 use crate::output::is_same;
 use crate::sort::Sorted;
-use crate::{Format, Intact, Reading};
+use crate::{Format, Intact, Reading, within};
 
 /// A rectangle of a sensor's pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,6 +47,8 @@ pub struct Conversion {
     pub sort: bool,
     /// Also converts what is appended to the input while it is read.
     pub follow: Option<Follow>,
+    /// Makes damage of the input an error without an output, instead of an output of what was before it.
+    pub refuse_damage: bool,
     /// The output format; `None` chooses it by the output's file name.
     pub format: Option<&'static Format>,
 }
@@ -118,10 +120,6 @@ impl Filter {
     }
 }
 
-/// Largest step back of the times of a recording with an index: reading ends once all events of a batch are this far past the last
-/// time wanted.
-const STEP_BACK_MAX_US: u64 = 1_000_000;
-
 /// Writes the events of `input` that pass the filter to `output`, by default in the format of its file name's
 /// ending.
 ///
@@ -149,26 +147,42 @@ pub fn convert(
             "--from-us {from} is after --to-us {to}"
         );
     }
-    let format = match conversion.format {
-        Some(format) => format,
-        None => crate::writable(output)?.0,
-    };
+    // Before the input is opened, which may take long.
+    format_of(output, conversion)?;
     let reader = match &conversion.follow {
         Some(follow) => open_growing(input, reading, follow)?,
         None => crate::open(input, reading)?,
     };
-    let mut sensor = filter
+    // Before the output is created.
+    filter
         .sensor(reader.sensor())
         .with_context(|| format!("{}: cannot be cropped", input.display()))?;
-    if conversion.allow_loss {
-        sensor = Fit::sensor(format.limits, sensor);
-    }
     ensure!(
         !is_same(input, output),
         Refused,
         "{}: input and output are the same file: give the output another name",
         input.display()
     );
+    convert_reader(reader, output, conversion)
+}
+
+/// Does what [`convert`] does, from an opened reader; whether its file is the output is not checked.
+///
+/// # Errors
+/// Those of [`convert`].
+pub fn convert_reader(
+    reader: Box<dyn crate::EventReader>,
+    output: &Path,
+    conversion: &Conversion,
+) -> Result<Converted> {
+    let format = format_of(output, conversion)?;
+    let mut sensor = conversion
+        .filter
+        .sensor(reader.sensor())
+        .with_context(|| format!("{}: cannot be written", output.display()))?;
+    if conversion.allow_loss {
+        sensor = Fit::sensor(format.limits, sensor);
+    }
     let mut writer = crate::create_as(output, format, sensor)?;
     let reader: Box<dyn crate::EventReader> = if conversion.sort {
         Box::new(Sorted::new(reader, &mut |_| {})?)
@@ -182,7 +196,7 @@ pub fn convert(
     let converted = result?;
     let findings = Findings::of(&reader);
     let damage = match reader.damage() {
-        Some(damage) if converted.events_in == 0 => return Err(damage),
+        Some(damage) if converted.events_in == 0 || conversion.refuse_damage => return Err(damage),
         damage => damage.map(|error| format!("{error:#}")),
     };
     let incomplete_output = if damage.is_some() && conversion.follow.is_none() {
@@ -199,6 +213,14 @@ pub fn convert(
     })
 }
 
+/// Returns the output's format: the one asked for, or that of its name.
+fn format_of(output: &Path, conversion: &Conversion) -> Result<&'static Format> {
+    match conversion.format {
+        Some(format) => Ok(format),
+        None => Ok(crate::writable(output)?.0),
+    }
+}
+
 fn copy(
     reader: &mut dyn crate::EventReader,
     writer: &mut dyn crate::EventWriter,
@@ -206,15 +228,7 @@ fn copy(
     (format, sensor): (&Format, Sensor),
 ) -> Result<Converted> {
     let filter = conversion.filter;
-    let is_part = filter.from_us.is_some() || filter.to_us.is_some();
-    let has_index = is_part && reader.seek(filter.from_us.unwrap_or(0))?;
-    let ends = match filter.to_us {
-        Some(to_us) => reader.end_at(to_us)?,
-        None => false,
-    };
-    // Without an index, events of these times may come at any place: a clock may have been set back.
-    let end_us = filter.to_us.filter(|_| has_index && !ends);
-    let end_us = end_us.map(|to| to.saturating_add(STEP_BACK_MAX_US));
+    let end_us = within::seek(reader, filter.from_us, filter.to_us)?;
     let mut events = Vec::with_capacity(crate::BATCH_EVENTS);
     let (mut kept, mut fitted) = (Vec::new(), Vec::new());
     let mut fit = Fit::new(format.limits);

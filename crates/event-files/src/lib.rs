@@ -100,7 +100,9 @@ pub mod fit;
 pub mod output;
 #[cfg(feature = "info")]
 pub mod recording_info;
+pub mod slices;
 pub mod sort;
+pub mod within;
 
 use std::fs::File;
 use std::io::BufWriter;

@@ -84,8 +84,25 @@ pub fn info(
     progress: &mut dyn FnMut(u64),
 ) -> Result<RecordingInfo> {
     let recording = Rereadable::of(path)?;
-    let mut reader = Intact::new(recording.open(reading)?);
+    let first = recording.open(reading)?;
     // Saves later passes from searching for the size again.
+    let reading = Reading {
+        size: Some(first.sensor()),
+        ..reading.clone()
+    };
+    info_of(first, &|| recording.open(&reading), progress)
+}
+
+/// Returns the same as [`info`] of anything that can be read four times: `first` reads it once, `again` opens it anew.
+///
+/// # Errors
+/// Those of `again`. Later damage ends the recording and is in [`RecordingInfo::damage`].
+pub fn info_of(
+    first: Box<dyn EventReader>,
+    again: &dyn Fn() -> Result<Box<dyn EventReader>>,
+    progress: &mut dyn FnMut(u64),
+) -> Result<RecordingInfo> {
+    let mut reader = Intact::new(first);
     let sensor = reader.sensor();
     let mut info = RecordingInfo {
         sensor: reader.camera().map(str::to_owned),
@@ -115,11 +132,7 @@ pub fn info(
     let mut bytes = Vec::new();
     for (pass, column) in COLUMNS.iter().enumerate() {
         if pass > 0 {
-            let reading = Reading {
-                size: Some(sensor),
-                ..reading.clone()
-            };
-            reader = Intact::new(recording.open(reading)?);
+            reader = Intact::new(again()?);
         }
         loop {
             events.clear();

@@ -5,8 +5,8 @@
 
 use std::collections::HashMap;
 
-use event_types::Polarity;
-use event_types::stream::{EventReader, Result};
+use event_types::stream::{Assumption, EventReader, Pause, Result, Skipped};
+use event_types::{Event, Polarity, Sensor, error};
 
 /// Number of events read from each recording.
 const EVENTS: usize = 1 << 20;
@@ -53,6 +53,64 @@ fn constant(differences: &mut [i64]) -> Option<i64> {
     distances.sort_unstable();
     let spread = *distances.get(distances.len() / 2)?;
     (median.unsigned_abs() > spread.saturating_mul(4)).then_some(median)
+}
+
+/// A reader whose times are later than those of another reader by a constant: [`offset_us`], removed.
+pub struct Later<R> {
+    reader: R,
+    later_us: u64,
+}
+
+impl<R: EventReader> Later<R> {
+    /// Adds `later_us` to the times of a reader.
+    #[must_use]
+    pub const fn new(reader: R, later_us: u64) -> Self {
+        Self { reader, later_us }
+    }
+}
+
+impl<R: EventReader> EventReader for Later<R> {
+    fn format(&self) -> &'static str {
+        self.reader.format()
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.reader.sensor()
+    }
+
+    fn camera(&self) -> Option<&str> {
+        self.reader.camera()
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        self.reader.assumptions()
+    }
+
+    /// Reads as [`EventReader::read`] does.
+    ///
+    /// # Errors
+    /// Those of the reader; a time that becomes larger than 2^64 us.
+    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+        let start = events.len();
+        let read = self.reader.read(events)?;
+        for event in events.iter_mut().skip(start) {
+            event.t_us = event.t_us.checked_add(self.later_us).ok_or_else(|| {
+                error!(
+                    Refused,
+                    "an event at {} us cannot be {} us later", event.t_us, self.later_us
+                )
+            })?;
+        }
+        Ok(read)
+    }
+
+    fn pause(&self) -> Pause {
+        self.reader.pause()
+    }
+
+    fn skipped(&self) -> &Skipped {
+        self.reader.skipped()
+    }
 }
 
 /// Returns the earliest time of every pixel and polarity among the first [`EVENTS`] events.

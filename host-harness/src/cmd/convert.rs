@@ -91,6 +91,7 @@ impl Convert {
             sort: self.sort.is_asked(),
             follow: self.follow.follow()?,
             format: Some(self.format.of(&self.output)?),
+            ..Conversion::default()
         };
         self.overwrite
             .check(&self.output, self.format.kind(), [self.input.as_path()])?;

@@ -9,7 +9,7 @@ use event_types::stream::{Context, EventReader, Pause, Result};
 use crate::storage::NO_MEMORY;
 
 /// Events held back for reordering: 2 MiB, which is some milliseconds of the fastest cameras.
-const HELD_EVENTS: usize = 1 << 17;
+pub(super) const HELD_EVENTS: usize = 1 << 17;
 
 /// A source of event batches.
 pub trait Batches {

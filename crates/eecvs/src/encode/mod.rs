@@ -3,7 +3,9 @@
 mod codec;
 mod cutter;
 pub mod duration;
+pub mod options;
 mod parallel;
+pub mod push;
 pub mod readout;
 pub mod step;
 pub mod volume_error;
@@ -153,6 +155,22 @@ impl EncodeSummary {
         }
     }
 
+    /// Returns an error unless every event read is encoded or counted as left out.
+    fn check_accounted(&self) -> Result<()> {
+        let accounted = self.events_encoded
+            + self.events_late
+            + self.events_filtered
+            + self.events_dropped
+            + self.events_thinned;
+        ensure!(
+            accounted == self.events_in,
+            Refused,
+            "{} events were read but {accounted} are accounted for: please report this",
+            self.events_in
+        );
+        Ok(())
+    }
+
     fn finish(&mut self, encoding: Duration, wall: Duration) {
         self.encode_s = encoding.as_secs_f64() / self.threads.max(1) as f64;
         self.wall_s = wall.as_secs_f64();
@@ -215,17 +233,7 @@ pub fn encode<'h>(
     let (mut summary, encoding) = run?;
     summary.threads = threads.get();
     summary.finish(encoding, started.elapsed());
-    let accounted = summary.events_encoded
-        + summary.events_late
-        + summary.events_filtered
-        + summary.events_dropped
-        + summary.events_thinned;
-    ensure!(
-        accounted == summary.events_in,
-        Refused,
-        "{} events were read but {accounted} are accounted for: please report this",
-        summary.events_in
-    );
+    summary.check_accounted()?;
     Ok(summary)
 }
 

@@ -63,7 +63,9 @@ pub fn look_at(events: &[Event], config: Config) -> Config {
     Config { readout, ..config }
 }
 
-const fn may_scan(mode: Mode) -> bool {
+/// Returns whether frames of this mode can use a readout: only then does [`look`] examine events.
+#[must_use]
+pub const fn may_scan(mode: Mode) -> bool {
     matches!(
         mode,
         Mode::Hybrid(Hybrid {

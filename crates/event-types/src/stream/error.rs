@@ -86,6 +86,16 @@ impl Error {
         cause.downcast_ref().or_else(inner)
     }
 
+    /// Returns the offset in bytes that the error's text names, if it is about a place in a file: such a text has the form
+    /// `NAME: byte N: what`.
+    #[must_use]
+    pub fn offset(&self) -> Option<u64> {
+        let text = format!("{self:#}");
+        let rest = text.split(": byte ").nth(1)?;
+        let digits = rest.split(|c: char| !c.is_ascii_digit()).next()?;
+        digits.parse().ok()
+    }
+
     /// Returns the same error with another kind.
     #[must_use]
     pub fn of_kind(mut self, kind: ErrorKind) -> Self {
@@ -231,6 +241,23 @@ mod tests {
         assert_eq!(format!("{error:#}"), chain);
         assert_eq!(error.kind(), ErrorKind::Io(io::ErrorKind::NotFound));
         assert_eq!(error.io().unwrap().to_string(), "no such file");
+    }
+
+    #[test]
+    fn texts_about_a_place_have_its_offset() {
+        let error = crate::error!(Damaged, "a.raw: byte 1234: no event");
+        assert_eq!(error.offset(), Some(1234));
+        assert_eq!(
+            error.context("b.raw: cannot be written").offset(),
+            Some(1234)
+        );
+        for text in ["a.raw: line 3: no event", "a: byte x: ?", ""] {
+            assert_eq!(
+                Error::new(ErrorKind::Damaged, text).offset(),
+                None,
+                "{text}"
+            );
+        }
     }
 
     #[test]

@@ -40,6 +40,13 @@ impl Skipped {
     pub fn iter(&self) -> impl Iterator<Item = (&'static str, u64)> + '_ {
         self.0.iter().map(|(kind, n)| (*kind, *n))
     }
+
+    /// Returns the kinds of [`Skipped::iter`] that are events of the camera, and their counts: what a reader of events
+    /// misses. All their names begin with `events` or are `invalid events`.
+    pub fn events(&self) -> impl Iterator<Item = (&'static str, u64)> + '_ {
+        let is_event = |kind: &str| kind.starts_with("events ") || kind == "invalid events";
+        self.iter().filter(move |(kind, _)| is_event(kind))
+    }
 }
 
 /// A source of the events of one recording, which are read from first to last; it can be moved to another thread.
