@@ -16,6 +16,8 @@
 #   peers     the formats against independent decoders, and simulated cameras against drivers of others, in a Python
 #             of its own with their packages: only when it is named (the unit stage compares them where the system's
 #             Python has some)
+#   python    the Python package: its tests and stubs, by the unit stage's build; when it is named, its wheel, built and
+#             installed in a Python of its own, with the packages of others that its tests compare it with
 #   page      the pages of `eecvs report` and of a hub in a browser, at the width of a desk and of a telephone: only
 #             when it is named (the unit stage opens them where there is a browser)
 #   ros       the nodes of ROS 2 against genuine ROS 2, Fast DDS in C++ and Cyclone DDS in C, which it makes: only
@@ -37,7 +39,7 @@ FEATURES=(--features host-harness/onnx)
 
 # Every test but those of documentation, from which names choose. With `--test NAME` in its place the dependencies have
 # other features, and are built again.
-TESTS=(--workspace "${FEATURES[@]}" --lib --bins --tests)
+TESTS=(--workspace "${FEATURES[@]}" --tests)
 
 # Notes what a stage leaves out.
 skip() { echo "skipped: $1"; echo "$1" >>"$SKIPPED"; }
@@ -215,6 +217,65 @@ peers() {
     done
     EECVS_PYTHON=$PWD/$folder/bin/python \
         cargo test "${TESTS[@]}" -- --nocapture formats_peers:: clients:: rate::lossless::
+}
+
+# A Python of its own for the package, with packages: `package_home PACKAGE...`. EECVS_PYTHON3 names another version's.
+package_home() {
+    local folder=target/python-package python=${EECVS_PYTHON3:-python3}
+    if ! have "$python" || ! "$python" -c 'import sys; sys.exit(sys.version_info < (3, 9))'; then
+        skip "python: there is no Python of version 3.9 or later"
+        return 1
+    fi
+    [ -x "$folder/bin/pip" ] || "$python" -m venv "$folder" >/dev/null 2>&1 ||
+        { packages python3-venv && "$python" -m venv "$folder"; } || {
+        skip "python: $python cannot create a virtual environment"
+        return 1
+    }
+    "$folder/bin/pip" install -q "$@" || {
+        skip "python: pip cannot install $*"
+        return 1
+    }
+}
+
+# The module of the tests' build, which checks arithmetic too, beside the package's sources: a wheel takes minutes.
+python_module() {
+    local home=$PWD/target/python-package
+    package_home numpy pytest mypy || return 0
+    cargo build --workspace "${FEATURES[@]}" --lib --tests --quiet
+    rm -rf "$home/module"
+    mkdir -p "$home/module"
+    cp -r python/eecvs "$home/module/"
+    rm -f "$home/module/eecvs/"_eecvs.*so
+    cp "$(program lib_eecvs.so)" "$home/module/eecvs/_eecvs.abi3.so" 2>/dev/null ||
+        cp "$(program lib_eecvs.dylib)" "$home/module/eecvs/_eecvs.abi3.so"
+    EECVS_COMMAND=$PWD/$(program eecvs) PYTHONPATH=$home/module MYPYPATH=$home/module "$home/bin/python" -m pytest -q -rs -p no:cacheprovider python/tests
+}
+
+# The package's wheel. What its tests need is a must; each other package is wanted, and what is left out without it the
+# tests say themselves.
+python() {
+    local folder=target/python-package wheels=target/wheels package
+    if ran unit; then
+        python_module
+        return
+    fi
+    package_home 'maturin>=1.7,<2' numpy pytest || return 0
+    for package in mypy 'pyright[nodejs]' pyarrow polars pandas faery expelliarmus dv-processing evlib h5py scipy tqdm requests; do
+        "$folder/bin/pip" install -q "$package" || skip "python: pip cannot install $package"
+    done
+    # What its data sets need is left out.
+    "$folder/bin/pip" install -q --no-deps tonic || skip "python: pip cannot install tonic"
+    rm -rf "$wheels"
+    # A folder of its own: in that of the other stages it would wait until they are built.
+    CARGO_TARGET_DIR=${CARGO_TARGET_DIR:-target/python-build} "$folder/bin/maturin" build --release --locked -q \
+        -m python/Cargo.toml -i "$folder/bin/python" -o "$wheels"
+    if [ "$(stat -c %s "$wheels"/*.whl)" -gt 10000000 ]; then
+        echo "the wheel has more than 10 MB"
+        return 1
+    fi
+    "$folder/bin/pip" install -q --force-reinstall --no-deps "$wheels"/*.whl
+    # The installed package, not the sources beside the tests: from a folder without either.
+    "$folder/bin/python" -m pytest -q -rs python/tests
 }
 
 # The name of a browser that pages are opened in, as host-harness/tests/browser/mod.rs has them.
@@ -424,13 +485,13 @@ fi
 
 stages=("$@") beside=()
 if [ ${#stages[@]} = 0 ]; then
-    stages=(lint unit) beside=(nostd firmware demo usb links)
+    stages=(lint unit) beside=(nostd firmware demo usb python links)
     # Two at a time: compilers leave a core idle for a third of the time. Not where installations would meet.
     have flock || { stages+=("${beside[@]}"); beside=(); }
 fi
 for stage in "${stages[@]}"; do
     case $stage in
-        lint | unit | links | metrics | peers | page | ros | nostd | neon | firmware | usb | usb-recordings | fuzz | demo) ;;
+        lint | unit | links | metrics | peers | python | page | ros | nostd | neon | firmware | usb | usb-recordings | fuzz | demo) ;;
         *) echo "test.sh: unknown stage '$stage'; the head of this file lists the stages" >&2; exit 2 ;;
     esac
 done

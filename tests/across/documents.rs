@@ -167,22 +167,3 @@ fn is_inside(name: &str) -> bool {
     .iter()
     .any(|folder| root().join(folder).join(name).exists())
 }
-
-/// The example of the README is the one at the head of the library, which is a test there.
-#[test]
-fn the_example_of_the_readme_is_that_of_the_library() {
-    let readme = text("README.md");
-    let (_, example) = readme.split_once("```rust,no_run\n").expect("an example");
-    let (example, _) = example.split_once("```").expect("its end");
-    let library = text("crates/event-files/src/lib.rs");
-    let (_, of_library) = library.split_once("//! ```no_run\n").expect("an example");
-    let (of_library, _) = of_library.split_once("//! ```").expect("its end");
-    let lines = of_library
-        .lines()
-        .map(|line| line.trim_start_matches("//!"));
-    let lines = lines.map(|line| line.strip_prefix(' ').unwrap_or(line));
-    assert_eq!(
-        example.lines().collect::<Vec<_>>(),
-        lines.collect::<Vec<_>>()
-    );
-}

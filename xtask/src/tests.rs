@@ -8,14 +8,7 @@ use crate::tree;
 
 /// Every test but those of documentation. With fewer, `--test NAME` say, the dependencies have other features, and are
 /// built again.
-const ALL: [&str; 6] = [
-    "--workspace",
-    "--features",
-    "host-harness/onnx",
-    "--lib",
-    "--bins",
-    "--tests",
-];
+const ALL: [&str; 4] = ["--workspace", "--features", "host-harness/onnx", "--tests"];
 
 /// Every test of the workspace whose name contains one of the filters.
 pub fn run(filters: &[String]) -> Result<ExitCode> {

@@ -1,0 +1,126 @@
+//! Scenes of the emulator, as recordings.
+
+use event_emulator::{Effect, Model, PRESETS, PixelParameters, Preset, SceneConfig};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::errors::exception;
+use crate::given;
+use crate::layout::Layout;
+use crate::recording::{Origin, Recording, Reopen, Source};
+use crate::window::not_one_of;
+
+/// Emulates a seeded scene: the same events on every machine and with any number of threads.
+///
+/// Args:
+///     scene: One of ``SCENES``.
+///     seed: Seed of the texture, of the pixels and of the noise.
+///     sensor: (width, height) in pixels; by default the scene's, 346 x 260.
+///     duration_us: Duration in microseconds; by default the scene's, 1,000,000.
+///     start_us: Time of the start in microseconds.
+///     model: 1, or 2: light sampled as finely as it changes, and a parameter for each effect of the pixel.
+///     pixel: Parameters of model 2 by their names, as in the file that ``eecvs emulate --print-pixel`` prints.
+///     without: Effects of model 2 that are switched off: ``"shot-noise"``, ``"leak"``, ``"refractory"``, ...
+///     dtype: Layout of the arrays, as for ``open``.
+///
+/// Returns:
+///     A Recording, which is emulated anew whenever it is read; ``causes()`` is the truth about its noise in model 2.
+///
+/// Raises:
+///     RefusedError: A scene that cannot exist; a parameter that is out of range.
+#[pyfunction]
+#[pyo3(signature = (
+    scene, *, seed=1, sensor=None, duration_us=None, start_us=0, model=1, pixel=None, without=None, dtype=None
+))]
+#[allow(clippy::too_many_arguments)]
+pub fn emulate(
+    py: Python<'_>,
+    scene: &str,
+    seed: u64,
+    sensor: Option<(u32, u32)>,
+    duration_us: Option<u64>,
+    start_us: u64,
+    model: u8,
+    pixel: Option<&Bound<'_, PyDict>>,
+    without: Option<Vec<String>>,
+    dtype: Option<&str>,
+) -> PyResult<Recording> {
+    let Some(preset) = PRESETS.into_iter().find(|preset| preset.name() == scene) else {
+        let names = PRESETS.map(Preset::name).join(", ");
+        return Err(not_one_of("scene", scene, &names));
+    };
+    let mut config = SceneConfig::new(preset, seed);
+    if let Some(size) = sensor {
+        config.sensor = given::sensor(size)?;
+    }
+    config.duration_us = duration_us.unwrap_or(config.duration_us);
+    config.start_us = start_us;
+    config.model = match model {
+        1 => Model::Steps,
+        2 => Model::Physical,
+        _ => {
+            return Err(PyValueError::new_err(format!(
+                "model is {model}: it must be 1 or 2"
+            )));
+        }
+    };
+    if config.model == Model::Steps && (pixel.is_some() || without.is_some()) {
+        return Err(PyValueError::new_err("pixel= and without= need model=2"));
+    }
+    let options = PyDict::new(py);
+    options.set_item("seed", seed)?;
+    options.set_item("sensor", sensor)?;
+    options.set_item("duration_us", duration_us)?;
+    options.set_item("start_us", start_us)?;
+    options.set_item("model", model)?;
+    options.set_item("pixel", pixel.map(PyDictMethods::copy).transpose()?)?;
+    options.set_item("without", without.clone())?;
+    options.set_item("dtype", dtype)?;
+    let reopen = Reopen::new("emulate", scene, options)?;
+    let source = Source {
+        name: format!("scene {scene}"),
+        origin: Origin::Scene {
+            config,
+            pixel: Box::new(parameters(py, pixel, without.unwrap_or_default())?),
+        },
+        sort: false,
+        layout: Layout::of(dtype)?,
+        keeps_damaged: false,
+    };
+    Recording::open(py, source, reopen)
+}
+
+/// Returns the parameters of a pixel: the defaults, without some effects, then with other values.
+fn parameters(
+    py: Python<'_>,
+    pixel: Option<&Bound<'_, PyDict>>,
+    without: Vec<String>,
+) -> PyResult<PixelParameters> {
+    let mut parameters = PixelParameters::default();
+    for name in without {
+        let effect = Effect::ALL.into_iter().find(|effect| effect.name() == name);
+        let Some(effect) = effect else {
+            let names = Effect::ALL.map(Effect::name).join(", ");
+            return Err(not_one_of("without", &name, &names));
+        };
+        parameters.switch_off(effect);
+    }
+    for (name, value) in pixel.into_iter().flatten() {
+        let (name, value) = (name.extract::<String>()?, value.extract::<f64>()?);
+        let set = parameters.set(&name, value);
+        set.map_err(|error| exception(py, &error, None))?;
+    }
+    let checked = parameters.check();
+    checked.map_err(|error| exception(py, &error, None))?;
+    Ok(parameters)
+}
+
+/// Returns the names and descriptions of the scenes.
+#[pyfunction]
+pub fn _scenes() -> Vec<(&'static str, &'static str)> {
+    let scenes = PRESETS.iter();
+    scenes
+        .map(|preset| (preset.name(), preset.about()))
+        .collect()
+}

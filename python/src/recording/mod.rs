@@ -1,0 +1,577 @@
+//! Recordings of every format: how they are opened, read and cut.
+
+mod slices;
+mod source;
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+
+use event_files::recording_info;
+use event_files::slices::{ByCount, ByTime};
+use event_files::within::Within;
+use event_files::{BadEvents, Columns as Places, Reading, TimeUnit};
+use event_types::Sensor;
+use event_types::stream::{Error, EventReader, Result};
+use numpy::PyArray1;
+use pyo3::IntoPyObjectExt;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple, PyType};
+
+use crate::columns::{Builder, Columns};
+use crate::given::raise;
+use crate::layout::{Layout, Packed, Packer, array, no_memory};
+use crate::memory::room;
+use crate::work::{Interruptible, Raised, Signals, in_pool};
+use slices::Cut;
+pub use slices::{Slices, Times};
+use source::{Found, MARGIN_EVENTS, locked, note};
+pub use source::{Origin, Source};
+
+/// Opens a recording of any format that is known; the format is recognised by the content.
+///
+/// Args:
+///     path: A file or a folder of a recording. A place inside it may follow: ``FILE.hdf5/davis/right/events``.
+///     dtype: Layout of the arrays: ``"eecvs"`` (t int64, x uint16, y uint16, p bool), ``"tonic"``, ``"faery"``,
+///         ``"expelliarmus"``, ``"metavision"`` or ``"dv"``: theirs, field for field.
+///     width, height: Size of the sensor in pixels, for files that do not state it.
+///     time_unit: ``"s"``, ``"ms"``, ``"us"`` or ``"ns"``, for tables that do not state it.
+///     time_offset_us: Microseconds added to every time.
+///     columns: Columns of a table, as ``"xytp"`` or ``"t=time,x=col,y=row,p=on"``.
+///     leave_out_bad_events: Leaves out and counts invalid events in place of raising.
+///     sort: Sorts all events by time first; events of equal time keep their order.
+///     damaged: ``"raise"``, or ``"keep"``: everything before the damage, with a warning and ``.damage``.
+///     max_events_per_window, max_work_per_window: Limits of ``.eecvs`` files, as in the command.
+///
+/// Returns:
+///     A Recording.
+///
+/// Raises:
+///     MissingFileError: There is no such file.
+///     UnsupportedError: The format is not known.
+///     UndecidedError: The file leaves something open, which the message names.
+///     DamagedError: The header is damaged.
+#[pyfunction]
+#[pyo3(signature = (
+    path, *, dtype=None, width=None, height=None, time_unit=None, time_offset_us=0, columns=None,
+    leave_out_bad_events=false, sort=false, damaged="raise", max_events_per_window=None, max_work_per_window=None
+))]
+#[allow(clippy::too_many_arguments)]
+pub fn open(
+    py: Python<'_>,
+    path: PathBuf,
+    dtype: Option<&str>,
+    width: Option<u32>,
+    height: Option<u32>,
+    time_unit: Option<&str>,
+    time_offset_us: i64,
+    columns: Option<&str>,
+    leave_out_bad_events: bool,
+    sort: bool,
+    damaged: &str,
+    max_events_per_window: Option<u32>,
+    max_work_per_window: Option<u32>,
+) -> PyResult<Recording> {
+    let size = match (width, height) {
+        (None, None) => None,
+        (Some(width), Some(height)) => Some(crate::given::sensor((width, height))?),
+        _ => {
+            return Err(PyValueError::new_err(
+                "width= and height= are needed together",
+            ));
+        }
+    };
+    let reading = Reading {
+        size,
+        time_unit: time_unit.map(unit).transpose()?,
+        time_offset_us,
+        columns: columns
+            .map(|text| {
+                Places::parse(text).map_err(|why| PyValueError::new_err(format!("columns: {why}")))
+            })
+            .transpose()?,
+        bad_events: if leave_out_bad_events {
+            BadEvents::LeaveOut
+        } else {
+            BadEvents::Refuse
+        },
+        window_events_max: max_events_per_window,
+        window_work_max: max_work_per_window,
+    };
+    let keeps_damaged = match damaged {
+        "raise" => false,
+        "keep" => true,
+        _ => {
+            return Err(PyValueError::new_err(format!(
+                "damaged is {damaged:?}: it must be \"raise\" or \"keep\""
+            )));
+        }
+    };
+    let options = PyDict::new(py);
+    options.set_item("dtype", dtype)?;
+    options.set_item("width", width)?;
+    options.set_item("height", height)?;
+    options.set_item("time_unit", time_unit)?;
+    options.set_item("time_offset_us", time_offset_us)?;
+    options.set_item("columns", columns)?;
+    options.set_item("leave_out_bad_events", leave_out_bad_events)?;
+    options.set_item("sort", sort)?;
+    options.set_item("damaged", damaged)?;
+    options.set_item("max_events_per_window", max_events_per_window)?;
+    options.set_item("max_work_per_window", max_work_per_window)?;
+    let reopen = Reopen::new("open", &path, options)?;
+    let source = Source {
+        name: path.display().to_string(),
+        origin: Origin::File { path, reading },
+        sort,
+        layout: Layout::of(dtype)?,
+        keeps_damaged,
+    };
+    Recording::open(py, source, reopen)
+}
+
+fn unit(name: &str) -> PyResult<TimeUnit> {
+    let units = [TimeUnit::S, TimeUnit::Ms, TimeUnit::Us, TimeUnit::Ns];
+    let found = units.into_iter().find(|unit| unit.name() == name);
+    found.ok_or_else(|| {
+        PyValueError::new_err(format!("time_unit is {name:?}: it must be s, ms, us or ns"))
+    })
+}
+
+/// The call that made a recording, for where it is unpickled.
+pub struct Reopen {
+    function: &'static str,
+    of: Py<PyAny>,
+    options: Py<PyDict>,
+}
+
+impl Reopen {
+    /// Notes a call of a function of this module, with one argument and keywords.
+    pub fn new<'py>(
+        function: &'static str,
+        of: impl IntoPyObject<'py>,
+        options: Bound<'py, PyDict>,
+    ) -> PyResult<Self> {
+        let of = of.into_py_any(options.py())?;
+        Ok(Self {
+            function,
+            of,
+            options: options.unbind(),
+        })
+    }
+}
+
+/// Makes a recording as it was made where it was pickled.
+#[pyfunction]
+pub fn _reopen<'py>(
+    function: &str,
+    of: &Bound<'py, PyAny>,
+    options: &Bound<'py, PyDict>,
+) -> PyResult<Bound<'py, PyAny>> {
+    if !["open", "emulate"].contains(&function) {
+        return Err(PyValueError::new_err(format!(
+            "{function} makes no recordings"
+        )));
+    }
+    let function = of.py().import("eecvs._eecvs")?.getattr(function)?;
+    function.call((of,), Some(options))
+}
+
+/// A recording: an iterable of arrays, a context manager, and slices of time and of number.
+///
+/// Every reading begins with the first event, so that a recording can be read as often as wanted, by several threads and
+/// by forked or spawned processes. Reading lets other threads run. A pipe can be read once.
+#[pyclass(module = "eecvs", frozen)]
+pub struct Recording {
+    source: Arc<Source>,
+    /// The reader that found the format, for the first reading by the same process.
+    first: Mutex<Option<(u32, Box<dyn EventReader>)>>,
+    format: &'static str,
+    sensor: Sensor,
+    camera: Option<String>,
+    found: Arc<Mutex<Found>>,
+    closed: AtomicBool,
+    reopen: Reopen,
+    info: Mutex<Option<Py<PyAny>>>,
+}
+
+impl Recording {
+    /// Opens a source.
+    ///
+    /// # Errors
+    /// Those of opening.
+    pub fn open(py: Python<'_>, source: Source, reopen: Reopen) -> PyResult<Self> {
+        let opened = py.detach(|| source.open());
+        let reader =
+            opened.map_err(|error| raise(py, &Raised::default(), &error, Some(&source.name)))?;
+        Ok(Self {
+            format: reader.format(),
+            sensor: reader.sensor(),
+            camera: reader.camera().map(str::to_owned),
+            found: Arc::new(Mutex::new(Found::of(reader.as_ref(), None))),
+            first: Mutex::new(Some((std::process::id(), reader))),
+            source: Arc::new(source),
+            closed: AtomicBool::new(false),
+            reopen,
+            info: Mutex::new(None),
+        })
+    }
+
+    /// Returns the size of the sensor.
+    pub const fn size(&self) -> Sensor {
+        self.sensor
+    }
+
+    /// Returns the recording's file, if it has one, without a place inside it.
+    pub fn file(&self) -> Option<&Path> {
+        self.source.path().map(event_files::file_of)
+    }
+
+    /// Returns whether damage ends a reading with a warning.
+    pub fn keeps_damaged(&self) -> bool {
+        self.source.keeps_damaged
+    }
+
+    /// Returns a reader that begins with the first event.
+    ///
+    /// # Errors
+    /// Those of opening; `ValueError` if the recording was closed.
+    pub fn reader(&self, py: Python<'_>) -> PyResult<Box<dyn EventReader>> {
+        if self.closed.load(Ordering::Relaxed) {
+            return Err(PyValueError::new_err(format!(
+                "{}: the recording was closed",
+                self.source.name
+            )));
+        }
+        let opened = py.detach(|| {
+            let first = locked(&self.first).take();
+            match first {
+                Some((process, reader)) if process == std::process::id() => Ok(reader),
+                _ => self.source.open(),
+            }
+        });
+        opened.map_err(|error| raise(py, &Raised::default(), &error, Some(&self.source.name)))
+    }
+
+    /// Returns about how many events there are, by the size of the file: most formats take four bytes for one, or more.
+    fn about(&self, py: Python<'_>) -> u64 {
+        py.detach(|| {
+            let file = self.file().map(std::fs::metadata);
+            file.and_then(Result::ok).map_or(0, |file| file.len() / 4) + MARGIN_EVENTS
+        })
+    }
+
+    /// Reads a reader to its end by `add`, which returns whether there was more; then notes and tells what was lost.
+    fn read_by(
+        &self,
+        py: Python<'_>,
+        times: std::ops::Range<u64>,
+        mut all: impl FnMut(&mut dyn EventReader) -> Result<()> + Send,
+    ) -> PyResult<Option<PyErr>> {
+        let reader = self.reader(py)?;
+        let raised = Raised::default();
+        let (found, failure) = py
+            .detach(|| {
+                let reader = Within::new(reader, times)?;
+                let mut reader = Interruptible::new(Box::new(reader), &raised);
+                let failure = all(&mut reader).err();
+                Ok::<_, Error>((Found::of(&reader, failure.as_ref()), failure))
+            })
+            .map_err(|error| raise(py, &raised, &error, Some(&self.source.name)))?;
+        if let Some(exception) = raised.take() {
+            return Err(exception);
+        }
+        note(py, &self.source, &self.found, found, failure.as_ref())
+    }
+
+    fn arrays<'py>(
+        &self,
+        py: Python<'py>,
+        times: std::ops::Range<u64>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let layout = self.source.layout;
+        let mut packed = Packed::new(layout);
+        let mut packer = Packer::new(layout);
+        if times == (0..u64::MAX) {
+            packed.guess(self.about(py));
+        }
+        let failure = self.read_by(py, times, |reader| packer.read_all(&mut packed, reader))?;
+        let events = array(py, layout, packed)?;
+        raise_with(py, failure, &events)?;
+        Ok(events)
+    }
+}
+
+/// Raises an exception, if there is one, with the events that were read before.
+fn raise_with(py: Python<'_>, failure: Option<PyErr>, events: &Bound<'_, PyAny>) -> PyResult<()> {
+    match failure {
+        Some(failure) => {
+            failure.value(py).setattr("events", events)?;
+            Err(failure)
+        }
+        None => Ok(()),
+    }
+}
+
+/// Returns the sensor as Python has it.
+pub fn sensor_object(py: Python<'_>, sensor: Sensor) -> PyResult<Bound<'_, PyAny>> {
+    let class = py.import("eecvs._types")?.getattr("Sensor")?;
+    class.call1((sensor.width, sensor.height))
+}
+
+#[pymethods]
+impl Recording {
+    /// Size of the sensor in pixels: (width, height).
+    #[getter]
+    fn sensor<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        sensor_object(py, self.sensor)
+    }
+
+    /// Name of the format, such as ``"evt3"``.
+    #[getter]
+    fn format(&self) -> &'static str {
+        self.format
+    }
+
+    /// The camera or chip, if the file names it.
+    #[getter]
+    fn camera(&self) -> Option<&str> {
+        self.camera.as_deref()
+    }
+
+    /// The path that was opened; None of a scene.
+    #[getter]
+    fn path(&self) -> Option<&Path> {
+        self.source.path()
+    }
+
+    /// Counts, times and hashes of the whole recording, which is read four times for them, once.
+    ///
+    /// Raises:
+    ///     EecvsError: The file cannot be read. Damage after the header is ``info.damage``.
+    #[getter]
+    fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        // Held for a moment, and never without the interpreter's lock.
+        if let Some(info) = locked(&self.info).as_ref() {
+            return Ok(info.clone_ref(py).into_bound(py));
+        }
+        let source = &self.source;
+        let raised = Raised::default();
+        let mut signals = Signals::new(&raised);
+        let info = py.detach(|| {
+            in_pool(|| {
+                // The library cannot be stopped here: the exception is raised at its end.
+                let mut progress = |_| drop(signals.check());
+                match &source.origin {
+                    Origin::File { path, reading } => {
+                        recording_info::info(path, reading, &mut progress)
+                    }
+                    Origin::Scene { .. } => {
+                        recording_info::info_of(source.open()?, &|| source.open(), &mut progress)
+                    }
+                }
+            })?
+        });
+        let info = info.map_err(|error| raise(py, &raised, &error, Some(&source.name)))?;
+        if let Some(exception) = raised.take() {
+            return Err(exception);
+        }
+        let fields = PyDict::new(py);
+        fields.set_item("camera", info.sensor)?;
+        fields.set_item("format", info.format)?;
+        fields.set_item("width", info.width)?;
+        fields.set_item("height", info.height)?;
+        fields.set_item("events", info.events)?;
+        fields.set_item("on", info.on)?;
+        fields.set_item("off", info.off)?;
+        fields.set_item("t_first_us", info.t_first_us)?;
+        fields.set_item("t_last_us", info.t_last_us)?;
+        fields.set_item("times_back", info.times_back)?;
+        fields.set_item("back_max_us", info.back_max_us)?;
+        fields.set_item("duration_s", info.duration_s)?;
+        fields.set_item("rate_eps", info.rate_eps)?;
+        fields.set_item("sum_x", info.sum_x)?;
+        fields.set_item("sum_y", info.sum_y)?;
+        fields.set_item("sha256_events", info.sha256_events)?;
+        fields.set_item("xxh128_sum_events", info.xxh128_sum_events)?;
+        fields.set_item("assumptions", PyTuple::new(py, info.findings.assumptions)?)?;
+        fields.set_item("skipped", info.findings.skipped)?;
+        fields.set_item("damage", info.damage)?;
+        let class = py.import("eecvs._types")?.getattr("Info")?;
+        let made = class.call((), Some(&fields))?;
+        *locked(&self.info) = Some(made.clone().unbind());
+        Ok(made)
+    }
+
+    /// Counts, by kind, of the items of the latest complete reading that are no events or were left out.
+    #[getter]
+    fn skipped(&self, py: Python<'_>) -> std::collections::BTreeMap<String, u64> {
+        py.detach(|| locked(&self.found).findings.skipped.clone())
+    }
+
+    /// Of these, the events that are missing.
+    #[getter]
+    fn losses(&self, py: Python<'_>) -> std::collections::BTreeMap<&'static str, u64> {
+        py.detach(|| locked(&self.found).lost.iter().copied().collect())
+    }
+
+    /// What the reader assumed, since the file does not state it: one text for each assumption.
+    #[getter]
+    fn assumptions(&self, py: Python<'_>) -> Vec<String> {
+        py.detach(|| locked(&self.found).findings.assumptions.clone())
+    }
+
+    /// Where and why the latest complete reading broke off, or None.
+    #[getter]
+    fn damage(&self, py: Python<'_>) -> Option<String> {
+        py.detach(|| locked(&self.found).damage.clone())
+    }
+
+    /// Events by their times: ``recording.time[a:b]`` is the array of those with a <= t < b, in microseconds of the file's
+    /// own clock. Formats with an index are read from there on.
+    #[getter]
+    fn time(slf: Bound<'_, Self>) -> Times {
+        Times::of(slf.unbind())
+    }
+
+    /// Reads all events.
+    ///
+    /// Returns:
+    ///     A structured array, (N,), of the data type that ``open`` was given.
+    ///
+    /// Raises:
+    ///     DamagedError: The file is damaged: ``error.events`` has the events before that place, ``error.offset`` the place.
+    fn read<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        self.arrays(py, 0..u64::MAX)
+    }
+
+    /// Reads all events as four contiguous columns, for torch, Arrow, Polars and pandas.
+    ///
+    /// Raises:
+    ///     DamagedError: The file is damaged: ``error.events`` has the columns of the events before that place.
+    fn columns(&self, py: Python<'_>) -> PyResult<Py<Columns>> {
+        let mut columns = Builder::default();
+        columns.guess(self.about(py));
+        let failure = self.read_by(py, 0..u64::MAX, |reader| {
+            let mut batch = Vec::new();
+            while reader.read(&mut batch)? > 0 {
+                columns.extend(&batch)?;
+                batch.clear();
+            }
+            Ok(())
+        })?;
+        let columns = Py::new(py, columns.columns(py, Some(self.sensor)))?;
+        raise_with(py, failure, columns.bind(py).as_any())?;
+        Ok(columns)
+    }
+
+    /// Reads the causes of all events of a scene in model 2, in the order of ``read``.
+    ///
+    /// Returns:
+    ///     (N,) uint8: indices of ``CAUSES``.
+    ///
+    /// Raises:
+    ///     UnsupportedError: The recording is no scene, or one of model 1.
+    fn causes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<u8>>> {
+        let raised = Raised::default();
+        let causes = py.detach(|| {
+            in_pool(|| {
+                let mut signals = Signals::new(&raised);
+                let mut scene = self.source.scene()?;
+                let (mut events, mut batch, mut causes) = (Vec::new(), Vec::new(), Vec::new());
+                while scene.read_with_causes(&mut events, &mut batch)? > 0 {
+                    signals.check()?;
+                    room(&mut causes, batch.len()).map_err(no_memory)?;
+                    causes.extend(batch.iter().map(|cause| *cause as u8));
+                    events.clear();
+                    batch.clear();
+                }
+                Ok(causes)
+            })?
+        });
+        let causes =
+            causes.map_err(|error: Error| raise(py, &raised, &error, Some(&self.source.name)))?;
+        Ok(PyArray1::from_vec(py, causes))
+    }
+
+    /// Iterates over slices of ``us`` microseconds; a slice without events is an empty array.
+    ///
+    /// Args:
+    ///     us: Duration of a slice in microseconds, at least 1.
+    ///     origin_us: A time at which a slice begins; by default the first event's.
+    ///
+    /// Returns:
+    ///     An iterator of structured arrays, whose ``times`` is the latest slice's (start, end) in microseconds.
+    ///
+    /// Raises:
+    ///     RefusedError: Times run backwards out of a slice: open with ``sort=True``.
+    #[pyo3(signature = (us, *, origin_us=None))]
+    fn by_time(&self, py: Python<'_>, us: u64, origin_us: Option<u64>) -> PyResult<Slices> {
+        let reader = self.reader(py)?;
+        self.slices(py, ByTime::new(reader, us, origin_us).map(Cut::Time))
+    }
+
+    /// Iterates over slices of ``n`` events; the last one may have fewer.
+    ///
+    /// Returns:
+    ///     An iterator of structured arrays.
+    fn by_count(&self, py: Python<'_>, n: usize) -> PyResult<Slices> {
+        let reader = self.reader(py)?;
+        self.slices(py, ByCount::new(reader, n).map(Cut::Count))
+    }
+
+    /// Iterates over arrays of up to 16,384 events.
+    fn __iter__(&self, py: Python<'_>) -> PyResult<Slices> {
+        let reader = self.reader(py)?;
+        self.slices(py, Ok(Cut::Batches(reader)))
+    }
+
+    fn __enter__(slf: Bound<'_, Self>) -> Bound<'_, Self> {
+        slf
+    }
+
+    #[pyo3(signature = (exc_type=None, exc=None, traceback=None))]
+    fn __exit__(
+        &self,
+        py: Python<'_>,
+        exc_type: Option<&Bound<'_, PyType>>,
+        exc: Option<&Bound<'_, PyAny>>,
+        traceback: Option<&Bound<'_, PyAny>>,
+    ) {
+        let _ = (exc_type, exc, traceback);
+        self.close(py);
+    }
+
+    /// Closes the file; the recording cannot be read after that.
+    fn close(&self, py: Python<'_>) {
+        self.closed.store(true, Ordering::Relaxed);
+        py.detach(|| drop(locked(&self.first).take()));
+    }
+
+    fn __repr__(&self) -> String {
+        format!(
+            "<Recording {:?}: {}, {} x {}>",
+            self.source.name, self.format, self.sensor.width, self.sensor.height
+        )
+    }
+
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let reopen = py.import("eecvs._eecvs")?.getattr("_reopen")?;
+        let Reopen {
+            function,
+            of,
+            options,
+        } = &self.reopen;
+        let arguments = (*function, of.bind(py), options.bind(py)).into_pyobject(py)?;
+        PyTuple::new(py, [reopen, arguments.into_any()])
+    }
+}
+
+impl Recording {
+    fn slices(&self, py: Python<'_>, cut: Result<Cut>) -> PyResult<Slices> {
+        let cut =
+            cut.map_err(|error| crate::errors::exception(py, &error, Some(&self.source.name)))?;
+        Ok(Slices::new(&self.source, &self.found, cut))
+    }
+}

@@ -1,0 +1,209 @@
+//! Where a recording's events come from, how they are read, and what a reading found.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use event_emulator::{Emulator, Model, PixelParameters, SceneConfig, emulate_with};
+use event_files::Reading;
+use event_files::findings::Findings;
+use event_files::sort::Sorted;
+use event_types::stream::{Assumption, BATCH_EVENTS, Error, EventReader, Result, Skipped};
+use event_types::{Event, Sensor, ensure, error};
+use pyo3::prelude::*;
+
+use crate::errors::warn_of_loss;
+use crate::layout::Layout;
+use crate::work::in_pool;
+
+/// Events for which there is always room: a reader's next batch.
+pub const MARGIN_EVENTS: u64 = 2 * BATCH_EVENTS as u64;
+
+/// Where events come from.
+pub enum Origin {
+    /// A file, and what it does not state.
+    File { path: PathBuf, reading: Reading },
+    /// A scene of the emulator.
+    Scene {
+        config: SceneConfig,
+        pixel: Box<PixelParameters>,
+    },
+}
+
+/// The origin of a recording, and how it is read.
+pub struct Source {
+    pub origin: Origin,
+    pub name: String,
+    pub sort: bool,
+    pub layout: Layout,
+    /// Whether damage ends a recording with a warning in place of an exception.
+    pub keeps_damaged: bool,
+}
+
+impl Source {
+    /// Returns the path that was opened, if it was one.
+    pub fn path(&self) -> Option<&Path> {
+        match &self.origin {
+            Origin::File { path, .. } => Some(path),
+            Origin::Scene { .. } => None,
+        }
+    }
+
+    /// Starts the emulation, with causes of events.
+    ///
+    /// # Errors
+    /// There is none, or it does not know the causes.
+    pub fn scene(&self) -> Result<Emulator> {
+        match &self.origin {
+            Origin::Scene { config, pixel } if config.model == Model::Physical => {
+                Ok(emulate_with(*config, pixel)?.parallel(true))
+            }
+            Origin::Scene { .. } => Err(error!(
+                Unsupported,
+                "model 1 does not know the causes of its events: take model=2"
+            )),
+            Origin::File { path, .. } => Err(error!(
+                Unsupported,
+                "{}: only scenes of the emulator know the causes of their events",
+                path.display()
+            )),
+        }
+    }
+
+    /// Returns a reader that begins with the first event.
+    ///
+    /// # Errors
+    /// Those of opening.
+    pub fn open(&self) -> Result<Box<dyn EventReader>> {
+        let reader = match &self.origin {
+            Origin::File { path, reading } => event_files::open(path, reading)?,
+            Origin::Scene { config, pixel } => {
+                Box::new(emulate_with(*config, pixel)?.parallel(true))
+            }
+        };
+        let reader: Box<dyn EventReader> = Box::new(OwnProcess::new(reader));
+        if self.sort {
+            return Ok(Box::new(Sorted::new(reader, &mut |_| {})?));
+        }
+        Ok(reader)
+    }
+}
+
+/// A reader that its own process alone may use: a forked one has the same place in the same open file.
+struct OwnProcess {
+    reader: Box<dyn EventReader>,
+    process: u32,
+    /// Whether reading may use several threads.
+    in_pool: bool,
+}
+
+impl OwnProcess {
+    fn new(reader: Box<dyn EventReader>) -> Self {
+        Self {
+            in_pool: ["eecvs", "scene"].contains(&reader.format()),
+            reader,
+            process: std::process::id(),
+        }
+    }
+}
+
+impl EventReader for OwnProcess {
+    fn format(&self) -> &'static str {
+        self.reader.format()
+    }
+
+    fn sensor(&self) -> Sensor {
+        self.reader.sensor()
+    }
+
+    fn camera(&self) -> Option<&str> {
+        self.reader.camera()
+    }
+
+    fn assumptions(&self) -> &[Assumption] {
+        self.reader.assumptions()
+    }
+
+    fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+        ensure!(
+            self.process == std::process::id(),
+            Refused,
+            "this reading was begun in another process: begin it in this one"
+        );
+        if self.in_pool {
+            return in_pool(|| self.reader.read(events))?;
+        }
+        self.reader.read(events)
+    }
+
+    fn seek(&mut self, t_us: u64) -> Result<bool> {
+        self.reader.seek(t_us)
+    }
+
+    fn end_at(&mut self, t_us: u64) -> Result<bool> {
+        self.reader.end_at(t_us)
+    }
+
+    fn skipped(&self) -> &Skipped {
+        self.reader.skipped()
+    }
+}
+
+/// What the latest complete reading found besides events.
+#[derive(Debug, Default, Clone)]
+pub struct Found {
+    pub findings: Findings,
+    pub lost: Vec<(&'static str, u64)>,
+    pub damage: Option<String>,
+}
+
+impl Found {
+    pub fn of(reader: &dyn EventReader, damage: Option<&Error>) -> Self {
+        Self {
+            findings: Findings::of(reader),
+            lost: reader.skipped().events().collect(),
+            damage: damage.map(|error| format!("{error:#}")),
+        }
+    }
+
+    /// Returns one line of what was lost; `None` if nothing was.
+    fn loss(&self, name: &str) -> Option<String> {
+        let lost = self
+            .lost
+            .iter()
+            .map(|(kind, count)| format!("{count} {kind}"));
+        let lost: Vec<String> = self.damage.iter().cloned().chain(lost).collect();
+        (!lost.is_empty()).then(|| match &self.damage {
+            Some(damage) => format!("{damage}: everything before was read"),
+            None => format!("{name}: left out: {}", lost.join(", ")),
+        })
+    }
+}
+
+pub fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Notes what a reading found, and warns of losses. Returns the exception for damage that is not to be kept.
+pub fn note(
+    py: Python<'_>,
+    source: &Source,
+    slot: &Mutex<Found>,
+    found: Found,
+    failure: Option<&Error>,
+) -> PyResult<Option<PyErr>> {
+    let loss = found.loss(&source.name);
+    py.detach(|| *locked(slot) = found);
+    if let Some(error) = failure
+        && !source.keeps_damaged
+    {
+        return Ok(Some(crate::errors::exception(
+            py,
+            error,
+            Some(&source.name),
+        )));
+    }
+    if let Some(loss) = loss {
+        warn_of_loss(py, &loss)?;
+    }
+    Ok(None)
+}
