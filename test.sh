@@ -319,8 +319,8 @@ nostd() {
             skip "nostd: rustup cannot add the target $target"
             continue
         fi
+        # With defmt the firmware stage builds it, for both.
         RUSTFLAGS="-D warnings" cargo "$check" -p eecvs-nostd --target "$target"
-        RUSTFLAGS="-D warnings" cargo "$check" -p eecvs-nostd --target "$target" --features defmt
         # Controllers of USB are in cores with atomics.
         [ "$target" = thumbv6m-none-eabi ] ||
             RUSTFLAGS="-D warnings" cargo "$check" -p eecvs-usb-class --target "$target"

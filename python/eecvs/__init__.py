@@ -5,6 +5,8 @@
 events. Times are whole microseconds, ranges of them half-open.
 """
 
+import sys
+
 from ._decode import decode
 from ._eecvs import (
     Columns,
@@ -39,6 +41,9 @@ from ._errors import (
     UnsupportedError,
 )
 from ._types import CAUSES, DTYPES, Comparison, EncodeOptions, Info, Sensor, Written
+
+if sys.platform == "linux":
+    from ._eecvs import Capture, capture
 
 #: The scenes of ``emulate``: their names, and what each is.
 SCENES: dict[str, str] = dict(_scenes())
@@ -81,3 +86,5 @@ __all__ = [
     "voxel",
     "write",
 ]
+if sys.platform == "linux":
+    __all__ += ["Capture", "capture"]

@@ -10,6 +10,7 @@ from typing_extensions import Buffer, TypeAlias, Unpack
 from ._types import Comparison, EncodeOptions, Info, Sensor, Written
 
 __all__ = [
+    "Capture",
     "Columns",
     "Decoder",
     "Encoder",
@@ -21,6 +22,7 @@ __all__ = [
     "_panic",
     "_reopen",
     "_scenes",
+    "capture",
     "compare",
     "counts",
     "emulate",
@@ -323,3 +325,39 @@ class Picture:
     def save(self, path: _Path, *, overwrite: bool = False) -> None: ...
     def _repr_png_(self) -> bytes: ...
 def _panic() -> None: ...
+
+def capture(
+    device: Union[str, None] = None,
+    *,
+    rate: str = "real",
+    duration_s: Union[float, None] = None,
+    max_events: Union[int, None] = None,
+    wait: bool = False,
+    queue_mib: int = 64,
+    dtype: Union[_Dtype, None] = None,
+) -> Capture: ...
+@final
+class Capture(Iterator[_Array]):
+    @property
+    def sensor(self) -> Union[Sensor, None]: ...
+    @property
+    def device(self) -> str: ...
+    @property
+    def model(self) -> str: ...
+    @property
+    def firmware(self) -> str: ...
+    @property
+    def losses(self) -> dict[str, int]: ...
+    @property
+    def report(self) -> Union[dict[str, Any], None]: ...
+    def stop(self) -> None: ...
+    def close(self) -> None: ...
+    def __iter__(self) -> Capture: ...
+    def __next__(self) -> _Array: ...
+    def __enter__(self) -> Capture: ...
+    def __exit__(
+        self,
+        exc_type: Union[type[BaseException], None] = None,
+        exc: Union[BaseException, None] = None,
+        traceback: Union[TracebackType, None] = None,
+    ) -> None: ...

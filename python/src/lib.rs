@@ -6,6 +6,7 @@
 //! columns, arrow            the same as columns
 //! options, codec, window    encoding and decoding
 //! represent                 arrays for networks
+//! capture                   live devices
 //! emulate                   scenes, as recordings
 //! compare, picture          distortion; what is seen
 //! errors, work              exceptions; work without the interpreter's lock
@@ -17,6 +18,8 @@
 compile_error!("arrays have the layout of a little-endian machine");
 
 mod arrow;
+#[cfg(target_os = "linux")]
+mod capture;
 mod codec;
 mod columns;
 mod compare;
@@ -46,6 +49,9 @@ fn _panic() {
 mod _eecvs {
     #[pymodule_export]
     use super::_panic;
+    #[cfg(target_os = "linux")]
+    #[pymodule_export]
+    use super::capture::{Capture, capture};
     #[pymodule_export]
     use super::codec::{Encoder, encode};
     #[pymodule_export]

@@ -26,8 +26,8 @@ use crate::memory::room;
 use crate::work::{Interruptible, Raised, Signals, in_pool};
 use slices::Cut;
 pub use slices::{Slices, Times};
-use source::{Found, MARGIN_EVENTS, locked, note};
-pub use source::{Origin, Source};
+use source::{Found, MARGIN_EVENTS, note};
+pub use source::{Origin, Source, locked};
 
 /// Opens a recording of any format that is known; the format is recognised by the content.
 ///
