@@ -240,7 +240,7 @@ package_home() {
 # The module of the tests' build, which checks arithmetic too, beside the package's sources: a wheel takes minutes.
 python_module() {
     local home=$PWD/target/python-package
-    package_home numpy pytest mypy || return 0
+    package_home numpy pytest mypy numcodecs || return 0
     cargo build --workspace "${FEATURES[@]}" --lib --tests --quiet
     rm -rf "$home/module"
     mkdir -p "$home/module"
@@ -260,7 +260,8 @@ python() {
         return
     fi
     package_home 'maturin>=1.7,<2' numpy pytest || return 0
-    for package in mypy 'pyright[nodejs]' pyarrow polars pandas faery expelliarmus dv-processing evlib h5py scipy tqdm requests; do
+    for package in mypy 'pyright[nodejs]' pyarrow polars pandas faery expelliarmus dv-processing evlib h5py scipy tqdm requests \
+        numcodecs zarr; do
         "$folder/bin/pip" install -q "$package" || skip "python: pip cannot install $package"
     done
     # What its data sets need is left out.

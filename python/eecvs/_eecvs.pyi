@@ -19,9 +19,11 @@ __all__ = [
     "Slices",
     "Times",
     "Window",
+    "_pack",
     "_panic",
     "_reopen",
     "_scenes",
+    "_unpack",
     "capture",
     "compare",
     "counts",
@@ -289,6 +291,8 @@ def tore(
     out: _Out,
 ) -> _Out: ...
 def _reopen(function: str, of: Any, options: dict[str, Any]) -> Recording: ...
+def _pack(rows: Buffer, values: Sequence[int]) -> bytes: ...
+def _unpack(packed: Buffer, values: Sequence[int], bytes_max: int) -> bytes: ...
 def _scenes() -> list[tuple[str, str]]: ...
 def emulate(
     scene: str,

@@ -9,6 +9,7 @@
 //! capture                   live devices
 //! emulate                   scenes, as recordings
 //! compare, picture          distortion; what is seen
+//! chunk                     chunks of others' containers
 //! errors, work              exceptions; work without the interpreter's lock
 //! ```
 //!
@@ -20,6 +21,7 @@ compile_error!("arrays have the layout of a little-endian machine");
 mod arrow;
 #[cfg(target_os = "linux")]
 mod capture;
+mod chunk;
 mod codec;
 mod columns;
 mod compare;
@@ -52,6 +54,8 @@ mod _eecvs {
     #[cfg(target_os = "linux")]
     #[pymodule_export]
     use super::capture::{Capture, capture};
+    #[pymodule_export]
+    use super::chunk::{_pack, _unpack};
     #[pymodule_export]
     use super::codec::{Encoder, encode};
     #[pymodule_export]

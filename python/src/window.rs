@@ -186,6 +186,20 @@ pub fn not_one_of(name: &str, value: &str, words: &str) -> PyErr {
     PyValueError::new_err(format!("{name} is {value:?}: it must be one of {words}"))
 }
 
+/// Returns the bytes of bytes, or of anything with a buffer: a copy of these.
+///
+/// # Errors
+/// `TypeError` for anything else.
+pub fn bytes_of<'py>(data: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyBytes>> {
+    // The stable ABI of 3.9 has no buffers: a memoryview reads them.
+    match data.cast::<PyBytes>() {
+        Ok(bytes) => Ok(bytes.clone()),
+        Err(_) => Ok(PyMemoryView::from(data)?
+            .call_method0("tobytes")?
+            .cast_into::<PyBytes>()?),
+    }
+}
+
 /// Bytes that were pushed and not read.
 #[derive(Clone, Default)]
 struct Pushed(Arc<Mutex<Queue>>);
@@ -304,13 +318,7 @@ impl Decoder {
     /// Raises:
     ///     ValueError: The decoder was finished.
     fn push(&self, py: Python<'_>, data: &Bound<'_, PyAny>) -> PyResult<Vec<Window>> {
-        // The stable ABI of 3.9 has no buffers: a memoryview reads them.
-        let bytes = match data.cast::<PyBytes>() {
-            Ok(bytes) => bytes.clone(),
-            Err(_) => PyMemoryView::from(data)?
-                .call_method0("tobytes")?
-                .cast_into::<PyBytes>()?,
-        };
+        let bytes = bytes_of(data)?;
         let bytes = bytes.as_bytes();
         let is_complete = py.detach(|| {
             self.pushed.with(|queue| {
