@@ -291,6 +291,8 @@ impl Capture {
     }
 
     fn __next__<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        // A loop in C, such as `list`, does not look by itself.
+        py.check_signals()?;
         let raised = Raised::default();
         let step = py.detach(|| self.next(&raised));
         match step.map_err(|error| raise(py, &raised, &error, Some(&self.name)))? {

@@ -122,6 +122,8 @@ def test_another_process_has_no_part_in_it(played: tuple[str, Any]) -> None:
 def test_an_interrupt_ends_the_wait(played: tuple[str, Any]) -> None:
     code = """
 import eecvs, os, signal, sys, threading
+# Where the tests run in the background, it is ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 camera = eecvs.capture(sys.argv[1], rate="1")
 next(camera, None)
 threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT)).start()

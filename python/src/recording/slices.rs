@@ -117,6 +117,8 @@ impl Slices {
     }
 
     fn __next__<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyAny>>> {
+        // A loop in C, such as `list`, does not look by itself.
+        py.check_signals()?;
         let layout = self.source.layout;
         let step = py.detach(|| {
             let mut state = locked(&self.state);

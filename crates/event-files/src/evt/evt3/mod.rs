@@ -176,8 +176,19 @@ struct Decoded {
     words: usize,
     /// Number of events among them.
     events: usize,
-    /// Whether there may be words that are only counted.
-    has_others: bool,
+    /// Number of plain words right behind them, before one that is not plain.
+    plain_left: usize,
+    /// Words that are only counted: triggers, continued words and vendor words.
+    skipped: [u16; 3],
+}
+
+impl Decoded {
+    const NOTHING: Self = Self {
+        words: 0,
+        events: 0,
+        plain_left: 0,
+        skipped: [0; 3],
+    };
 }
 
 impl Decode for Evt3Decoder {
@@ -203,6 +214,22 @@ impl Decode for Evt3Decoder {
     }
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> Result<()> {
+        let mut skipped = [0; SKIPPED.len()];
+        let decoded = self.decode_runs(batch, &mut skipped);
+        for (name, count) in SKIPPED.into_iter().zip(skipped) {
+            self.skipped.add(name, count);
+        }
+        decoded
+    }
+}
+
+impl Evt3Decoder {
+    /// Decodes a batch, and counts the words of runs that are only counted.
+    fn decode_runs(
+        &mut self,
+        batch: &mut Batch<'_>,
+        skipped: &mut [u64; SKIPPED.len()],
+    ) -> Result<()> {
         let mut scratch = [NO_EVENT; RUN_WORDS];
         while batch.room() >= VECTOR_EVENTS {
             let most = batch.room().min(RUN_WORDS);
@@ -210,22 +237,27 @@ impl Decode for Evt3Decoder {
             if run.is_empty() {
                 break;
             }
-            let (mut taken, mut few) = (0, FEW);
+            let (mut taken, mut few) = (0, 0);
             while let Some(rest) = run.get(taken..).filter(|rest| !rest.is_empty()) {
+                // What is too short for vectors is better taken with what follows.
+                if rest.len() < TOGETHER && taken > 0 && run.len() == RUN_WORDS {
+                    break;
+                }
                 let most = batch.room();
                 let rest = rest.get(..most).unwrap_or(rest);
                 let decoded = self.decoder.decode_plain(self.vectors, rest, &mut scratch);
                 batch.extend(scratch.iter().take(decoded.events).copied());
-                if decoded.has_others {
-                    count_skipped(
-                        rest.get(..decoded.words).unwrap_or_default(),
-                        &mut self.skipped,
-                    );
+                for (sum, count) in skipped.iter_mut().zip(decoded.skipped) {
+                    *sum += u64::from(count);
                 }
                 taken += decoded.words;
                 // Words that are not plain come together: the more of them, the more are decoded one by one.
-                few = if decoded.words > 0 { FEW } else { 2 * few };
-                for word in run.iter().skip(taken).take(few) {
+                few = if decoded.words > 0 {
+                    FEW
+                } else {
+                    2 * few.max(FEW)
+                };
+                for word in run.iter().skip(taken).take(decoded.plain_left + few) {
                     if batch.room() < VECTOR_EVENTS {
                         break;
                     }
@@ -251,21 +283,26 @@ impl Decode for Evt3Decoder {
     }
 }
 
-/// Number of words that are decoded one by one where one is not plain.
-const FEW: usize = 8;
+/// Number of words that vectors take together.
+const TOGETHER: usize = 16;
 
-/// Counts the words that contribute nothing to an event: triggers, continued words and vendor words.
-fn count_skipped(words: &[[u8; 2]], skipped: &mut Skipped) {
-    let (mut triggers, mut continued, mut others) = (0_u16, 0_u16, 0_u16);
+/// Number of words that are decoded one by one from one on that is not plain: those of a vector.
+const FEW: usize = 4;
+
+/// Names of the words that contribute nothing to an event, in the order of [`Decoded::skipped`].
+const SKIPPED: [&str; 3] = ["triggers", "continued words", "other words"];
+
+/// Counts the words that contribute nothing to an event.
+fn skipped_of(words: &[[u8; 2]]) -> [u16; 3] {
+    let mut skipped = [0; 3];
     for word in words {
         let kind = u16::from_le_bytes(*word) >> 12;
-        triggers += u16::from(kind == TRIGGER);
-        continued += u16::from(kind & 0x7 == CONTINUED);
-        others += u16::from(kind == OTHER);
+        let is_one = [kind == TRIGGER, kind & 0x7 == CONTINUED, kind == OTHER];
+        for (count, is_one) in skipped.iter_mut().zip(is_one) {
+            *count += u16::from(is_one);
+        }
     }
-    skipped.add("triggers", triggers.into());
-    skipped.add("continued words", continued.into());
-    skipped.add("other words", others.into());
+    skipped
 }
 
 /// A decoder of EVT 3.0 words from any source: what the words so far have stated.
@@ -380,11 +417,7 @@ impl WordDecoder {
         let (high, y) = match (self.high.last(), self.y) {
             (Some(high), Some(y)) if y < self.sensor.height => (high, y),
             _ => {
-                return Decoded {
-                    words: 0,
-                    events: 0,
-                    has_others: false,
-                };
+                return Decoded::NOTHING;
             }
         };
         let mut plain = Plain {
@@ -498,7 +531,8 @@ impl Plain {
         Decoded {
             words: words.len(),
             events: count,
-            has_others: true,
+            plain_left: 0,
+            skipped: skipped_of(words),
         }
     }
 }
