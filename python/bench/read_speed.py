@@ -1,22 +1,25 @@
 """Reading speed of this package beside others', on one core, in one run; prints a table in Markdown.
 
-    python python/bench/read_speed.py [FOLDER OF RECORDINGS]
+    python python/bench/read_speed.py [--save docs/python.md] [FOLDER OF RECORDINGS]
 
-Every package reads each file to an array in memory, in its own quickest way. Packages take turns, so that a change of the
-machine's speed meets all of them; the number is that of the quickest of the rounds.
+Every package reads each file to an array in memory, in its own quickest way. Packages take turns, in an order that changes
+from round to round, so that neither a change of the machine's speed nor what another package leaves in the caches meets
+one of them alone; the number is that of the quickest of the rounds.
 """
 
 from __future__ import annotations
 
+import argparse
 import importlib.metadata
 import os
+import random
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-ROUNDS = 25
+ROUNDS = 50
 
 if hasattr(os, "sched_setaffinity"):
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -24,8 +27,13 @@ os.environ.setdefault("POLARS_MAX_THREADS", "1")
 os.environ.setdefault("RAYON_NUM_THREADS", "1")
 
 import eecvs  # noqa: E402
+from table import cpu, put  # noqa: E402
 
-FOLDER = Path(sys.argv[1] if len(sys.argv) > 1 else Path(__file__).resolve().parents[3] / "shared" / "data")
+parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+parser.add_argument("folder", nargs="?", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
+parser.add_argument("--save", metavar="FILE.md", help="also put the table into this document, between its marks")
+ARGUMENTS = parser.parse_args()
+FOLDER: Path = ARGUMENTS.folder
 FILES = {
     "gen3_vga_dense_evt2/evt2.raw": "evt2",
     "imx636_sparse_evt3/evt3.raw": "evt3",
@@ -120,17 +128,23 @@ def main() -> None:
                 print(f"{file}: {name} gives {found} of {events} events", file=sys.stderr)
         best = dict.fromkeys(reads, float("inf"))
         for _ in range(ROUNDS):
-            for name, read in reads.items():
+            order = random.sample(list(reads.items()), len(reads))
+            for name, read in order:
                 start = time.perf_counter()
                 read(path)
                 best[name] = min(best[name], time.perf_counter() - start)
         rows.append((file, events, {name: events / seconds / 1e6 for name, seconds in best.items()}))
         names = list(PACKAGES)
-    print("| file | events | " + " | ".join(title(name) for name in names) + " |")
-    print("|---|---|" + "---|" * len(names))
+    lines = [
+        f"Million events a second, one core of {cpu()}:",
+        "",
+        "| file | events | " + " | ".join(title(name) for name in names) + " |",
+        "|---|---|" + "---|" * len(names),
+    ]
     for file, events, speeds in rows:
         cells = [f"{speeds[name]:.0f}" if name in speeds else "" for name in names]
-        print(f"| {Path(file).name} | {events / 1e6:.1f} M | " + " | ".join(cells) + " |")
+        lines.append(f"| {file.split('/')[0]} | {events / 1e6:.1f} M | " + " | ".join(cells) + " |")
+    put("read_speed", lines, ARGUMENTS.save)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ use event_types::Event;
 use event_types::error;
 use event_types::stream::{BATCH_EVENTS, Error, EventReader, Result};
 use numpy::PyArray1;
+use numpy::ndarray::ArrayView1;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -92,7 +93,14 @@ impl Packed {
     /// Makes room for about as many events: a guess.
     pub fn guess(&mut self, events: u64) {
         match self {
-            Self::Own(own) => memory::guess(own, events),
+            Self::Own(own) => {
+                if own.is_empty() {
+                    *own = memory::of_earlier(events);
+                }
+                if own.capacity() == 0 {
+                    memory::guess(own, events);
+                }
+            }
             Self::Bytes(bytes) => memory::guess(bytes, events.saturating_mul(16)),
         }
     }
@@ -243,7 +251,12 @@ fn pack(layout: Layout, events: &[Event], bytes: &mut Vec<u8>) -> Result<()> {
 /// Those of NumPy.
 pub fn array<'py>(py: Python<'py>, layout: Layout, packed: Packed) -> PyResult<Bound<'py, PyAny>> {
     let flat = match packed {
-        Packed::Own(events) => PyArray1::from_vec(py, words(events)).into_any(),
+        Packed::Own(mut events) => {
+            if !memory::is_kept(events.capacity()) {
+                events.shrink_to_fit();
+            }
+            Memory::array(py, events)?
+        }
         Packed::Bytes(mut bytes) => {
             bytes.shrink_to_fit();
             PyArray1::from_vec(py, bytes).into_any()
@@ -252,18 +265,35 @@ pub fn array<'py>(py: Python<'py>, layout: Layout, packed: Packed) -> PyResult<B
     flat.call_method1("view", (layout.dtype(py)?,))
 }
 
-/// Returns the memory of events as that of words: the padding of all has been set by [`clear_padding`].
-fn words(mut events: Vec<Event>) -> Vec<u64> {
-    events.shrink_to_fit();
-    let mut events = std::mem::ManuallyDrop::new(events);
-    let (start, length, capacity) = (events.as_mut_ptr(), events.len(), events.capacity());
-    const { assert!(size_of::<Event>() == 2 * size_of::<u64>()) };
-    const { assert!(align_of::<Event>() == align_of::<u64>()) };
-    // SAFETY: the memory was allocated for `capacity` events, which are twice as many words of the same alignment, and
-    // nobody else frees it. All bytes of the first `length` events are initialised, their padding too.
-    #[allow(unsafe_code)]
-    unsafe {
-        Vec::from_raw_parts(start.cast::<u64>(), 2 * length, 2 * capacity)
+/// The memory of an array of events.
+#[pyclass(frozen)]
+struct Memory {
+    /// Without events: what Python writes need not be any.
+    events: Vec<Event>,
+}
+
+impl Memory {
+    /// Returns an array of words over the memory of events, whose padding has been set by [`clear_padding`].
+    fn array(py: Python<'_>, mut events: Vec<Event>) -> PyResult<Bound<'_, PyAny>> {
+        const { assert!(size_of::<Event>() == 2 * size_of::<u64>()) };
+        const { assert!(align_of::<Event>() == align_of::<u64>()) };
+        let (start, words) = (events.as_mut_ptr().cast::<u64>(), 2 * events.len());
+        events.clear();
+        let memory = Bound::new(py, Self { events })?;
+        // SAFETY: the memory has so many words, all of whose bytes are initialised, the padding of events too. The vector
+        // lives as long as the array, whose base it is, and nothing else reads or writes it until then.
+        #[allow(unsafe_code)]
+        let array = unsafe {
+            let words = ArrayView1::from_shape_ptr(words, start);
+            PyArray1::borrow_from_array(&words, memory.into_any())
+        };
+        Ok(array.into_any())
+    }
+}
+
+impl Drop for Memory {
+    fn drop(&mut self) {
+        memory::keep(std::mem::take(&mut self.events));
     }
 }
 

@@ -2,6 +2,10 @@
 //! readers do: large arrays ask for large pages, as NumPy's own do.
 
 use std::collections::TryReserveError;
+use std::mem;
+use std::sync::Mutex;
+
+use event_types::Event;
 
 /// Bytes from which on large pages are asked for.
 const LARGE_BYTES: usize = 4 << 20;
@@ -12,6 +16,42 @@ const MAPPED_BYTES: usize = 33 << 20;
 
 /// Most bytes that are reserved by a guess. Memory that is not written takes nothing but addresses.
 const GUESS_BYTES_MAX: usize = 1 << 30;
+
+/// Bytes from which on the memory of an array is kept, and most bytes that are.
+const KEPT_BYTES: [usize; 2] = [1 << 20, 64 << 20];
+
+/// The memory of the latest large array that was let go of, without events. The kernel would clear it anew for the next
+/// one, which takes longer than most readers do.
+static KEPT: Mutex<Vec<Event>> = Mutex::new(Vec::new());
+
+/// Returns memory for about as many events, without events: that of an earlier array if it is as large, or none.
+pub fn of_earlier(about: u64) -> Vec<Event> {
+    // Where another thread looks, or looked when this process was forked, there is none.
+    let Ok(mut kept) = KEPT.try_lock() else {
+        return Vec::new();
+    };
+    if kept.capacity() as u64 >= about {
+        return mem::take(&mut *kept);
+    }
+    Vec::new()
+}
+
+/// Returns whether memory for so many events is kept when its array is let go of. Until then it keeps its size: what is not
+/// written takes nothing but addresses.
+pub const fn is_kept(events: usize) -> bool {
+    let bytes = events.saturating_mul(size_of::<Event>());
+    KEPT_BYTES[0] <= bytes && bytes <= KEPT_BYTES[1]
+}
+
+/// Keeps the memory of an array that was let go of.
+pub fn keep(mut events: Vec<Event>) {
+    events.clear();
+    if is_kept(events.capacity())
+        && let Ok(mut kept) = KEPT.try_lock()
+    {
+        *kept = events;
+    }
+}
 
 /// Makes room for `more` values.
 ///

@@ -411,3 +411,25 @@ def test_shared_recordings(reference: Any, name: str) -> None:
         assert len(events) == entry["events"]
         assert hashed.hexdigest() == entry["sha256_events"]
         assert recording.sensor == (entry["width"], entry["height"])
+
+
+def test_memory_is_used_again_only_when_nothing_has_it(tmp_path: Path) -> None:
+    events = random_events(200_000)
+    eecvs.write(tmp_path / "a.raw", events, sensor=SENSOR)
+    eecvs.write(tmp_path / "b.raw", events[::-1][:150_000], sensor=SENSOR, sort=True)
+    a, b = eecvs.open(tmp_path / "a.raw"), eecvs.open(tmp_path / "b.raw")
+    first = a.read()
+    part = first[1000:2000]
+    del first
+    second = b.read()
+    assert same(part, events[1000:2000])
+    place = part.ctypes.data - 1000 * part.itemsize
+    del part
+    gc.collect()
+    third = a.read()
+    assert third.ctypes.data == place
+    assert same(third, events) and len(second) == 150_000
+    # It is an array like any other.
+    assert third.flags.writeable and third.flags.aligned
+    third["p"] = True
+    assert same(a.read(), events)
