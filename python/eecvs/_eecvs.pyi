@@ -42,9 +42,9 @@ _Dtype: TypeAlias = Literal["eecvs", "tonic", "faery", "expelliarmus", "metavisi
 _Array: TypeAlias = npt.NDArray[Any]
 _Table: TypeAlias = Union[_Array, Mapping[str, npt.ArrayLike], Columns, Window]
 _Events: TypeAlias = Union[_Table, Recording, Iterable[_Table]]
-_Batch: TypeAlias = Union[_Table, list[_Table], list[_Array], tuple[_Table, ...]]
+_Batch: TypeAlias = Union[_Table, Sequence[_Table]]
 _Floats: TypeAlias = Literal["float32", "float16"]
-_Size: TypeAlias = Union[Sensor, tuple[int, int]]
+_Size: TypeAlias = Union[Sensor, tuple[int, int], Sequence[int]]
 _Out = TypeVar("_Out", bound=_Array)
 
 def open(

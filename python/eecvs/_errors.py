@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Optional
+from typing import Any, Optional
 
 
 class EecvsError(Exception):
@@ -18,7 +18,13 @@ class EecvsError(Exception):
 
 
 class DamagedError(EecvsError, ValueError):
-    """The input does not follow its format. All events before that place can be read: see ``damaged=`` of ``open``."""
+    """The input does not follow its format. All events before that place can be read: see ``damaged=`` of ``open``.
+
+    Attributes:
+        events: What was read before that place, where something was: an array, or columns.
+    """
+
+    events: Any = None
 
 
 class UnsupportedError(EecvsError, ValueError):
@@ -34,7 +40,13 @@ class CannotHoldError(EecvsError, ValueError):
 
 
 class RefusedError(EecvsError, ValueError):
-    """Something impossible or destructive was asked for; nothing was done."""
+    """Something impossible or destructive was asked for; nothing was done.
+
+    Attributes:
+        frames: The last bytes, where ``Encoder.finish`` raised it.
+    """
+
+    frames: Optional[bytes] = None
 
 
 class FileError(EecvsError, OSError):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from os import PathLike
+from operator import index as index_of
 from typing import Any, Union
 
 import numpy as np
@@ -49,16 +50,19 @@ class Windows:
         end_us: Union[int, None] = None,
         **options: Any,
     ) -> None:
+        us = index_of(us)
         if us < 1:
             raise ValueError(f"us is {us}: a window lasts at least 1 us")
         self.recording: Recording = open(path, **options)
         self.us = us
         self.make = make
+        info = None
         if start_us is None or end_us is None:
             info = self.recording.info
             start_us = (info.t_first_us or 0) if start_us is None else start_us
             end_us = (-1 if info.t_last_us is None else info.t_last_us) + 1 if end_us is None else end_us
-        if end_us < start_us and end_us > 0:
+        start_us, end_us = index_of(start_us), index_of(end_us)
+        if end_us < start_us and (info is None or info.events):
             raise ValueError(f"end_us is {end_us}: it must be {start_us} or more, as start_us is")
         self.start_us = start_us
         self.end_us = max(start_us, end_us)
@@ -70,7 +74,7 @@ class Windows:
 
     def times(self, index: int) -> tuple[int, int]:
         """Returns the times of a window in microseconds, half-open."""
-        count = len(self)
+        index, count = index_of(index), len(self)
         if not -count <= index < count:
             raise IndexError(f"window {index} of {count}")
         start = self.start_us + index % count * self.us

@@ -17,7 +17,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 
 use crate::errors::warn_of_loss;
-use crate::given::{self, Table, raise};
+use crate::given::{self, Size, Table, check_places, raise};
 use crate::options::Asked;
 use crate::work::{Interruptible, Raised, Signals};
 
@@ -173,12 +173,12 @@ pub fn dictionary<'py>(
 pub fn encode<'py>(
     py: Python<'py>,
     events: &Bound<'py, PyAny>,
-    sensor: Option<(u32, u32)>,
+    sensor: Option<Size>,
     options: Option<&Bound<'py, PyDict>>,
 ) -> PyResult<Bound<'py, PyBytes>> {
     let asked = Asked::of(options)?;
     let raised = Raised::default();
-    let sensor = sensor.map(given::sensor).transpose()?;
+    let sensor = Size::of(sensor);
     let given = Given {
         reader: given::reader(events, sensor, &raised)?,
         keeps_damaged: given::keeps_damaged(events),
@@ -317,18 +317,14 @@ impl Inner {
 impl Encoder {
     #[new]
     #[pyo3(signature = (sensor, **options))]
-    fn new(
-        py: Python<'_>,
-        sensor: (u32, u32),
-        options: Option<&Bound<'_, PyDict>>,
-    ) -> PyResult<Self> {
+    fn new(py: Python<'_>, sensor: Size, options: Option<&Bound<'_, PyDict>>) -> PyResult<Self> {
         let asked = Asked::of(options)?;
         if asked.auto_window || asked.sort {
             return Err(PyValueError::new_err(
                 "auto_window= and sort= need all events: use encode()",
             ));
         }
-        let sensor = given::sensor(sensor)?;
+        let Size(sensor) = sensor;
         let config = asked.encode.config_of_file(sensor);
         let config = config.and_then(|config| Ok((config, asked.hot(sensor)?)));
         let (config, hot) = config.map_err(|error| crate::errors::exception(py, &error, None))?;
@@ -366,6 +362,7 @@ impl Encoder {
             let mut events = Vec::new();
             let count = table.len();
             table.read(0, count, &mut events)?;
+            check_places(&events, self.sensor, 0)?;
             let mut inner = self.inner.lock().unwrap_or_else(PoisonError::into_inner);
             inner.push(&events)?;
             Ok(inner.bytes.take())

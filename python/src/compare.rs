@@ -7,9 +7,8 @@ use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::given::{self, raise};
-use crate::recording::Recording;
-use crate::work::{Interruptible, Raised, in_pool};
+use crate::given::{self, Size, raise};
+use crate::work::{Interruptible, Raised, in_pool_watched};
 
 /// Compares recording b with recording a, window by window: frames, event times and events.
 ///
@@ -32,7 +31,7 @@ pub fn compare<'py>(
     a: &Bound<'py, PyAny>,
     b: &Bound<'py, PyAny>,
     window_us: u64,
-    sensor: Option<(u32, u32)>,
+    sensor: Option<Size>,
     align: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
     if window_us == 0 {
@@ -41,15 +40,13 @@ pub fn compare<'py>(
         ));
     }
     let raised = Raised::default();
-    let sensor = sensor.map(given::sensor).transpose()?;
-    let of_recording = |events: &Bound<'_, PyAny>| {
-        let recording = events.cast::<Recording>().ok();
-        recording.map(|recording| recording.get().size())
-    };
-    let sensor = sensor.or(of_recording(a)).or(of_recording(b));
+    let sensor = Size::of(sensor);
+    let sensor = sensor
+        .or_else(|| given::size_of_given(a))
+        .or_else(|| given::size_of_given(b));
     let inputs = [Input::new(a, sensor)?, Input::new(b, sensor)?];
     let compared = py.detach(|| {
-        in_pool(|| {
+        in_pool_watched(&raised, || {
             let [a, b] = &inputs;
             let offset_us = clock::offset_us(&mut *a.open(0, &raised)?, &mut *b.open(0, &raised)?)?;
             let ahead_us = offset_us.filter(|_| align).unwrap_or(0);

@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::errors::exception;
-use crate::given;
+use crate::given::Size;
 use crate::layout::Layout;
 use crate::recording::{Origin, Recording, Reopen, Source};
 use crate::window::not_one_of;
@@ -38,7 +38,7 @@ pub fn emulate(
     py: Python<'_>,
     scene: &str,
     seed: u64,
-    sensor: Option<(u32, u32)>,
+    sensor: Option<Size>,
     duration_us: Option<u64>,
     start_us: u64,
     model: u8,
@@ -52,10 +52,16 @@ pub fn emulate(
     };
     let mut config = SceneConfig::new(preset, seed);
     if let Some(size) = sensor {
-        config.sensor = given::sensor(size)?;
+        config.sensor = size.0;
     }
     config.duration_us = duration_us.unwrap_or(config.duration_us);
     config.start_us = start_us;
+    let end_us = start_us.checked_add(config.duration_us);
+    if end_us.is_none_or(|end_us| end_us > i64::MAX as u64) {
+        return Err(PyValueError::new_err(
+            "start_us + duration_us is beyond 2^63 - 1: arrays hold no such times",
+        ));
+    }
     config.model = match model {
         1 => Model::Steps,
         2 => Model::Physical,
@@ -70,7 +76,8 @@ pub fn emulate(
     }
     let options = PyDict::new(py);
     options.set_item("seed", seed)?;
-    options.set_item("sensor", sensor)?;
+    let size = Size::of(sensor).map(|sensor| (sensor.width, sensor.height));
+    options.set_item("sensor", size)?;
     options.set_item("duration_us", duration_us)?;
     options.set_item("start_us", start_us)?;
     options.set_item("model", model)?;

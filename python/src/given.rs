@@ -8,7 +8,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyIterator, PyList, PyString, PyTuple};
 
 use crate::columns::Columns;
-use crate::recording::Recording;
+use crate::recording::{Recording, Slices};
 use crate::window::Window;
 use crate::work::Raised;
 
@@ -33,6 +33,17 @@ enum Kind {
     I64,
 }
 
+impl Kind {
+    const fn bytes(self) -> usize {
+        match self {
+            Self::U8 | Self::I8 => 1,
+            Self::U16 | Self::I16 => 2,
+            Self::U32 | Self::I32 => 4,
+            Self::U64 | Self::I64 => 8,
+        }
+    }
+}
+
 /// One column of a table: values at equal distances in memory of Python.
 struct Column {
     start: *const u8,
@@ -55,6 +66,7 @@ impl Column {
     fn new(values: &Bound<'_, PyAny>, name: &str) -> PyResult<Self> {
         let py = values.py();
         let numpy = py.import("numpy")?;
+        refuse_mask(values, name)?;
         let array = numpy.getattr("asarray")?.call1((values,))?;
         let mut array = array.cast_into::<PyUntypedArray>()?;
         if array.ndim() != 1 {
@@ -81,7 +93,12 @@ impl Column {
             (b'i', 8) => Kind::I64,
             _ => {
                 return Err(PyTypeError::new_err(format!(
-                    "{name} is {dtype}: whole numbers are needed (times in microseconds)"
+                    "{name} is {dtype}: whole numbers are needed{}",
+                    if name.starts_with('t') {
+                        ", times in microseconds"
+                    } else {
+                        ""
+                    }
                 )));
             }
         };
@@ -125,6 +142,17 @@ impl Column {
             place.cast::<T>().read_unaligned()
         }
     }
+}
+
+/// Refuses an array with a mask: what it hides would count.
+fn refuse_mask(values: &Bound<'_, PyAny>, name: &str) -> PyResult<()> {
+    let ma = values.py().import("numpy.ma")?;
+    if ma.call_method1("isMaskedArray", (values,))?.extract()? {
+        return Err(PyTypeError::new_err(format!(
+            "{name} is a masked array: give {name}.compressed(), without what is masked"
+        )));
+    }
+    Ok(())
 }
 
 /// Numbers of which any bytes are one.
@@ -185,6 +213,7 @@ impl Table {
         let names: Vec<String> = if let Ok(dictionary) = events.cast::<PyDict>() {
             dictionary.keys().extract()?
         } else {
+            refuse_mask(events, "events")?;
             let dtype = events.getattr("dtype").ok();
             let names = dtype.and_then(|dtype| dtype.getattr("names").ok());
             names.and_then(|names| names.extract().ok()).ok_or_else(|| {
@@ -208,6 +237,16 @@ impl Table {
             Column::new(&events.get_item(*name)?, name)
         };
         Self::new([column(0)?, column(1)?, column(2)?, column(3)?])
+    }
+
+    /// Returns the addresses of the columns' memory, from the first byte to behind the last.
+    pub fn places(&self) -> impl Iterator<Item = std::ops::Range<usize>> {
+        let columns = self.columns.iter().filter(|column| column.length > 0);
+        columns.map(|column| {
+            let first = column.start.addr();
+            let last = first.wrapping_add_signed(column.stride * (column.length - 1) as isize);
+            first.min(last)..first.max(last) + column.kind.bytes()
+        })
     }
 
     /// Returns the number of events.
@@ -314,6 +353,29 @@ impl Table {
     }
 }
 
+/// Returns an error if an event lies outside of a sensor; the first of them is event `from`.
+///
+/// # Errors
+/// As stated.
+pub fn check_places(events: &[Event], sensor: Sensor, from: usize) -> Result<()> {
+    let Sensor { width, height } = sensor;
+    let is_outside = |event: &Event| (event.x >= width) | (event.y >= height);
+    // All of them first, several at a time.
+    let any = events
+        .iter()
+        .fold(false, |any, event| any | is_outside(event));
+    if !any {
+        return Ok(());
+    }
+    let found = events.iter().position(is_outside).unwrap_or(0);
+    let (x, y) = events.get(found).map_or((0, 0), |event| (event.x, event.y));
+    Err(error!(
+        Refused,
+        "event {} at ({x}, {y}) is outside of the sensor of {width} x {height}",
+        from + found
+    ))
+}
+
 /// A reader of a table's events.
 pub struct TableReader {
     table: Table,
@@ -344,7 +406,13 @@ impl EventReader for TableReader {
     }
 
     fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
+        let before = events.len();
         let read = self.table.read(self.next, BATCH_EVENTS, events)?;
+        check_places(
+            events.get(before..).unwrap_or_default(),
+            self.sensor,
+            self.next,
+        )?;
         self.next += read;
         Ok(read)
     }
@@ -409,14 +477,7 @@ pub fn reader(
     if let Ok(recording) = events.cast::<Recording>() {
         return recording.get().reader(py);
     }
-    let own = if let Ok(window) = events.cast::<Window>() {
-        Some(window.get().size())
-    } else if let Ok(columns) = events.cast::<Columns>() {
-        columns.get().size()
-    } else {
-        None
-    };
-    let sensor = sensor.or(own).ok_or_else(|| {
+    let sensor = sensor.or_else(|| size_of_given(events)).ok_or_else(|| {
         PyValueError::new_err("sensor= is needed: arrays do not say how large theirs is")
     })?;
     if is_table(events)? || events.is_instance_of::<PyString>() {
@@ -453,6 +514,26 @@ fn is_table(events: &Bound<'_, PyAny>) -> PyResult<bool> {
         || events.hasattr("dtype")?)
 }
 
+/// Returns the size of the sensor that events come with: a window's, columns', a recording's, or that of the first of a list.
+pub fn size_of_given(events: &Bound<'_, PyAny>) -> Option<Sensor> {
+    if let Ok(window) = events.cast::<Window>() {
+        return Some(window.get().size());
+    }
+    if let Ok(columns) = events.cast::<Columns>() {
+        return columns.get().size();
+    }
+    if let Ok(recording) = events.cast::<Recording>() {
+        return Some(recording.get().size());
+    }
+    if let Ok(slices) = events.cast::<Slices>() {
+        return Some(slices.get().size());
+    }
+    let is_list = events.is_instance_of::<PyList>() || events.is_instance_of::<PyTuple>();
+    let first = is_list.then(|| events.get_item(0).ok()).flatten()?;
+    let is_one = first.is_instance_of::<Window>() || first.is_instance_of::<Columns>();
+    is_one.then(|| size_of_given(&first)).flatten()
+}
+
 /// Returns whether the events before damage are to be taken: those of a recording that was opened so.
 pub fn keeps_damaged(events: &Bound<'_, PyAny>) -> bool {
     let recording = events.cast::<Recording>();
@@ -474,22 +555,44 @@ pub fn tables(events: &Bound<'_, PyAny>) -> PyResult<(Vec<Table>, bool)> {
     Ok((vec![Table::of(events)?], false))
 }
 
-/// Returns the sensor of (width, height).
-///
-/// # Errors
-/// `ValueError` for sides out of range.
-pub fn sensor(size: (u32, u32)) -> PyResult<Sensor> {
-    let side = |side: u32| u16::try_from(side).ok();
-    let sensor = side(size.0).zip(side(size.1));
-    let sensor = sensor.and_then(|(width, height)| Sensor::new(width, height));
-    sensor.ok_or_else(|| {
-        PyValueError::new_err(format!(
-            "the sensor is {} x {}: each side must be 1 to {}",
-            size.0,
-            size.1,
-            Sensor::SIDE_MAX
-        ))
-    })
+/// A sensor as a caller states it: any sequence of width and height.
+#[derive(Debug, Clone, Copy)]
+pub struct Size(pub Sensor);
+
+impl Size {
+    /// Returns the size of these sides.
+    ///
+    /// # Errors
+    /// `ValueError` for sides out of range.
+    pub fn sides(width: i64, height: i64) -> PyResult<Self> {
+        let side = |side: i64| u16::try_from(side).ok();
+        let sensor = side(width).zip(side(height));
+        let sensor = sensor.and_then(|(width, height)| Sensor::new(width, height));
+        sensor.map(Self).ok_or_else(|| {
+            PyValueError::new_err(format!(
+                "the sensor is {width} x {height}: each side must be 1 to {}",
+                Sensor::SIDE_MAX
+            ))
+        })
+    }
+
+    /// Returns the sensor of a stated size, if there is one.
+    pub fn of(size: Option<Self>) -> Option<Sensor> {
+        size.map(|Self(sensor)| sensor)
+    }
+}
+
+impl<'py> FromPyObject<'_, 'py> for Size {
+    type Error = PyErr;
+
+    fn extract(size: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
+        let sides: Result<[i64; 2], _> = size.extract();
+        let [width, height] = sides.map_err(|_| {
+            let kind = size.get_type();
+            PyTypeError::new_err(format!("sensor is a {kind}: it must be (width, height)"))
+        })?;
+        Self::sides(width, height)
+    }
 }
 
 /// Raises what a library's error stands for: the exception that ended the work, or its own.

@@ -49,6 +49,15 @@ fn _panic() {
 /// The parts of `eecvs` that are made of Rust.
 #[pymodule]
 mod _eecvs {
+    use pyo3::prelude::*;
+
+    /// Looks up what the crate of arrays else looks up at the first array, where it takes an interrupt for a panic.
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        let _array = numpy::PyArray1::<u64>::zeros(module.py(), 0, false);
+        Ok(())
+    }
+
     #[pymodule_export]
     use super::_panic;
     #[cfg(target_os = "linux")]

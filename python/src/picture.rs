@@ -7,7 +7,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 
 use crate::errors::exception;
-use crate::given::{self, raise};
+use crate::given::{self, Size, raise};
 use crate::work::{Interruptible, Raised};
 
 /// A picture, which notebooks show.
@@ -22,8 +22,8 @@ pub struct Picture {
 ///     events: A structured array, a dictionary of columns, Columns, a Window, a Recording, or an iterable of arrays.
 ///     sensor: (width, height) in pixels; a Recording, Columns and a Window have their own.
 ///     clip: Sum of polarities that gets the darkest colour, 1 or more.
-///     upscale: Side in pixels of the square that shows a pixel, 1 to 64; by default the smallest that makes the longer
-///         side at least 480.
+///     upscale: Side in pixels of the square that shows a pixel, 1 to 64, as far as no side of the picture exceeds 4,096; by
+///         default the smallest that makes the longer side at least 480.
 ///
 /// Returns:
 ///     A Picture: ``picture.png()`` is a file in memory, ``picture.save(path)`` writes one.
@@ -34,7 +34,7 @@ pub struct Picture {
 #[pyo3(signature = (events, *, sensor=None, clip=4, upscale=None))]
 pub fn picture(
     events: &Bound<'_, PyAny>,
-    sensor: Option<(u32, u32)>,
+    sensor: Option<Size>,
     clip: u32,
     upscale: Option<usize>,
 ) -> PyResult<Picture> {
@@ -48,7 +48,7 @@ pub fn picture(
         )));
     }
     let raised = Raised::default();
-    let sensor = sensor.map(given::sensor).transpose()?;
+    let sensor = Size::of(sensor);
     let reader = given::reader(events, sensor, &raised)?;
     let drawn = py.detach(|| {
         let mut reader = Interruptible::new(reader, &raised);

@@ -2,8 +2,8 @@
 
 use eecvs::reconstruct::volume::Weights;
 use eecvs::representation::{Counts, Span, TimeSurface, Tore, Voxel};
-use event_types::Sensor;
 use event_types::stream::{Error, EventReader, Result};
+use event_types::{Sensor, error};
 use half::f16;
 use numpy::{Element, PyArray1, PyArrayDyn, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -11,8 +11,9 @@ use pyo3::prelude::*;
 use rayon::prelude::*;
 
 use crate::errors::exception;
-use crate::given::{self, Table, TableReader};
-use crate::window::{Window, not_one_of};
+use crate::given::{self, Size, Table, TableReader};
+use crate::recording::{Recording, Slices};
+use crate::window::not_one_of;
 use crate::work::in_pool;
 
 /// A representation of one window's events.
@@ -112,20 +113,18 @@ impl Asked {
 /// Makes arrays of `form` of all windows.
 fn make<'py>(
     events: &Bound<'py, PyAny>,
-    sensor: Option<(u32, u32)>,
+    sensor: Option<Size>,
     dtype: Option<&str>,
     out: Option<&Bound<'py, PyAny>>,
     form: impl Fn(&Table) -> Result<Form>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let py = events.py();
-    let own = if let Ok(window) = events.cast::<Window>() {
-        Some(window.get().size())
-    } else if let Ok(columns) = events.cast::<crate::columns::Columns>() {
-        columns.get().size()
-    } else {
-        None
-    };
-    let sensor = sensor.map(given::sensor).transpose()?.or(own);
+    if events.is_instance_of::<Recording>() || events.is_instance_of::<Slices>() {
+        return Err(PyTypeError::new_err(
+            "events are a recording: give an array of its events, such as recording.read(), or a list of arrays",
+        ));
+    }
+    let sensor = Size::of(sensor).or_else(|| given::size_of_given(events));
     let sensor = sensor.ok_or_else(|| {
         PyValueError::new_err("sensor= is needed: arrays do not say how large theirs is")
     })?;
@@ -141,6 +140,11 @@ fn make<'py>(
         "float32" => fill::<f32>(py, sensor, tables, &forms, is_batch, out),
         "float16" => fill::<f16>(py, sensor, tables, &forms, is_batch, out),
         "uint8" => fill::<u8>(py, sensor, tables, &forms, is_batch, out),
+        other if dtype.is_none() => Err(not_one_of(
+            "the dtype of out",
+            other,
+            "float32, float16, uint8",
+        )),
         other => Err(not_one_of("dtype", other, "float32, float16, uint8")),
     }
 }
@@ -160,6 +164,10 @@ fn fill<'py, T: Value>(
     if is_batch {
         shape.insert(0, tables.len());
     }
+    let places: Vec<_> = match &out {
+        Some(_) => tables.iter().flat_map(Table::places).collect(),
+        None => Vec::new(),
+    };
     let work = |cells: &mut [T]| -> Result<()> {
         let one = |cells: &mut [T], table: Table, form: &Form| {
             T::fill(form, &mut TableReader::new(table, sensor), cells)
@@ -184,9 +192,12 @@ fn fill<'py, T: Value>(
         let count = shape.iter().product();
         let cells = py.detach(|| {
             let mut cells = Vec::new();
-            cells
-                .try_reserve_exact(count)
-                .map_err(crate::layout::no_memory)?;
+            cells.try_reserve_exact(count).map_err(|_| {
+                error!(
+                    Refused,
+                    "the system refuses the memory for an array of shape {shape:?}: take fewer windows or bins"
+                )
+            })?;
             cells.resize(count, T::ZERO);
             work(&mut cells)?;
             Ok(cells)
@@ -206,9 +217,24 @@ fn fill<'py, T: Value>(
     let mut guard = array
         .try_readwrite()
         .map_err(|error| PyValueError::new_err(format!("out: {error}")))?;
+    if !array.is_c_contiguous() {
+        return Err(PyValueError::new_err(
+            "out is not contiguous in the order of C",
+        ));
+    }
     let cells = guard
         .as_slice_mut()
-        .map_err(|_| PyValueError::new_err("out is not contiguous"))?;
+        .map_err(|_| PyValueError::new_err("out is not contiguous, or not aligned"))?;
+    let memory = cells.as_ptr_range();
+    let memory = memory.start.addr()..memory.end.addr();
+    if places
+        .iter()
+        .any(|place| place.start < memory.end && memory.start < place.end)
+    {
+        return Err(PyValueError::new_err(
+            "out shares memory with the events, which would be overwritten",
+        ));
+    }
     py.detach(|| work(cells)).map_err(failed)?;
     drop(guard);
     Ok(out.into_any())
@@ -247,7 +273,10 @@ fn positive(name: &str, value: u16) -> PyResult<u16> {
 ///     weights: ``"bilinear"`` or ``"nearest"``.
 ///     polarity: ``"signed"``: ON minus OFF; ``"split"``: ``bins`` channels of ON, then ``bins`` of OFF, both positive.
 ///     dtype: ``"float32"`` or ``"float16"``.
-///     out: An array for the result, contiguous and of the right shape and type.
+///     out: An array for the result, contiguous and of the right shape and type, which shares no memory with the events.
+///
+/// Sums are those of float32: whole numbers are exact up to 2^24. float16 holds up to 65,504, and infinity beyond.
+/// t1 - t0 is below 2^51 us.
 ///
 /// Returns:
 ///     (C, H, W), or (N, C, H, W) of a list of N.
@@ -262,7 +291,7 @@ fn positive(name: &str, value: u16) -> PyResult<u16> {
 pub fn voxel<'py>(
     events: &Bound<'py, PyAny>,
     bins: u16,
-    sensor: Option<(u32, u32)>,
+    sensor: Option<Size>,
     t0_us: Option<u64>,
     t1_us: Option<u64>,
     weights: &str,
@@ -307,7 +336,7 @@ pub fn voxel<'py>(
 pub fn counts<'py>(
     events: &Bound<'py, PyAny>,
     bins: u16,
-    sensor: Option<(u32, u32)>,
+    sensor: Option<Size>,
     t0_us: Option<u64>,
     t1_us: Option<u64>,
     most: u8,
@@ -345,7 +374,7 @@ pub fn counts<'py>(
 pub fn time_surface<'py>(
     events: &Bound<'py, PyAny>,
     tau_us: f64,
-    sensor: Option<(u32, u32)>,
+    sensor: Option<Size>,
     t_us: Option<u64>,
     dtype: Option<&str>,
     out: Option<&Bound<'py, PyAny>>,
@@ -379,7 +408,7 @@ pub fn time_surface<'py>(
 pub fn tore<'py>(
     events: &Bound<'py, PyAny>,
     k: u16,
-    sensor: Option<(u32, u32)>,
+    sensor: Option<Size>,
     t_us: Option<u64>,
     dtype: Option<&str>,
     out: Option<&Bound<'py, PyAny>>,

@@ -23,6 +23,26 @@ pub fn in_pool<T: Send>(work: impl FnOnce() -> T + Send) -> Result<T> {
     Ok(pool()?.install(work))
 }
 
+/// Runs work as [`in_pool`] does, while this thread looks for signals: Python handles them in its main thread alone. What they
+/// raise ends the work's [`Interruptible`] readers.
+///
+/// # Errors
+/// The system refuses the threads.
+pub fn in_pool_watched<T: Send>(raised: &Raised, work: impl FnOnce() -> T + Send) -> Result<T> {
+    let pool = pool()?;
+    std::thread::scope(|scope| {
+        let working = scope.spawn(|| pool.install(work));
+        let mut signals = Signals::new(raised);
+        while !working.is_finished() {
+            // It is kept in `raised`.
+            let _ = signals.check();
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        let worked = working.join();
+        Ok(worked.unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+    })
+}
+
 fn pool() -> Result<Arc<ThreadPool>> {
     for _ in 0..TRIES {
         match POOL.try_lock() {
@@ -153,6 +173,14 @@ impl EventReader for Interruptible {
     fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
         self.signals.check()?;
         self.reader.read(events)
+    }
+
+    fn seek(&mut self, t_us: u64) -> Result<bool> {
+        self.reader.seek(t_us)
+    }
+
+    fn end_at(&mut self, t_us: u64) -> Result<bool> {
+        self.reader.end_at(t_us)
     }
 
     fn pause(&self) -> Pause {

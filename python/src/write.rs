@@ -12,7 +12,7 @@ use pyo3::types::PyDict;
 
 use crate::codec::{Given, encode_to};
 use crate::errors::warn_of_loss;
-use crate::given::{self, raise};
+use crate::given::{self, Size, raise};
 use crate::options::Asked;
 use crate::work::{Interruptible, Raised};
 
@@ -50,7 +50,7 @@ pub fn write<'py>(
     py: Python<'py>,
     path: PathBuf,
     events: &Bound<'py, PyAny>,
-    sensor: Option<(u32, u32)>,
+    sensor: Option<Size>,
     format: Option<&str>,
     overwrite: bool,
     allow_loss: bool,
@@ -76,7 +76,7 @@ pub fn write<'py>(
     let inputs: Vec<_> = input.iter().map(PathBuf::as_path).collect();
     check(&path, kind, overwrite, &inputs).map_err(|error| fail(&error))?;
     let raised = Raised::default();
-    let sensor = sensor.map(given::sensor).transpose()?;
+    let sensor = Size::of(sensor);
     let written = py.import("eecvs._types")?.getattr("Written")?;
     let lost = PyDict::new(py);
     if is_frames {
@@ -103,9 +103,10 @@ pub fn write<'py>(
         return written.call1((name, summary.events_in, summary.events_encoded, lost));
     }
     if let Some(options) = options.filter(|options| !options.is_empty()) {
+        let names: Vec<String> = options.keys().extract()?;
         return Err(PyTypeError::new_err(format!(
-            "{} are options of .eecvs files",
-            options.keys()
+            "{}: only .eecvs files have such options",
+            names.join(", ")
         )));
     }
     let format = format.map(format_named).transpose()?;

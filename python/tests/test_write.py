@@ -92,7 +92,7 @@ def test_wrong_kinds_are_refused(events: Any) -> None:
 
 
 def test_events_outside_the_sensor_are_refused(tmp_path: Path, events: Any) -> None:
-    with pytest.raises(eecvs.CannotHoldError):
+    with pytest.raises(eecvs.RefusedError):
         eecvs.write(tmp_path / "a.aedat4", events, sensor=(10, 10))
     assert list(tmp_path.iterdir()) == []
 

@@ -20,10 +20,10 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple, PyType};
 
 use crate::columns::{Builder, Columns};
-use crate::given::raise;
+use crate::given::{Size, raise};
 use crate::layout::{Layout, Packed, Packer, array, no_memory};
 use crate::memory::room;
-use crate::work::{Interruptible, Raised, Signals, in_pool};
+use crate::work::{Interruptible, Raised, Signals, in_pool_watched};
 use slices::Cut;
 pub use slices::{Slices, Times};
 use source::{Found, MARGIN_EVENTS, note};
@@ -62,8 +62,8 @@ pub fn open(
     py: Python<'_>,
     path: PathBuf,
     dtype: Option<&str>,
-    width: Option<u32>,
-    height: Option<u32>,
+    width: Option<i64>,
+    height: Option<i64>,
     time_unit: Option<&str>,
     time_offset_us: i64,
     columns: Option<&str>,
@@ -75,7 +75,7 @@ pub fn open(
 ) -> PyResult<Recording> {
     let size = match (width, height) {
         (None, None) => None,
-        (Some(width), Some(height)) => Some(crate::given::sensor((width, height))?),
+        (Some(width), Some(height)) => Some(Size::sides(width, height)?.0),
         _ => {
             return Err(PyValueError::new_err(
                 "width= and height= are needed together",
@@ -202,16 +202,16 @@ impl Recording {
     /// # Errors
     /// Those of opening.
     pub fn open(py: Python<'_>, source: Source, reopen: Reopen) -> PyResult<Self> {
-        let opened = py.detach(|| source.open());
-        let reader =
-            opened.map_err(|error| raise(py, &Raised::default(), &error, Some(&source.name)))?;
+        let (source, raised) = (Arc::new(source), Raised::default());
+        let opened = py.detach(|| source.open_first(&raised));
+        let reader = opened.map_err(|error| raise(py, &raised, &error, Some(&source.name)))?;
         Ok(Self {
             format: reader.format(),
             sensor: reader.sensor(),
             camera: reader.camera().map(str::to_owned),
             found: Arc::new(Mutex::new(Found::of(reader.as_ref(), None))),
             first: Mutex::new(Some((std::process::id(), reader))),
-            source: Arc::new(source),
+            source,
             closed: AtomicBool::new(false),
             reopen,
             info: Mutex::new(None),
@@ -248,7 +248,7 @@ impl Recording {
             let first = locked(&self.first).take();
             match first {
                 Some((process, reader)) if process == std::process::id() => Ok(reader),
-                _ => self.source.open(),
+                _ => self.source.open_again(),
             }
         });
         opened.map_err(|error| raise(py, &Raised::default(), &error, Some(&self.source.name)))
@@ -273,8 +273,9 @@ impl Recording {
         let raised = Raised::default();
         let (found, failure) = py
             .detach(|| {
-                let reader = Within::new(reader, times)?;
-                let mut reader = Interruptible::new(Box::new(reader), &raised);
+                // Within other readers, which may read for long at once.
+                let reader = Interruptible::new(reader, &raised);
+                let mut reader = Within::new(Box::new(reader), times)?;
                 let failure = all(&mut reader).err();
                 Ok::<_, Error>((Found::of(&reader, failure.as_ref()), failure))
             })
@@ -349,7 +350,7 @@ impl Recording {
     /// Counts, times and hashes of the whole recording, which is read four times for them, once.
     ///
     /// Raises:
-    ///     EecvsError: The file cannot be read. Damage after the header is ``info.damage``.
+    ///     EecvsError: The file cannot be read, or is a pipe. Damage after the header is ``info.damage``.
     #[getter]
     fn info<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         // Held for a moment, and never without the interpreter's lock.
@@ -358,19 +359,14 @@ impl Recording {
         }
         let source = &self.source;
         let raised = Raised::default();
-        let mut signals = Signals::new(&raised);
         let info = py.detach(|| {
-            in_pool(|| {
-                // The library cannot be stopped here: the exception is raised at its end.
-                let mut progress = |_| drop(signals.check());
-                match &source.origin {
-                    Origin::File { path, reading } => {
-                        recording_info::info(path, reading, &mut progress)
-                    }
-                    Origin::Scene { .. } => {
-                        recording_info::info_of(source.open()?, &|| source.open(), &mut progress)
-                    }
-                }
+            in_pool_watched(&raised, || {
+                let open = |size| -> Result<Box<dyn EventReader>> {
+                    let reader = source.open_as_it_is(size)?;
+                    Ok(Box::new(Interruptible::new(reader, &raised)))
+                };
+                source.refuse_pipe()?;
+                recording_info::info_of(open(None)?, &|| open(Some(self.sensor)), &mut |_| {})
             })?
         });
         let info = info.map_err(|error| raise(py, &raised, &error, Some(&source.name)))?;
@@ -476,7 +472,7 @@ impl Recording {
     fn causes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<u8>>> {
         let raised = Raised::default();
         let causes = py.detach(|| {
-            in_pool(|| {
+            in_pool_watched(&raised, || {
                 let mut signals = Signals::new(&raised);
                 let mut scene = self.source.scene()?;
                 let (mut events, mut batch, mut causes) = (Vec::new(), Vec::new(), Vec::new());

@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex};
 
 use event_files::slices::{ByCount, ByTime};
+use event_types::Sensor;
 use event_types::stream::{Error, EventReader};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -85,15 +86,22 @@ struct State {
 pub struct Slices {
     source: Arc<Source>,
     found: Arc<Mutex<Found>>,
+    sensor: Sensor,
     state: Mutex<State>,
 }
 
 impl Slices {
+    /// Returns the size of the sensor.
+    pub const fn size(&self) -> Sensor {
+        self.sensor
+    }
+
     /// Begins to iterate; what is found goes to `found` at the end.
     pub fn new(source: &Arc<Source>, found: &Arc<Mutex<Found>>, cut: Cut) -> Self {
         Self {
             source: Arc::clone(source),
             found: Arc::clone(found),
+            sensor: cut.reader().sensor(),
             state: Mutex::new(State {
                 cut: Some(cut),
                 packer: Packer::new(source.layout),

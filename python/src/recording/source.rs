@@ -1,7 +1,9 @@
 //! Where a recording's events come from, how they are read, and what a reading found.
 
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 use event_emulator::{Emulator, Model, PixelParameters, SceneConfig, emulate_with};
 use event_files::Reading;
@@ -13,7 +15,7 @@ use pyo3::prelude::*;
 
 use crate::errors::warn_of_loss;
 use crate::layout::Layout;
-use crate::work::in_pool;
+use crate::work::{Raised, Signals, in_pool};
 
 /// Events for which there is always room: a reader's next batch.
 pub const MARGIN_EVENTS: u64 = 2 * BATCH_EVENTS as u64;
@@ -69,23 +71,89 @@ impl Source {
         }
     }
 
+    /// Returns an error if the source is a pipe, which cannot be read again.
+    ///
+    /// # Errors
+    /// As stated.
+    pub fn refuse_pipe(&self) -> Result<()> {
+        ensure!(
+            !self.path().is_some_and(is_pipe),
+            Refused,
+            "a pipe can be read once: write what comes through it to a file"
+        );
+        Ok(())
+    }
+
+    /// Opens the source for the first time. A pipe may have no writer yet: an exception of a signal ends the wait.
+    ///
+    /// # Errors
+    /// Those of opening.
+    pub fn open_first(self: &Arc<Self>, raised: &Raised) -> Result<Box<dyn EventReader>> {
+        if !self.path().is_some_and(is_pipe) {
+            return self.open();
+        }
+        let (opened_to, opened) = mpsc::channel();
+        let source = Arc::clone(self);
+        // If it is not waited for any more, it ends with the process.
+        std::thread::spawn(move || opened_to.send(source.open()));
+        let mut signals = Signals::new(raised);
+        loop {
+            match opened.recv_timeout(Duration::from_millis(20)) {
+                Ok(opened) => return opened,
+                Err(RecvTimeoutError::Timeout) => signals.check()?,
+                Err(RecvTimeoutError::Disconnected) => {
+                    return Err(error!(Refused, "the pipe could not be opened"));
+                }
+            }
+        }
+    }
+
+    /// Opens the source once more.
+    ///
+    /// # Errors
+    /// Those of opening; the source is a pipe.
+    pub fn open_again(&self) -> Result<Box<dyn EventReader>> {
+        self.refuse_pipe()?;
+        self.open()
+    }
+
+    /// Returns a reader that begins with the first event, in the file's order, and needs not look for the sensor's size if
+    /// it is given.
+    ///
+    /// # Errors
+    /// Those of opening.
+    pub fn open_as_it_is(&self, sensor: Option<Sensor>) -> Result<Box<dyn EventReader>> {
+        let reader = match &self.origin {
+            Origin::File { path, reading } => event_files::open(
+                path,
+                Reading {
+                    size: reading.size.or(sensor),
+                    ..reading.clone()
+                },
+            )?,
+            Origin::Scene { config, pixel } => {
+                Box::new(emulate_with(*config, pixel)?.parallel(true))
+            }
+        };
+        Ok(Box::new(OwnProcess::new(reader)))
+    }
+
     /// Returns a reader that begins with the first event.
     ///
     /// # Errors
     /// Those of opening.
     pub fn open(&self) -> Result<Box<dyn EventReader>> {
-        let reader = match &self.origin {
-            Origin::File { path, reading } => event_files::open(path, reading)?,
-            Origin::Scene { config, pixel } => {
-                Box::new(emulate_with(*config, pixel)?.parallel(true))
-            }
-        };
-        let reader: Box<dyn EventReader> = Box::new(OwnProcess::new(reader));
+        let reader = self.open_as_it_is(None)?;
         if self.sort {
             return Ok(Box::new(Sorted::new(reader, &mut |_| {})?));
         }
         Ok(reader)
     }
+}
+
+/// Returns whether a path is read through a pipe.
+fn is_pipe(path: &Path) -> bool {
+    std::fs::metadata(path).is_ok_and(|file| !file.is_file() && !file.is_dir())
 }
 
 /// A reader that its own process alone may use: a forked one has the same place in the same open file.

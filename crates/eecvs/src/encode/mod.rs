@@ -38,6 +38,13 @@ pub fn all_cores() -> NonZeroUsize {
     std::thread::available_parallelism().unwrap_or(NonZeroUsize::MIN)
 }
 
+/// Returns the most threads that encode. Each has a whole encoder's memory, and more of them than cores gain nothing.
+fn most_threads() -> NonZeroUsize {
+    const LEAST: NonZeroUsize = NonZeroUsize::new(16).unwrap();
+    const PER_CORE: NonZeroUsize = NonZeroUsize::new(4).unwrap();
+    all_cores().saturating_mul(PER_CORE).max(LEAST)
+}
+
 /// Counts and times of an encoding run, as `eecvs encode` reports them; the fields are the JSON keys.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct EncodeSummary {
@@ -187,7 +194,7 @@ type Outcome = (EncodeSummary, Duration);
 /// Encodes a recording and writes its frames to `out`: a stream, or a file by a
 /// [`FrameFileWriter`](crate::frame_file::FrameFileWriter). `progress` is called with the number of events read so far.
 ///
-/// The frames do not depend on `threads`. A live source or a byte budget uses one thread. With one thread
+/// The frames do not depend on `threads`, of which no more are started than 16, or four for each core. A live source or a byte budget uses one thread. With one thread
 /// everything runs on the calling thread; with more, a separate thread reads ahead and the calling thread writes. A
 /// window of a live source is written as soon as its time has passed, even if no event follows. Memory does not
 /// grow with the recording: each thread holds the events of at most 32 windows (of `key_windows` windows with the
@@ -223,7 +230,7 @@ pub fn encode<'h>(
     let threads = if is_live || codec.config.bytes_per_second.is_some() || codec.budget.is_some() {
         NonZeroUsize::MIN
     } else {
-        threads
+        threads.min(most_threads())
     };
     let run = if threads == NonZeroUsize::MIN {
         encode_here(reader, codec, limits, out, progress)
