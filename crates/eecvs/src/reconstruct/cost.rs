@@ -14,8 +14,8 @@ use super::{Pixel, crowd, ensemble, lattice, prony, pursuit, recover, refine};
 pub const PIXEL: u64 = 500;
 /// Work for each event of a pixel that is placed without being solved for.
 const PLACED: u64 = 20;
-/// Work of an exponential or of a logarithm.
-const FUNCTION: u64 = 15;
+/// Work of an exponential.
+const FUNCTION: u64 = 8;
 /// Work of a sine and a cosine.
 const SINE: u64 = 60;
 /// Work of an allocation.
@@ -109,15 +109,13 @@ impl Size {
 
     /// Work of trying a step of least squares.
     pub(super) const fn trial(self, events: u64) -> u64 {
-        self.solve(events) + self.residual(events)
+        self.solve(events) + self.linearise(events)
     }
 
     /// The most that least squares can cost.
     const fn least_squares(self, events: u64, rounds: usize) -> u64 {
-        rounds as u64
-            * (self.linearise(events)
-                + self.normal(events)
-                + refine::TRIALS as u64 * self.trial(events))
+        let tried = refine::TRIALS as u64 * self.trial(events);
+        self.linearise(events) + rounds as u64 * (self.normal(events) + tried)
     }
 
     /// The most that moving to the centre can cost.
@@ -141,30 +139,40 @@ impl Size {
         }
     }
 
-    /// Work of evaluating densities at `points` points.
-    pub(super) const fn density_value(self, points: u64) -> u64 {
-        points * (self.density_rows() + 3 * FUNCTION) + 2 * MEMORY
+    /// Number of k of which a density has waves, and of its points, if the highest k used is `highest`.
+    const fn waves(highest: u64) -> (u64, u64) {
+        let highest = highest as usize;
+        (crowd::limit(highest) as u64, crowd::points(highest) as u64)
+    }
+
+    /// Work of evaluating densities whose highest k is `highest`.
+    pub(super) const fn density_value(self, highest: u64) -> u64 {
+        let (waves, points) = Self::waves(highest);
+        points * (waves / 4 + 2 * FUNCTION) + 2 * MEMORY
     }
 
     /// Work before the first step towards the flattest densities, and of placing the events in them.
-    pub(super) const fn density_start(self, points: u64) -> u64 {
-        points * (self.atoms() + self.density_rows())
-            + 2 * self.density_value(points)
-            + self.placed()
+    pub(super) const fn density_start(self, highest: u64) -> u64 {
+        let (waves, points) = Self::waves(highest);
+        points * waves + 2 * self.density_value(highest) + self.placed()
     }
 
     /// Work of a Newton step towards the flattest densities, without trying it.
-    pub(super) const fn density_round(self, points: u64) -> u64 {
-        let rows = self.density_rows();
-        2 * points * rows * (rows / 2 + 4) + self.solve(rows)
+    pub(super) const fn density_round(self, highest: u64) -> u64 {
+        let ((waves, points), rows) = (Self::waves(highest), self.density_rows());
+        2 * points * waves + 6 * rows * rows + self.solve(rows)
     }
 
     /// The most that the flattest densities can cost.
     const fn densities(self) -> u64 {
         // The highest k used is at most the highest k.
-        let points = crowd::points(self.highest as usize) as u64;
-        let tried = crowd::HALVINGS as u64 * self.density_value(points);
-        self.density_start(points) + crowd::ROUNDS as u64 * (self.density_round(points) + tried)
+        let highest = if self.highest < crowd::USED_MAX {
+            self.highest
+        } else {
+            crowd::USED_MAX
+        };
+        let tried = crowd::HALVINGS as u64 * self.density_value(highest);
+        self.density_start(highest) + crowd::ROUNDS as u64 * (self.density_round(highest) + tried)
     }
 
     /// Work of placing all events in densities.
@@ -206,18 +214,20 @@ impl Size {
         let mut units = self.densities();
         if let Some(search) = search {
             starts += 2;
-            units += search.times(events) + search.refined(self);
+            units += search.once(events) + search.refined(self);
         }
         let one = self.ordered() + self.least_squares(events, rounds) + self.residual(events);
-        units + starts * one
+        // The best one is refined again.
+        units + (starts + 1) * one
     }
 
     /// The most that the first solution of several can cost.
     const fn fitted(self, search: Search) -> u64 {
         let events = self.events();
         let one = self.least_squares(events, refine::LEAST_SQUARES_ROUNDS) + self.residual(events);
-        6 * one
+        7 * one
             + search.paired(events)
+            + search.once(events)
             + search.times(events)
             + search.refined(self)
             + self.pencil()
@@ -336,6 +346,11 @@ impl Search {
         4 * self.limit + SINE
     }
 
+    /// Work of finding `events` events.
+    const fn once(self, events: u64) -> u64 {
+        events * (self.best() + self.add())
+    }
+
     /// Work of finding `events` events and placing each of them again.
     const fn times(self, events: u64) -> u64 {
         let rounds = if events > 1 {
@@ -366,7 +381,7 @@ impl Search {
         let found = if events <= pursuit::ROUNDS_EVENTS_MAX as u64 {
             self.times(events)
         } else {
-            events * (self.best() + self.add())
+            self.once(events)
         };
         PIXEL + found
     }

@@ -22,20 +22,24 @@
 //! Jaynes, Physical Review 106 (1957); Mead, Papanicolaou, J. Math. Phys. 25 (1984).
 
 use std::array::from_fn;
+use std::f64::consts::FRAC_PI_2;
 
 use eecvs_nostd::Transform;
 
 use super::equations::Equations;
-use super::lanes::{LANES, Lanes, add_row, blocks, dot, wide};
+use super::lanes::{LANES, Lanes, add_row, blocks, exp, filled, sin_cos, wide};
 use super::normal::Normal;
+use super::pursuit::omega;
 use super::refine::Work;
 
-/// Points of the density for each period of the highest atom.
+/// Points of the density for each period of the highest atom; the number of points is a power of two.
 const POINTS_PER_PERIOD: usize = 8;
 /// Smallest number of points.
 const POINTS_MIN: usize = 64;
-/// Largest number of points.
+/// Largest number of points. Atoms of half as many periods and more have aliases at the points: their rows are not used.
 const POINTS_MAX: usize = 512;
+/// The highest k that is used.
+pub(super) const USED_MAX: u64 = POINTS_MAX as u64 / 2 - 1;
 /// Largest number of rows used, lowest k first.
 pub(super) const ROWS_MAX: usize = 48;
 /// Largest number of Newton steps.
@@ -43,72 +47,166 @@ pub(super) const ROUNDS: usize = 30;
 /// Largest number of times that a Newton step is halved.
 pub(super) const HALVINGS: usize = 20;
 
-/// Atoms at the points of a density, which many pixels share.
-#[derive(Debug, Default)]
-pub(super) struct DensityAtoms {
-    transform: Option<Transform>,
-    ks: Vec<u16>,
-    rows: usize,
+/// Cosines and sines of k omega u at the points of a density, for k below a limit.
+///
+/// Points u and 1 - u have the same cosines and opposite sines; for the DCT, whose atoms have half the frequency, the
+/// same cosines for even k and opposite ones for odd k. So there are rows for the lower half of the points alone.
+#[derive(Debug)]
+struct Waves {
+    transform: Transform,
     points: usize,
-    /// Rows of [`blocks`] blocks: a row for each point.
-    atoms: Vec<Lanes>,
+    /// Blocks of a row.
+    blocks: usize,
+    cosines: Vec<Lanes>,
+    /// Empty for the DCT.
+    sines: Vec<Lanes>,
 }
 
-impl DensityAtoms {
-    /// Computes the atoms of the first `rows` equations at these points, unless they are there already.
-    fn fit(&mut self, equations: &Equations, rows: usize, points: usize) {
-        let is_same = self.transform == Some(equations.transform)
-            && (self.rows, self.points) == (rows, points)
-            && self.ks == equations.ks;
-        if is_same {
-            return;
-        }
-        self.transform = Some(equations.transform);
-        self.ks.clone_from(&equations.ks);
-        (self.rows, self.points) = (rows, points);
-        let blocks = blocks(rows);
-        self.atoms.clear();
-        self.atoms.resize(points * blocks, [0.0; LANES]);
-        for first in (0..points).step_by(LANES) {
-            let u = from_fn(|lane| ((first + lane) as f64 + 0.5) / points as f64);
-            equations.atoms(u, |row, values, _| {
-                for (point, value) in (first..points).zip(values) {
-                    if row < rows {
-                        self.atoms[point * blocks + row / LANES][row % LANES] = value;
-                    }
+impl Waves {
+    fn new(transform: Transform, points: usize, limit: usize) -> Self {
+        let blocks = blocks(limit);
+        let mut waves = Self {
+            transform,
+            points,
+            blocks,
+            cosines: Vec::with_capacity(points / 2 * blocks),
+            sines: Vec::new(),
+        };
+        for point in 0..points / 2 {
+            let u = (point as f64 + 0.5) / points as f64;
+            let quarters = omega(transform) / FRAC_PI_2 * u;
+            for block in 0..blocks {
+                let (sin, cos) = sin_cos(from_fn(|lane| (block * LANES + lane) as f64 * quarters));
+                waves.cosines.push(cos);
+                if transform.is_complex() {
+                    waves.sines.push(sin);
                 }
-            });
+            }
+        }
+        waves
+    }
+
+    /// Adds `count` times the sums of cosines and of sines weighted by the numbers of all points.
+    #[inline(always)]
+    fn moments(&self, numbers: &[f64], moments: &mut Moments) {
+        moments.cosines.clear();
+        moments.cosines.resize(self.blocks, [0.0; LANES]);
+        moments.sines.clear();
+        moments.sines.resize(self.blocks, [0.0; LANES]);
+        let mirrored = numbers.iter().rev();
+        let pairs = numbers.iter().zip(mirrored).take(self.points / 2);
+        if self.transform.is_complex() {
+            let sines = self.sines.chunks_exact(self.blocks);
+            let rows = self.cosines.chunks_exact(self.blocks).zip(sines);
+            for ((a, b), (cosines, sines)) in pairs.zip(rows) {
+                add_row(&mut moments.cosines, a + b, cosines);
+                add_row(&mut moments.sines, a - b, sines);
+            }
+        } else {
+            for ((a, b), row) in pairs.zip(self.cosines.chunks_exact(self.blocks)) {
+                let by = [a + b, a - b, a + b, a - b];
+                for (sum, cosines) in moments.cosines.iter_mut().zip(row) {
+                    let before = *sum;
+                    *sum = from_fn(|lane| before[lane] + by[lane] * cosines[lane]);
+                }
+            }
         }
     }
 
-    /// Returns the rows of all points.
-    fn points(&self) -> impl Iterator<Item = &[Lanes]> + Clone {
-        self.atoms.chunks_exact(blocks(self.rows).max(1))
+    /// Writes the sums of all cosines and sines with these factors at every point.
+    #[inline(always)]
+    fn values(&self, factors: &Moments, values: &mut [f64]) {
+        let used = factors.cosines.len();
+        let (lower, upper) = values.split_at_mut(self.points / 2);
+        let both = lower.iter_mut().zip(upper.iter_mut().rev());
+        let sums = |row: &[Lanes], factors: &[Lanes]| {
+            let mut sums = [0.0; LANES];
+            for (wave, factor) in row[..used].iter().zip(factors) {
+                sums = from_fn(|lane| sums[lane] + wave[lane] * factor[lane]);
+            }
+            sums
+        };
+        let cosines = self.cosines.chunks_exact(self.blocks);
+        if self.transform.is_complex() {
+            let rows = cosines.zip(self.sines.chunks_exact(self.blocks));
+            for ((lower, upper), (cosines, sines)) in both.zip(rows) {
+                let [a, b, c, d] = sums(cosines, &factors.cosines);
+                let [e, f, g, h] = sums(sines, &factors.sines);
+                let (even, odd) = ((a + b) + (c + d), (e + f) + (g + h));
+                (*lower, *upper) = (even + odd, even - odd);
+            }
+        } else {
+            for ((lower, upper), row) in both.zip(cosines) {
+                let [a, b, c, d] = sums(row, &factors.cosines);
+                let (even, odd) = (a + c, b + d);
+                (*lower, *upper) = (even + odd, even - odd);
+            }
+        }
+    }
+}
+
+/// Numbers for the cosine and for the sine of every k.
+#[derive(Debug, Default)]
+struct Moments {
+    cosines: Vec<Lanes>,
+    sines: Vec<Lanes>,
+}
+
+impl Moments {
+    fn cosine(&self, k: usize) -> f64 {
+        self.cosines.as_flattened()[k]
+    }
+
+    fn sine(&self, k: usize) -> f64 {
+        self.sines.as_flattened()[k]
     }
 }
 
 /// Numbers of the search for the flattest densities, reused from pixel to pixel.
 #[derive(Debug, Default)]
 pub(super) struct DensityWork {
-    atoms: DensityAtoms,
+    /// Those of all shapes so far; the last ones were in use last.
+    waves: Vec<Waves>,
+    /// k of the rows that are used.
+    ks: Vec<usize>,
     target: Vec<Lanes>,
     lambda: Vec<Lanes>,
     /// Where the value is computed.
     next: Vec<Lanes>,
+    /// `next` by k.
+    factors: Moments,
     /// (Phi^T lambda)_j, of `next`.
     exponents: Vec<f64>,
     /// Densities of ON and of OFF events, of `next`; empty where there are no such events.
     densities: [Vec<f64>; 2],
+    /// Of these.
+    moments: [Moments; 2],
     /// on a_j + off b_j.
-    weights: Vec<f64>,
+    sums: Moments,
     /// The mean of the atoms in a density.
     mean: Vec<Lanes>,
 }
 
 impl DensityWork {
-    /// Begins with lambda = 0.
-    fn begin(&mut self, target: &[f64]) {
-        let blocks = blocks(target.len());
+    /// Begins with lambda = 0 for the rows of `ks`.
+    fn begin(&mut self, equations: &Equations, terms: usize, points: usize) {
+        self.ks.clear();
+        self.ks
+            .extend(equations.ks.iter().take(terms).map(|k| usize::from(*k)));
+        let limit = limit(self.ks.last().copied().unwrap_or(0));
+        let transform = equations.transform;
+        let is_fit = |waves: &Waves| {
+            (waves.transform, waves.points, waves.blocks) == (transform, points, blocks(limit))
+        };
+        match self.waves.iter().rposition(is_fit) {
+            Some(at) => {
+                let last = self.waves.len() - 1;
+                self.waves.swap(at, last);
+            }
+            None => self.waves.push(Waves::new(transform, points, limit)),
+        }
+        let rows = terms * (1 + usize::from(transform.is_complex()));
+        let target = &equations.middles[..rows];
         for numbers in [
             &mut self.target,
             &mut self.lambda,
@@ -116,9 +214,17 @@ impl DensityWork {
             &mut self.mean,
         ] {
             numbers.clear();
-            numbers.resize(blocks, [0.0; LANES]);
+            numbers.resize(blocks(rows), [0.0; LANES]);
         }
-        self.target.as_flattened_mut()[..target.len()].copy_from_slice(target);
+        self.target.as_flattened_mut()[..rows].copy_from_slice(target);
+        // All k below the highest one, and it.
+        let used = blocks(self.ks.last().map_or(1, |k| k + 1));
+        for factors in [&mut self.factors.cosines, &mut self.factors.sines] {
+            factors.clear();
+            factors.resize(used, [0.0; LANES]);
+        }
+        self.exponents.clear();
+        self.exponents.resize(points, 0.0);
     }
 
     /// Returns D at lambda less `scale` times a step.
@@ -135,10 +241,22 @@ impl DensityWork {
     /// Returns D at `next`, and computes its densities.
     #[inline(always)]
     fn value(&mut self, counts: [f64; 2], noise: f64) -> f64 {
-        self.exponents.clear();
-        for atoms in self.atoms.points() {
-            self.exponents.push(dot(atoms, &self.next));
+        let Some(waves) = self.waves.last() else {
+            return 0.0;
+        };
+        let next = self.next.as_flattened();
+        if waves.transform.is_complex() {
+            for (k, of) in self.ks.iter().zip(next.chunks_exact(2)) {
+                self.factors.cosines.as_flattened_mut()[*k] = of[0];
+                self.factors.sines.as_flattened_mut()[*k] = -of[1];
+            }
+        } else {
+            for (k, of) in self.ks.iter().zip(next) {
+                self.factors.cosines.as_flattened_mut()[*k] = *of;
+            }
         }
+        waves.values(&self.factors, &mut self.exponents);
+        let dot = super::lanes::dot;
         let mut value = noise / 2.0 * dot(&self.next, &self.next) - dot(&self.next, &self.target);
         for ((density, count), sign) in self.densities.iter_mut().zip(counts).zip([1.0, -1.0]) {
             density.clear();
@@ -152,34 +270,69 @@ impl DensityWork {
     /// Computes the second derivatives and the gradient of D at lambda, whose densities are there.
     #[inline(always)]
     fn newton(&mut self, counts: [f64; 2], noise: f64, normal: &mut Normal) {
-        self.weights.clear();
-        self.weights.resize(self.atoms.points, 0.0);
-        for (density, count) in self.densities.iter().zip(counts) {
-            for (weight, density) in self.weights.iter_mut().zip(density) {
-                *weight += count * density;
-            }
-        }
-        normal.fill(&self.atoms.atoms, self.atoms.rows, &self.weights, &[]);
-        let blocks = blocks(self.atoms.rows);
+        let Some(waves) = self.waves.last() else {
+            return;
+        };
+        let is_complex = waves.transform.is_complex();
+        let rows = self.ks.len() * (1 + usize::from(is_complex));
+        let blocks = blocks(rows);
+        normal.begin(rows);
         let gradient = normal.vector_mut();
         for ((gradient, lambda), target) in gradient.iter_mut().zip(&self.lambda).zip(&self.target)
         {
             *gradient = from_fn(|lane| lambda[lane] * noise - target[lane]);
         }
-        for row in 0..self.atoms.rows {
-            normal.matrix_mut()[row * blocks + row / LANES][row % LANES] += noise;
+        for sums in [&mut self.sums.cosines, &mut self.sums.sines] {
+            sums.clear();
+            sums.resize(waves.blocks, [0.0; LANES]);
         }
-        for ((density, count), sign) in self.densities.iter().zip(counts).zip([1.0, -1.0]) {
+        let densities = self.densities.iter().zip(&mut self.moments);
+        for ((density, moments), count) in densities.zip(counts) {
+            if count > 0.0 {
+                waves.moments(density, moments);
+                add_row(&mut self.sums.cosines, count, &moments.cosines);
+                add_row(&mut self.sums.sines, count, &moments.sines);
+            }
+        }
+        // cos a cos b = (cos (a - b) + cos (a + b)) / 2, and so on.
+        let matrix = normal.matrix_mut().as_flattened_mut();
+        let width = LANES * blocks;
+        for (a, k) in self.ks.iter().enumerate() {
+            for (b, l) in self.ks.iter().enumerate().skip(a) {
+                let apart = self.sums.cosine(l - k) / 2.0;
+                let summed = self.sums.cosine(l + k) / 2.0;
+                if is_complex {
+                    let sine_apart = self.sums.sine(l - k) / 2.0;
+                    let sine_summed = self.sums.sine(l + k) / 2.0;
+                    let at = 2 * a * width + 2 * b;
+                    matrix[at] = apart + summed;
+                    matrix[at + 1] = -(sine_summed + sine_apart);
+                    matrix[at + width] = -(sine_summed - sine_apart);
+                    matrix[at + width + 1] = apart - summed;
+                } else {
+                    matrix[a * width + b] = apart + summed;
+                }
+            }
+        }
+        for row in 0..rows {
+            matrix[row * width + row] += noise;
+        }
+        for ((moments, count), sign) in self.moments.iter().zip(counts).zip([1.0, -1.0]) {
             if count == 0.0 {
                 continue;
             }
-            self.mean.fill([0.0; LANES]);
-            for (atoms, density) in self.atoms.points().zip(density) {
-                add_row(&mut self.mean, *density, atoms);
+            let mean = self.mean.as_flattened_mut();
+            for (at, k) in self.ks.iter().enumerate() {
+                if is_complex {
+                    mean[2 * at] = moments.cosine(*k);
+                    mean[2 * at + 1] = -moments.sine(*k);
+                } else {
+                    mean[at] = moments.cosine(*k);
+                }
             }
             add_row(normal.vector_mut(), sign * count, &self.mean);
-            let rows = normal.matrix_mut().chunks_exact_mut(blocks);
-            for (i, (row, mean)) in rows.zip(self.mean.as_flattened()).enumerate() {
+            let matrix = normal.matrix_mut().chunks_exact_mut(blocks);
+            for (i, (row, mean)) in matrix.zip(&self.mean.as_flattened()[..rows]).enumerate() {
                 let upper = i / LANES..;
                 add_row(&mut row[upper.clone()], -count * mean, &self.mean[upper]);
             }
@@ -188,13 +341,19 @@ impl DensityWork {
 }
 
 /// Writes the density of these exponents, normalised to a sum of 1; returns the log of the sum before normalising.
+#[inline(always)]
 fn normalised(exponents: &[f64], sign: f64, density: &mut Vec<f64>) -> f64 {
     let most = exponents
         .iter()
         .fold(f64::NEG_INFINITY, |most, e| most.max(sign * e));
     density.clear();
-    density.extend(exponents.iter().map(|e| (sign * e - most).exp()));
-    let sum: f64 = density.iter().sum();
+    let mut sums = [0.0; LANES];
+    for exponents in exponents.chunks(LANES) {
+        let powers = exp(filled(exponents).map(|e| sign * e - most));
+        sums = from_fn(|lane| sums[lane] + powers[lane]);
+        density.extend(powers);
+    }
+    let sum = super::lanes::sum(sums);
     density.iter_mut().for_each(|p| *p /= sum);
     most + sum.ln()
 }
@@ -228,7 +387,7 @@ impl Densities {
 
 /// Returns the number of points of the densities of a pixel whose highest coefficient used is `highest`.
 pub(super) const fn points(highest: usize) -> usize {
-    let points = POINTS_PER_PERIOD * (highest + 1);
+    let points = (POINTS_PER_PERIOD * (highest + 1)).next_power_of_two();
     if points < POINTS_MIN {
         POINTS_MIN
     } else if points > POINTS_MAX {
@@ -238,43 +397,41 @@ pub(super) const fn points(highest: usize) -> usize {
     }
 }
 
+/// Returns above which k there are no waves, if the highest coefficient used is `highest`: sums of two of its powers
+/// of two are below, so that few shapes of them serve all pixels.
+pub(super) const fn limit(highest: usize) -> usize {
+    2 * (highest + 1).next_power_of_two()
+}
+
 fn densities(equations: &Equations, work: &mut Work) -> [Vec<f64>; 2] {
-    let rows = equations.rows().min(ROWS_MAX);
-    if rows == 0 {
+    let rows_of_term = 1 + usize::from(equations.transform.is_complex());
+    let is_used = |k: &&u16| u64::from(**k) <= USED_MAX;
+    let terms = equations.ks.iter().take_while(is_used).count();
+    let terms = terms.min(ROWS_MAX / rows_of_term);
+    let Some(highest) = terms.checked_sub(1).map(|last| equations.ks[last]) else {
         return [vec![1.0], vec![1.0]];
-    }
-    let highest = usize::from(
-        equations
-            .ks
-            .iter()
-            .take(rows)
-            .next_back()
-            .copied()
-            .unwrap_or(0),
-    );
-    let points = points(highest);
+    };
+    let points = points(highest.into());
     let size = equations.size();
-    work.spend(size.density_start(points as u64));
-    work.density.atoms.fit(equations, rows, points);
-    solved(equations, work);
+    work.spend(size.density_start(highest.into()));
+    work.density.begin(equations, terms, points);
+    solved(equations, highest.into(), work);
     work.density.densities.clone()
 }
 
-fn solved(equations: &Equations, work: &mut Work) {
-    wide!(solve, equations: &Equations, work: &mut Work);
+fn solved(equations: &Equations, highest: u64, work: &mut Work) {
+    wide!(solve, equations: &Equations, highest: u64, work: &mut Work);
 }
 
-/// Finds the flattest densities for equations whose atoms are there.
+/// Finds the flattest densities for equations of which the work knows the terms that are used.
 #[inline(always)]
-fn solve(equations: &Equations, work: &mut Work) {
+fn solve(equations: &Equations, highest: u64, work: &mut Work) {
     let counts = [f64::from(equations.on), f64::from(equations.off)];
-    let (rows, points) = (work.density.atoms.rows, work.density.atoms.points);
     let size = equations.size();
     let noise = equations.half * equations.half;
-    work.density.begin(&equations.middles[..rows]);
     let mut value = work.density.value(counts, noise);
     for _ in 0..ROUNDS {
-        work.spend(size.density_round(points as u64));
+        work.spend(size.density_round(highest));
         work.density.newton(counts, noise, &mut work.normal);
         let gradient = work.normal.vector().as_flattened();
         if gradient.iter().fold(0.0, |most: f64, g| most.max(g.abs())) < equations.half {
@@ -288,7 +445,7 @@ fn solve(equations: &Equations, work: &mut Work) {
         let mut scale = 1.0;
         let mut is_better = false;
         for _ in 0..HALVINGS {
-            work.spend(size.density_value(points as u64));
+            work.spend(size.density_value(highest));
             let after = work
                 .density
                 .value_after(work.normal.step(), scale, counts, noise);

@@ -8,15 +8,14 @@ use super::Pixel;
 use super::crowd::Densities;
 use super::equations::Equations;
 use super::pursuit::Peaks;
-use super::refine::{Work, least_squares, rms};
+use super::refine::{Patience, RMS_SOLVED, Work, least_squares, rms};
 
 /// Values of `place` at which the flattest densities are sampled (see [`Densities::times`]).
 pub(super) const PLACES: [f64; 7] = [0.5, 0.3, 0.7, 0.15, 0.85, 0.4, 0.6];
-/// RMS residual, in units of h, below which a result counts as a solution.
-const RMS_SOLVED: f64 = 1.0;
 
 /// Returns the median times u, ON events first; starting points are the flattest densities and, if `peaks` is
-/// given, the peaks. Each is refined by at most `rounds` steps of least squares.
+/// given, the peaks. Each is refined by at most `rounds` steps of least squares, with more patience for the best one if
+/// there is no solution.
 #[must_use]
 pub fn times(
     equations: &Equations,
@@ -27,14 +26,14 @@ pub fn times(
     let densities = Densities::flattest(equations, work);
     let mut starts: Vec<Vec<f64>> = PLACES.map(|place| densities.times(place)).into();
     if let Some((peaks, pixel)) = peaks {
-        starts.push(peaks.times(pixel, work));
+        starts.push(peaks.once(pixel, work));
         starts.push(peaks.refined(pixel, equations, work));
     }
     let mut solutions: Vec<(f64, Vec<f64>)> = starts
         .into_iter()
         .map(|mut times| {
             work.spend(equations.size().ordered());
-            least_squares(equations, &mut times, rounds, work);
+            least_squares(equations, &mut times, (rounds, Patience::Short), work);
             let rms = rms(equations, &times, work);
             in_order(equations, &mut times);
             (rms, times)
@@ -42,8 +41,12 @@ pub fn times(
         .collect();
     solutions.sort_by(|a, b| a.0.total_cmp(&b.0));
     let solved = solutions.partition_point(|(rms, _)| *rms < RMS_SOLVED);
-    // If there is no solution, keep the one nearest to it.
+    // If there is no solution, keep the one nearest to it, and come as near as possible.
     solutions.truncate(solved.max(1));
+    if let (0, Some((_, times))) = (solved, solutions.first_mut()) {
+        least_squares(equations, times, (rounds, Patience::Medium), work);
+        in_order(equations, times);
+    }
     let mut alike = Vec::with_capacity(solutions.len());
     (0..equations.events())
         .map(|event| {

@@ -120,9 +120,53 @@ pub fn sin_cos(quarters: Lanes) -> (Lanes, Lanes) {
     )
 }
 
+/// 1 / i! up to i = 13: for |r| up to ln 2 / 2 the rest of exp r is less than 2^-57.
+const POWERS: [f64; 14] = {
+    let mut terms = [1.0; 14];
+    let mut i = 1;
+    while i < 14 {
+        terms[i] = terms[i - 1] / i as f64;
+        i += 1;
+    }
+    terms
+};
+
+/// Returns exp of numbers that are at most 0, to a relative 2^-49 (enforced by a test); of numbers below -707, that of
+/// -707.
+#[inline(always)]
+pub fn exp(x: Lanes) -> Lanes {
+    const WHOLE: f64 = (3_u64 << 51) as f64;
+    // Few enough bits that their product with any power that occurs is exact; the rest of ln 2 is added.
+    const LN_2_HIGH: f64 = f64::from_bits(std::f64::consts::LN_2.to_bits() & !0xFFFF);
+    const LN_2_LOW: f64 = 2.319_046_813_846_299_6e-17 + (std::f64::consts::LN_2 - LN_2_HIGH);
+    let x = x.map(|x| if x > -707.0 { x } else { -707.0 });
+    let shifted = x.map(|x| x * std::f64::consts::LOG2_E + WHOLE);
+    let whole = shifted.map(|x| x - WHOLE);
+    let r: Lanes =
+        std::array::from_fn(|lane| (x[lane] - whole[lane] * LN_2_HIGH) - whole[lane] * LN_2_LOW);
+    let power = polynomial(&POWERS, r);
+    std::array::from_fn(|lane| {
+        let exponent = shifted[lane].to_bits().wrapping_add(1023) << 52;
+        power[lane] * f64::from_bits(exponent)
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn exponentials_are_those_of_the_library() {
+        for i in 0..80_000_u32 {
+            let x = -f64::from(i) / 113.0;
+            let (found, expected) = (exp([x, 0.0, x / 1000.0, -1e9]), x.max(-707.0).exp());
+            assert!((found[0] / expected - 1.0).abs() <= 0.5_f64.powi(49), "{x}");
+            let small = (x / 1000.0).exp();
+            assert!((found[2] / small - 1.0).abs() <= 0.5_f64.powi(49), "{x}");
+            assert_eq!(found[1], 1.0);
+            assert!(found[3] > 0.0 && found[3] < 1e-300);
+        }
+    }
 
     #[test]
     fn sines_and_cosines_are_those_of_the_library() {

@@ -14,6 +14,7 @@ use eecvs_nostd::{Header, Transform};
 
 use super::cost::OnGrid;
 use super::equations::Equations;
+use super::lanes::wide;
 use super::refine::Work;
 
 /// Largest number of events in a pixel for which all neighbouring candidates are examined.
@@ -25,6 +26,10 @@ pub(super) const REACH: [i32; ALL_EVENTS_MAX + 1] = [2, 2, 2, 2, 1];
 const REACH_MAX: i32 = 2;
 /// Number of offsets per event whose atoms are stored.
 pub(super) const PLACES: usize = 2 * REACH_MAX as usize + 1;
+/// Places or moves whose atoms are looked at together.
+const PLACE_LANES: usize = 8;
+/// One number for each of them.
+type Places = [i32; PLACE_LANES];
 /// Largest number of agreeing candidates collected.
 pub(super) const CANDIDATES_MAX: usize = 64;
 /// Largest number of steps in the descent to a candidate that agrees.
@@ -152,16 +157,6 @@ impl<'e> Lattice<'e> {
             .transform
             .is_complex()
             .then(|| next.rem_euclid(duration) as u32)
-    }
-
-    /// Returns by how much the sums miss the received levels in total.
-    fn outside(&self, sums: impl Iterator<Item = i64>) -> u64 {
-        let outside = |(sum, (least, most)): (i64, &(i64, i64))| {
-            (least - sum).max(sum - most).max(0).unsigned_abs()
-        };
-        sums.zip(&self.rooms)
-            .map(outside)
-            .fold(0, u64::saturating_add)
     }
 
     /// Searches for times near `start` that encode to what was received.
@@ -307,26 +302,52 @@ impl Candidate {
             .sum()
     }
 
-    fn outside(&self, lattice: &Lattice<'_>, moves: &[(usize, i32)]) -> u64 {
-        let sums = self.sums.iter().enumerate();
-        lattice.outside(sums.map(|(row, sum)| sum + self.moved(moves, row)))
+    /// Returns by how much the sums miss the received levels in total, or a number that is not below `bound`. The
+    /// highest atoms change most, so their rows come first.
+    fn outside(&self, lattice: &Lattice<'_>, moves: &[(usize, i32)], bound: u64) -> u64 {
+        let mut outside = 0_u64;
+        for (row, (least, most)) in lattice.rooms.iter().enumerate().rev() {
+            let sum = self.sums[row] + self.moved(moves, row);
+            let missed = (least - sum).max(sum - most).max(0).unsigned_abs();
+            outside = outside.saturating_add(missed);
+            if outside >= bound {
+                break;
+            }
+        }
+        outside
     }
 
-    /// Returns whether all rows agree; mostly the first rows decide.
-    fn agrees(&self, lattice: &Lattice<'_>, moves: &[(usize, i32)]) -> bool {
-        let mut rows = self.sums.iter().zip(&lattice.rooms).enumerate();
-        rows.all(|(row, (sum, (least, most)))| {
-            (*least..=*most).contains(&(sum + self.moved(moves, row)))
-        })
+    /// Writes the atoms of the first event at all places, row by row.
+    fn by_row(&self, rows: &mut Vec<Places>) {
+        let places = |row: usize| {
+            let mut places = [0; PLACE_LANES];
+            for (place, atom) in places.iter_mut().enumerate().take(PLACES) {
+                *atom = self.atoms[self.at(0, place).start + row];
+            }
+            places
+        };
+        rows.clear();
+        rows.extend((0..self.sums.len()).map(places));
     }
 
-    /// Returns whether all rows agree with the atoms of all events that begin at these places.
-    fn agrees_at(&self, lattice: &Lattice<'_>, places: &[usize]) -> bool {
-        let mut rows = lattice.rooms.iter().enumerate();
-        rows.all(|(row, (least, most))| {
-            let atoms = places.iter().map(|at| i64::from(self.atoms[at + row]));
-            (*least..=*most).contains(&atoms.sum::<i64>())
-        })
+    /// Returns at which places of the first event all rows agree, with the atoms of the others that begin at `others`.
+    #[inline(always)]
+    fn agreeing(
+        &self,
+        lattice: &Lattice<'_>,
+        first: &[Places],
+        others: &[usize],
+    ) -> [u32; PLACE_LANES] {
+        let of_others = |row: usize| -> i64 {
+            let atoms = others.iter().map(|at| i64::from(self.atoms[at + row]));
+            atoms.sum()
+        };
+        let rooms = lattice.rooms.iter().enumerate();
+        let rows = first.iter().zip(rooms).rev().map(|(atoms, (row, room))| {
+            let others = of_others(row);
+            (atoms, (room.0 - others, room.1 - others))
+        });
+        all_within(rows)
     }
 
     fn apply(&mut self, lattice: &mut Lattice<'_>, moves: &[(usize, i32)]) {
@@ -341,7 +362,7 @@ impl Candidate {
     /// agree.
     fn descend(&mut self, lattice: &mut Lattice<'_>, work: &mut Work) -> bool {
         let n = self.offsets.len();
-        let mut least = self.outside(lattice, &[]);
+        let mut least = self.outside(lattice, &[], u64::MAX);
         for _ in 0..ROUNDS {
             if least == 0 {
                 return true;
@@ -349,7 +370,7 @@ impl Candidate {
             work.spend(lattice.grid_size.descent(n as u64));
             let mut best: Option<([(usize, i32); 2], usize)> = None;
             let mut look = |this: &Self, moves: [(usize, i32); 2], len: usize| {
-                let outside = this.outside(lattice, &moves[..len]);
+                let outside = this.outside(lattice, &moves[..len], least);
                 if outside < least {
                     (least, best) = (outside, Some((moves, len)));
                 }
@@ -379,6 +400,12 @@ impl Candidate {
     fn middle(mut self, lattice: &mut Lattice<'_>, work: &mut Work) -> Agreed {
         let n = self.offsets.len();
         let first = self.offsets.clone();
+        if n == 0 {
+            return Agreed {
+                offsets: first,
+                is_unique: true,
+            };
+        }
         if n > ALL_EVENTS_MAX {
             work.spend(lattice.grid_size.pairs(n as u64));
             let is_unique = !self.has_other(lattice);
@@ -394,7 +421,8 @@ impl Candidate {
         let mut next = 0;
         let reach = REACH[n];
         let places = 2 * reach + 1;
-        let around = places.pow(n as u32);
+        let of_others = places.pow(n as u32 - 1);
+        let mut rows = Vec::new();
         while next < found.len() && found.len() < CANDIDATES_MAX {
             let at = found[next];
             next += 1;
@@ -405,20 +433,26 @@ impl Candidate {
                     self.place(lattice, i, offset);
                 }
             }
-            for code in 0..around {
+            self.by_row(&mut rows);
+            for code in 0..of_others {
                 let (mut places_of, mut to) = ([0; ALL_EVENTS_MAX], at);
                 let mut rest = code;
-                for (i, place) in places_of.iter_mut().take(n).enumerate() {
+                for (i, place) in places_of.iter_mut().enumerate().take(n).skip(1) {
                     let by = rest % places - reach;
                     *place = self.at(i, (by + REACH_MAX) as usize).start;
                     to[i] += by;
                     rest /= places;
                 }
-                if self.agrees_at(lattice, &places_of[..n])
-                    && (0..n).all(|i| lattice.beside(first[i], to[i]).is_some())
-                    && seen.insert(to)
-                {
-                    found.push(to);
+                let others = &places_of[1..n];
+                let agreeing = agreeing(&self, lattice, &rows, others);
+                for by in -reach..=reach {
+                    to[0] = at[0] + by;
+                    if agreeing[(by + REACH_MAX) as usize] != 0
+                        && (0..n).all(|i| lattice.beside(first[i], to[i]).is_some())
+                        && seen.insert(to)
+                    {
+                        found.push(to);
+                    }
                 }
             }
         }
@@ -444,13 +478,104 @@ impl Candidate {
 
     /// Returns whether other times agree when one or two events move by a microsecond.
     fn has_other(&self, lattice: &Lattice<'_>) -> bool {
-        let n = self.offsets.len();
-        let agrees = |moves: &[(usize, i32)]| self.agrees(lattice, moves);
-        (0..n).any(|i| {
-            [-1, 1].into_iter().any(|by| {
-                let pairs = (0..i).flat_map(|j| [(j, -1), (j, 1)]);
-                agrees(&[(i, by)]) || pairs.into_iter().any(|other| agrees(&[(i, by), other]))
+        let (n, rows) = (self.offsets.len(), self.sums.len());
+        // The changes of all rows by all moves, several moves at a time: the moves of event i are 2 i and 2 i + 1.
+        let blocks = (2 * n).div_ceil(PLACE_LANES);
+        let mut changes = vec![[0; PLACE_LANES]; blocks * rows];
+        for i in 0..n {
+            let [back, still, on] = [-1, 0, 1].map(|by| self.at(i, (by + REACH_MAX) as usize));
+            for (at, to) in [(2 * i, back), (2 * i + 1, on)] {
+                let (block, lane) = (at / PLACE_LANES, at % PLACE_LANES);
+                let rows = &mut changes[block * rows..][..rows];
+                let atoms = self.atoms[to].iter().zip(&self.atoms[still.clone()]);
+                for (row, (to, still)) in rows.iter_mut().zip(atoms) {
+                    row[lane] = to - still;
+                }
+            }
+        }
+        let others = Others {
+            sums: &self.sums,
+            rooms: &lattice.rooms,
+            changes: &changes,
+        };
+        others_agree(&others, n)
+    }
+}
+
+/// Returns at which places of the first event all rows agree: see [`Candidate::agreeing`].
+fn agreeing(
+    candidate: &Candidate,
+    lattice: &Lattice<'_>,
+    first: &[Places],
+    others: &[usize],
+) -> [u32; PLACE_LANES] {
+    wide!(
+        Candidate::agreeing,
+        candidate: &Candidate, lattice: &Lattice<'_>, first: &[Places], others: &[usize];
+        [u32; PLACE_LANES]
+    )
+}
+
+/// Changes of the sums by moves of single events.
+struct Others<'c> {
+    sums: &'c [i64],
+    rooms: &'c [(i64, i64)],
+    /// Blocks of moves: in each, all rows.
+    changes: &'c [Places],
+}
+
+impl Others<'_> {
+    /// Returns whether all rows agree after one of the moves of `n` events, or after two moves of different ones.
+    #[inline(always)]
+    fn agree(&self, n: usize) -> bool {
+        let rows = self.sums.len();
+        let blocks = || self.changes.chunks_exact(rows.max(1)).enumerate();
+        // No move, and each move of the later event with all moves of those before it.
+        (0..=2 * n).any(|later| {
+            let (of_later, moves) = match later.checked_sub(1) {
+                None => (None, 2 * n),
+                Some(at) => (
+                    Some((at / PLACE_LANES * rows, at % PLACE_LANES)),
+                    at / 2 * 2,
+                ),
+            };
+            let sum = |row: usize| {
+                let change = of_later.map_or(0, |(first, lane)| self.changes[first + row][lane]);
+                self.sums[row] + i64::from(change)
+            };
+            let used = blocks().take(moves.div_ceil(PLACE_LANES));
+            used.into_iter().any(|(block, changes)| {
+                let of_rooms = changes.iter().zip(self.rooms).enumerate().rev();
+                let within = all_within(of_rooms.map(|(row, (changes, room))| {
+                    let sum = sum(row);
+                    (changes, (room.0 - sum, room.1 - sum))
+                }));
+                let lanes = PLACE_LANES.min(moves - block * PLACE_LANES);
+                within[..lanes].iter().any(|within| *within != 0)
             })
         })
     }
+}
+
+fn others_agree(others: &Others<'_>, n: usize) -> bool {
+    wide!(Others::agree, others: &Others<'_>, n: usize; bool)
+}
+
+/// Returns 1 for each lane whose numbers are in the rooms of all rows, and 0 for the others.
+#[inline(always)]
+fn all_within<'r>(rows: impl Iterator<Item = (&'r Places, (i64, i64))>) -> [u32; PLACE_LANES] {
+    let mut within = [1; PLACE_LANES];
+    for (numbers, (least, most)) in rows {
+        // No number is at an end of what 32 bits hold.
+        let limited = |end: i64| end.clamp(i32::MIN.into(), i32::MAX.into()) as i32;
+        let (least, most) = (limited(least), limited(most));
+        for lane in 0..PLACE_LANES {
+            let number = numbers[lane];
+            within[lane] &= u32::from((number >= least) & (number <= most));
+        }
+        if within.iter().fold(0, |any, within| any | within) == 0 {
+            break;
+        }
+    }
+    within
 }

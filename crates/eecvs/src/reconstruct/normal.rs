@@ -1,11 +1,11 @@
-//! Normal equations of least squares: A = J^T W J, and their solution by Cholesky's factors.
+//! Normal equations of least squares: A = J^T W J, and their solution by Cholesky's factors without roots.
 //!
 //! Rows of J and of A are whole blocks of [`LANES`] numbers, the last of which zeros fill, so that all sums run over
 //! blocks, in the same order on every machine.
 
 use std::array::from_fn;
 
-use super::lanes::{LANES, Lanes, add_row, blocks, dot};
+use super::lanes::{LANES, Lanes, blocks, dot};
 
 /// Equations for n unknowns, with the memory to solve them.
 #[derive(Debug, Default)]
@@ -15,10 +15,12 @@ pub struct Normal {
     matrix: Vec<Lanes>,
     /// J^T W v.
     vector: Vec<Lanes>,
-    /// Upper triangle of U with U^T U = A, and 1 / U_ii.
+    /// lambda diag.
+    damping: Vec<f64>,
+    /// Upper triangle of R with R^T D^-1 R = A + lambda diag, where D is R's diagonal, and 1 / R_ii.
     factor: Vec<Lanes>,
     inverses: Vec<Lanes>,
-    /// y with U^T y = J^T W v.
+    /// y with R^T y = J^T W v.
     half_solved: Vec<Lanes>,
     step: Vec<Lanes>,
 }
@@ -46,9 +48,15 @@ impl Normal {
         &self.step.as_flattened()[..self.n]
     }
 
-    /// Computes A and J^T W v of `n` unknowns from rows of J, of [`blocks`] blocks each; without v, the vector is 0.
+    /// Begins with n unknowns, A = 0 and J^T W v = 0, which the caller fills.
     #[inline(always)]
-    pub fn fill(&mut self, slopes: &[Lanes], n: usize, weights: &[f64], v: &[f64]) {
+    pub fn begin(&mut self, n: usize) {
+        self.resize(n);
+        self.matrix.fill([0.0; LANES]);
+        self.vector.fill([0.0; LANES]);
+    }
+
+    fn resize(&mut self, n: usize) {
         let blocks = blocks(n);
         self.n = n;
         for (numbers, len) in [
@@ -61,6 +69,13 @@ impl Normal {
         ] {
             numbers.resize(len, [0.0; LANES]);
         }
+    }
+
+    /// Computes A and J^T W v of `n` unknowns from rows of J, of [`blocks`] blocks each.
+    #[inline(always)]
+    pub fn fill(&mut self, slopes: &[Lanes], n: usize, weights: &[f64], v: &[f64]) {
+        let blocks = blocks(n);
+        self.resize(n);
         if n == 0 {
             return;
         }
@@ -88,6 +103,19 @@ impl Normal {
         }
     }
 
+    /// Returns by how much `scale` times the step reduces v^T W v if J is right: 2 s d^T b - s^2 d^T A d, with b = J^T W v
+    /// and A d = b - lambda diag d.
+    #[inline(always)]
+    pub fn predicted(&self, scale: f64) -> f64 {
+        let vector = self.vector.as_flattened();
+        let (mut along, mut damped) = (0.0, 0.0);
+        for ((d, b), damping) in self.step().iter().zip(vector).zip(&self.damping) {
+            along += d * b;
+            damped += damping * d * d;
+        }
+        scale * (2.0 * along - scale * (along - damped))
+    }
+
     /// Solves (A + lambda diag) d = J^T W v into [`Self::step`]; returns false if that matrix is not positive definite,
     /// or the solution not finite.
     #[inline(always)]
@@ -95,45 +123,45 @@ impl Normal {
         let (n, blocks) = (self.n, blocks(self.n));
         let diagonal = |j: usize| self.matrix[j * blocks + j / LANES][j % LANES];
         let mean = (0..n).map(diagonal).sum::<f64>() / n.max(1) as f64;
-        let damping = |j: usize| lambda * (diagonal(j) + 1e-3 * mean);
+        self.damping.clear();
+        self.damping
+            .extend((0..n).map(|j| lambda * (diagonal(j) + 1e-3 * mean)));
         // Four rows at a time, from their block on the diagonal to the right. Left of the diagonal, blocks hold what is
         // not used; so do rows behind the last.
         for panel in 0..blocks {
             let (above, rows) = self.factor.split_at_mut(LANES * panel * blocks);
-            let above = || above.chunks_exact(blocks);
+            let inverses = self.inverses.as_flattened();
+            let above = || above.chunks_exact(blocks).zip(inverses);
             let of_panel = |i: usize| (LANES * panel + i) * blocks;
-            let rest = n - LANES * panel;
-            let mut inverses = [0.0; LANES];
-            // U of the block on the diagonal.
+            let rest = LANES.min(n - LANES * panel);
+            let mut of_rows = [0.0; LANES];
+            // R of the block on the diagonal.
             let mut corner = [[0.0; LANES]; LANES];
             for block in panel..blocks {
                 let mut tile: [Lanes; LANES] = from_fn(|i| self.matrix[of_panel(i) + block]);
                 if block == panel {
                     for (i, row) in tile.iter_mut().enumerate().take(rest) {
-                        row[i] += damping(LANES * panel + i);
+                        row[i] += self.damping[LANES * panel + i];
                     }
                 }
-                for upper in above() {
-                    let (by, of) = (upper[panel], upper[block]);
+                for (upper, inverse) in above() {
+                    let (by, of) = (upper[panel].map(|r| r * inverse), upper[block]);
                     for (row, by) in tile.iter_mut().zip(by) {
                         *row = from_fn(|lane| row[lane] - by * of[lane]);
                     }
                 }
-                for i in 0..LANES.min(rest) {
+                for i in 0..rest {
                     for k in 0..i {
-                        let (of, by) = (tile[k], corner[k][i]);
+                        let (of, by) = (tile[k], corner[k][i] * of_rows[k]);
                         tile[i] = from_fn(|lane| tile[i][lane] - by * of[lane]);
                     }
                     if block == panel {
-                        let square = tile[i][i];
+                        let pivot = tile[i][i];
                         // What is not a number is not positive either.
-                        if square.is_nan() || square <= 0.0 {
+                        if pivot.is_nan() || pivot <= 0.0 {
                             return false;
                         }
-                        inverses[i] = 1.0 / square.sqrt();
-                    }
-                    tile[i] = tile[i].map(|number| number * inverses[i]);
-                    if block == panel {
+                        of_rows[i] = 1.0 / pivot;
                         corner[i] = tile[i];
                     }
                 }
@@ -141,25 +169,37 @@ impl Normal {
                     rows[i * blocks + block] = row;
                 }
             }
-            self.inverses[panel] = inverses;
+            // R^T y = J^T W v: what is known is taken from the rest.
+            let mut unknown = self.vector[panel];
+            for ((upper, _), y) in above().zip(self.half_solved.as_flattened()) {
+                let of = upper[panel];
+                unknown = from_fn(|lane| unknown[lane] - y * of[lane]);
+            }
+            let mut solved = [0.0; LANES];
+            for i in 0..rest {
+                solved[i] = unknown[i] * of_rows[i];
+                unknown = from_fn(|lane| unknown[lane] - solved[i] * corner[i][lane]);
+            }
+            self.inverses[panel] = of_rows;
+            self.half_solved[panel] = solved;
         }
-        let inverses = self.inverses.as_flattened();
-        // U^T y = J^T W v: what is known is taken from the rest.
-        self.step.copy_from_slice(&self.vector);
-        for (j, inverse) in inverses.iter().enumerate().take(n) {
-            let (block, lane) = (j / LANES, j % LANES);
-            let solved = self.step[block][lane] * inverse;
-            self.half_solved[block][lane] = solved;
-            let row = &self.factor[j * blocks..][block..blocks];
-            add_row(&mut self.step[block..], -solved, row);
-        }
-        // U d = y, where d is 0 until it is known.
-        self.step.fill([0.0; LANES]);
-        for j in (0..n).rev() {
-            let (block, lane) = (j / LANES, j % LANES);
-            let row = &self.factor[j * blocks..][block..blocks];
-            let known = dot(row, &self.step[block..]);
-            self.step[block][lane] = (self.half_solved[block][lane] - known) * inverses[j];
+        // D^-1 R d = y, from the last block to the first.
+        for panel in (0..blocks).rev() {
+            let rest = LANES.min(n - LANES * panel);
+            let rows = &self.factor[LANES * panel * blocks..];
+            let row = |i: usize| &rows[i * blocks..][..blocks];
+            let mut known = [0.0; LANES];
+            for (i, known) in known.iter_mut().enumerate().take(rest) {
+                *known = dot(&row(i)[panel + 1..], &self.step[panel + 1..]);
+            }
+            let mut step = [0.0; LANES];
+            for i in (0..rest).rev() {
+                step[i] = self.half_solved[panel][i] - known[i] * self.inverses[panel][i];
+                for (above, known) in known.iter_mut().enumerate().take(i) {
+                    *known += row(above)[panel][i] * step[i];
+                }
+            }
+            self.step[panel] = step;
         }
         self.step().iter().all(|d| d.is_finite())
     }

@@ -20,7 +20,10 @@ use super::crowd::Densities;
 use super::equations::Equations;
 use super::lattice::{self, Agreed, Lattice};
 use super::pursuit::Peaks;
-use super::refine::{LEAST_SQUARES_ROUNDS, Work, centre, largest, least_squares, rms};
+use super::refine::{
+    LEAST_SQUARES_ROUNDS, Patience, RMS_QUANTISED, RMS_SOLVED, Work, centre, largest,
+    least_squares, rms,
+};
 use super::{cost, ensemble, prony};
 
 /// Largest number of events whose times are solved for one by one.
@@ -30,11 +33,8 @@ pub const EVENTS_MAX: usize = 40;
 const EVENTS_FIFTHS: u64 = 8;
 /// Number of events from which the median of many solutions is taken.
 pub(super) const MEDIAN_FROM: usize = 17;
-/// Largest number of events for which pairs are tried.
+/// Largest number of events for which pairs are tried, and for which least squares go on as long as there is progress.
 pub(super) const PAIRED_EVENTS_MAX: usize = 8;
-/// RMS residual, in units of h, below which the residual is taken to be quantisation error. Uniform errors have an
-/// RMS of 0.58, with a standard deviation of 0.05 over 30 rows.
-const RMS_QUANTISED: f64 = 0.75;
 /// Rounds of least squares for a crowded pixel, and the largest number of events of a crowded pixel that is
 /// refined.
 pub(super) const CROWD_ROUNDS: usize = 4;
@@ -151,7 +151,7 @@ pub fn pixel(header: &Header, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> 
     } else {
         fitted(&equations, peaks, pixel, work)
     };
-    if rms(&equations, &times, work) < 1.0 {
+    if rms(&equations, &times, work) < RMS_SOLVED {
         let mut lattice = Lattice::new(header, &equations);
         // Where no other times agree, it does not matter where the search for them begins.
         let near = lattice.agree(&offsets_us(&equations, &times), work);
@@ -178,6 +178,7 @@ pub fn pixel(header: &Header, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Start {
     Pairs,
+    Once,
     Peaks,
     RefinedPeaks,
     Pencil,
@@ -186,16 +187,17 @@ enum Start {
 }
 
 impl Start {
-    /// The order for a number of events. Of two, one may hide the other, and all pairs of points are looked at sooner
-    /// than one point after the other.
-    const fn order(events: usize) -> [Self; 6] {
-        let [first, second] = match events {
-            0..=2 => [Self::Pairs, Self::Peaks],
-            _ => [Self::Peaks, Self::Pairs],
+    /// The order for a number of events: mostly, it does to place each once. Of two, one may hide the other, and all
+    /// pairs of points are looked at sooner than one point after the other.
+    const fn order(events: usize) -> [Self; 7] {
+        let [first, second, third] = match events {
+            0..=2 => [Self::Pairs, Self::Once, Self::Peaks],
+            _ => [Self::Once, Self::Peaks, Self::Pairs],
         };
         [
             first,
             second,
+            third,
             Self::RefinedPeaks,
             Self::Pencil,
             Self::Newton,
@@ -208,10 +210,16 @@ impl Start {
 fn fitted(equations: &Equations, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> Vec<f64> {
     let mut best: Option<(f64, Vec<f64>)> = None;
     let events = equations.events();
+    let patience = if events > PAIRED_EVENTS_MAX {
+        Patience::Medium
+    } else {
+        Patience::Long
+    };
     for start in Start::order(events) {
         let times = match start {
             Start::Pairs if events > PAIRED_EVENTS_MAX => None,
             Start::Pairs => peaks.paired(pixel, work),
+            Start::Once => Some(peaks.once(pixel, work)),
             Start::Peaks => Some(peaks.times(pixel, work)),
             Start::RefinedPeaks => Some(peaks.refined(pixel, equations, work)),
             Start::Pencil => prony::pencil(equations, work),
@@ -221,7 +229,12 @@ fn fitted(equations: &Equations, peaks: &Peaks, pixel: &Pixel, work: &mut Work) 
         let Some(mut times) = times else {
             continue;
         };
-        least_squares(equations, &mut times, LEAST_SQUARES_ROUNDS, work);
+        least_squares(
+            equations,
+            &mut times,
+            (LEAST_SQUARES_ROUNDS, patience),
+            work,
+        );
         let rms = rms(equations, &times, work);
         if rms < RMS_QUANTISED {
             return times;

@@ -27,13 +27,15 @@ use super::cost::{PIXEL, Search};
 use super::equations::Equations;
 use super::guide::Guide;
 use super::lanes::{LANES, Lanes, sin_cos, sum, wide};
-use super::refine::{Work, least_squares};
+use super::refine::{Patience, Work, least_squares};
 use pairs::Turns;
 
 /// Points of the search grid for each atom.
 const POINTS_PER_ATOM: usize = 4;
 /// Largest number of Newton steps to polish a peak.
 pub(super) const NEWTON_STEPS: usize = 12;
+/// Largest number of Newton steps where least squares follow.
+const ROUGH_STEPS: usize = 2;
 /// Rounds in which every event is placed again.
 pub(super) const ROUNDS: usize = 3;
 /// Largest number of events in a pixel whose events are placed again; for more, the rounds cost more than they
@@ -107,25 +109,26 @@ impl Peaks {
     #[must_use]
     pub fn pixel(&self, pixel: &Pixel, work: &mut Work) -> Vec<Placed> {
         work.spend(PIXEL);
-        self.placed(pixel, ROUNDS_EVENTS_MAX, work)
+        let events = pixel.on as usize + pixel.off as usize;
+        let rounds = if events <= ROUNDS_EVENTS_MAX {
+            ROUNDS
+        } else {
+            0
+        };
+        placed(Pursuit::new(self, pixel), pixel, rounds, work)
     }
 
-    /// Returns the times u of a pixel's events, those of the ON events first. Unlike [`Self::pixel`] it places
+    /// Returns rough times u of a pixel's events, those of the ON events first, each placed once.
+    #[must_use]
+    pub fn once(&self, pixel: &Pixel, work: &mut Work) -> Vec<f64> {
+        on_first(&placed(Pursuit::rough(self, pixel), pixel, 0, work))
+    }
+
+    /// Returns rough times u of a pixel's events, those of the ON events first. Unlike [`Self::pixel`] it places
     /// events again whatever their number.
     #[must_use]
     pub fn times(&self, pixel: &Pixel, work: &mut Work) -> Vec<f64> {
-        on_first(&self.placed(pixel, usize::MAX, work))
-    }
-
-    /// Places a pixel's events; up to `rounds_events_max` of them are placed again.
-    fn placed(&self, pixel: &Pixel, rounds_events_max: usize, work: &mut Work) -> Vec<Placed> {
-        let pursuit = Pursuit::new(self, pixel);
-        let counts = (pixel.on, pixel.off);
-        wide!(
-            Pursuit::run,
-            pursuit: Pursuit<'_>, counts: (u32, u32), rounds_events_max: usize, work: &mut Work;
-            Vec<Placed>
-        )
+        on_first(&placed(Pursuit::rough(self, pixel), pixel, ROUNDS, work))
     }
 
     /// Returns the times u of a pixel's events, those of the ON events first, placed two at a time (`pairs`) on
@@ -135,7 +138,7 @@ impl Peaks {
         if pixel.on + pixel.off < 2 {
             return None;
         }
-        let (pursuit, counts) = (Pursuit::new(self, pixel), (pixel.on, pixel.off));
+        let (pursuit, counts) = (Pursuit::rough(self, pixel), (pixel.on, pixel.off));
         let turns = self.turns.as_ref()?;
         Some(on_first(&pairs::placed(pursuit, counts, turns, work)?))
     }
@@ -157,7 +160,7 @@ impl Peaks {
     fn refining(&self, pixel: &Pixel, equations: &Equations, work: &mut Work) -> Vec<f64> {
         let mut partial = equations.clone();
         partial.signs.clear();
-        let mut pursuit = Pursuit::new(self, pixel);
+        let mut pursuit = Pursuit::rough(self, pixel);
         let whole = (pursuit.re.clone(), pursuit.im.clone());
         let (mut on, mut off) = (pixel.on, pixel.off);
         let mut times: Vec<f64> = Vec::new();
@@ -172,7 +175,7 @@ impl Peaks {
             }
             times.push(u);
             partial.signs.push(sign);
-            least_squares(&partial, &mut times, PARTIAL_ROUNDS, work);
+            least_squares(&partial, &mut times, (PARTIAL_ROUNDS, Patience::Long), work);
             pursuit.re.clone_from(&whole.0);
             pursuit.im.clone_from(&whole.1);
             for (u, sign) in times.iter().zip(&partial.signs) {
@@ -212,6 +215,16 @@ impl Peaks {
     }
 }
 
+/// Places a pixel's events, and then each of them again in so many rounds.
+fn placed(pursuit: Pursuit<'_>, pixel: &Pixel, rounds: usize, work: &mut Work) -> Vec<Placed> {
+    let counts = (pixel.on, pixel.off);
+    wide!(
+        Pursuit::run,
+        pursuit: Pursuit<'_>, counts: (u32, u32), rounds: usize, work: &mut Work;
+        Vec<Placed>
+    )
+}
+
 /// Returns the times of the ON events, followed by those of the OFF events.
 fn on_first(placed: &[Placed]) -> Vec<f64> {
     let of = |is_on: bool| {
@@ -244,12 +257,14 @@ struct Pursuit<'d> {
     numbers: Vec<Complex<f64>>,
     /// Sums of all points.
     correlations: Vec<f32>,
-    /// Heights of the second of two events.
-    of_second: Vec<f32>,
+    /// Heights of the second of two events, and the largest ones of both.
+    numbers_of_pairs: [Vec<f32>; 2],
     /// Points that the guide found.
     candidates: Vec<usize>,
     /// Sizes from which the work follows.
     search: Search,
+    /// Largest number of Newton steps to polish a peak.
+    newton_steps: usize,
 }
 
 impl<'d> Pursuit<'d> {
@@ -277,9 +292,18 @@ impl<'d> Pursuit<'d> {
             im,
             numbers: Vec::new(),
             correlations: Vec::new(),
-            of_second: Vec::new(),
+            numbers_of_pairs: Default::default(),
             candidates: Vec::new(),
             search: peaks.search(pixel),
+            newton_steps: NEWTON_STEPS,
+        }
+    }
+
+    /// Begins a pursuit whose times least squares refine.
+    fn rough(peaks: &'d Peaks, pixel: &Pixel) -> Self {
+        Self {
+            newton_steps: ROUGH_STEPS,
+            ..Self::new(peaks, pixel)
         }
     }
 
@@ -289,12 +313,7 @@ impl<'d> Pursuit<'d> {
     }
 
     #[inline(always)]
-    fn run(
-        mut self,
-        (mut on, mut off): (u32, u32),
-        rounds_events_max: usize,
-        work: &mut Work,
-    ) -> Vec<Placed> {
+    fn run(mut self, (mut on, mut off): (u32, u32), rounds: usize, work: &mut Work) -> Vec<Placed> {
         let mut placed = Vec::with_capacity((on + off) as usize);
         while on + off > 0 {
             let event = self.best(on > 0, off > 0, work);
@@ -307,8 +326,8 @@ impl<'d> Pursuit<'d> {
             self.add(event, -1.0);
             placed.push(event);
         }
-        if placed.len() > 1 && placed.len() <= rounds_events_max {
-            for _ in 0..ROUNDS {
+        if placed.len() > 1 {
+            for _ in 0..rounds {
                 work.spend(2 * placed.len() as u64 * self.search.add());
                 for event in &mut placed {
                     self.add(*event, 1.0);
@@ -460,7 +479,7 @@ impl<'d> Pursuit<'d> {
     fn polish(&self, start: f64, sign: f64) -> f64 {
         let reach = 1.0 / self.peaks.points as f64;
         let mut u = start;
-        for _ in 0..NEWTON_STEPS {
+        for _ in 0..self.newton_steps {
             let (slope, curvature) = self.derivatives(u, sign);
             if curvature >= 0.0 {
                 break;
@@ -551,15 +570,16 @@ fn highest_of(numbers: &[f32], height: impl Fn(usize, f32) -> f32) -> f32 {
     let mut most = [f32::NEG_INFINITY; 8];
     for (chunk, numbers) in numbers.chunks(8).enumerate() {
         for (lane, number) in numbers.iter().enumerate() {
-            let height = height(8 * chunk + lane, *number);
-            most[lane] = if height > most[lane] {
-                height
-            } else {
-                most[lane]
-            };
+            most[lane] = larger(most[lane], height(8 * chunk + lane, *number));
         }
     }
-    most.into_iter().fold(f32::NEG_INFINITY, f32::max)
+    most.into_iter().fold(f32::NEG_INFINITY, larger)
+}
+
+/// Returns the larger number: `most`, if the other one is none.
+#[inline(always)]
+const fn larger(most: f32, other: f32) -> f32 {
+    if other > most { other } else { most }
 }
 
 #[cfg(test)]
@@ -672,8 +692,9 @@ mod tests {
                 };
                 let counts = (pixel.on, pixel.off);
                 let [mut work, mut other] = [Work::default(), Work::default()];
-                let plain = Pursuit::new(&peaks, &pixel).run(counts, usize::MAX, &mut other);
-                assert_eq!(peaks.placed(&pixel, usize::MAX, &mut work), plain);
+                let plain = Pursuit::new(&peaks, &pixel).run(counts, ROUNDS, &mut other);
+                let pursuit = Pursuit::new(&peaks, &pixel);
+                assert_eq!(super::placed(pursuit, &pixel, ROUNDS, &mut work), plain);
                 let turns = peaks.turns.as_ref().unwrap();
                 let pursuit = || Pursuit::new(&peaks, &pixel);
                 let plain = pursuit().run_pairs(counts, turns, &mut other);

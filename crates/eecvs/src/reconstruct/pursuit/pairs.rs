@@ -80,17 +80,19 @@ impl Turns {
 
 impl Overlaps {
     /// Returns the best pair of points with these signs and its height, or `None` if no height is a number.
-    /// `heights` are p J(u) without the term of the energy, for p = 1, at all points; `energies` is that term.
+    /// `heights` are p J(u) without the term of the energy, for p = 1, at all points; `energies` is that term, and
+    /// `numbers` memory to compare them.
     #[inline(always)]
     pub fn best(
         &self,
         heights: &[f32],
         energies: &[f32],
         [first, second]: [f32; 2],
-        of_second: &mut Vec<f32>,
+        numbers: &mut [Vec<f32>; 2],
     ) -> Option<(f32, Pair)> {
         let points = self.points;
         let energy = |at: usize| if self.is_complex { 0.0 } else { energies[at] };
+        let [of_second, most] = numbers;
         of_second.clear();
         of_second.extend((0..points).map(|at| second * heights[at] - energy(at)));
         // For the DCT, cos a cos b = (cos (a - b) + cos (a + b)) / 2.
@@ -99,33 +101,45 @@ impl Overlaps {
         } else {
             first * second / 2.0
         };
-        let mut best = (f32::NEG_INFINITY, 0);
+        let apart = |at: usize| &self.sums[points - at..2 * points - at];
+        let summed = |at: usize| &self.sums[points + at + 1..][..points];
+        // For every second point the largest height, so that all points are compared at once.
+        most.clear();
+        most.resize(points, f32::NEG_INFINITY);
         for (at, height) in heights.iter().enumerate() {
-            let apart = &self.sums[points - at..2 * points - at];
-            let summed = &self.sums[points + at + 1..];
-            let most = if self.is_complex {
-                most_of(of_second, |other| factor * apart[other])
+            let of_first = first * height - energy(at);
+            let seconds = most.iter_mut().zip(&*of_second).zip(apart(at));
+            if self.is_complex {
+                for ((most, of_second), apart) in seconds {
+                    *most = most.max(of_first + (of_second - factor * apart));
+                }
             } else {
-                most_of(of_second, |other| factor * (apart[other] + summed[other]))
-            };
-            let height = first * height - energy(at) + most;
-            if height > best.0 {
-                best = (height, at);
+                for (((most, of_second), apart), summed) in seconds.zip(summed(at)) {
+                    let both = of_second - factor * (apart + summed);
+                    *most = most.max(of_first + both);
+                }
             }
         }
-        let (height, at) = best;
+        let height = most.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         if height == f32::NEG_INFINITY {
             return None;
         }
-        let value = |other: usize| {
+        let value = |at: usize, other: usize| {
             let summed = if self.is_complex {
                 0.0
             } else {
-                self.sums[points + at + 1 + other]
+                summed(at)[other]
             };
-            of_second[other] - factor * (self.sums[points - at + other] + summed)
+            let both = of_second[other] - factor * (apart(at)[other] + summed);
+            (first * heights[at] - energy(at)) + both
         };
-        let other = (0..points).max_by(|a, b| value(*a).total_cmp(&value(*b)))?;
+        // Of equal heights, the first of the first points and the last of the second ones counts.
+        let highest = (0..points).filter(|other| most[*other] == height);
+        let pairs = highest.filter_map(|other| {
+            let at = (0..points).find(|at| value(*at, other) == height)?;
+            Some((at, other))
+        });
+        let (at, other) = pairs.min_by_key(|(at, other)| (*at, points - other))?;
         Some((height, [(at, first), (other, second)]))
     }
 }
@@ -200,7 +214,12 @@ impl Pursuit<'_> {
         let mut best = None;
         for signs in signs {
             let energies = &self.peaks.half_energy;
-            let found = overlaps.best(&self.correlations, energies, signs, &mut self.of_second);
+            let found = overlaps.best(
+                &self.correlations,
+                energies,
+                signs,
+                &mut self.numbers_of_pairs,
+            );
             if let Some((height, pair)) = found
                 && best.is_none_or(|(most, _)| height > most)
             {
@@ -230,29 +249,6 @@ pub(super) fn placed(
         pursuit: Pursuit<'_>, counts: (u32, u32), turns: &Turns, work: &mut Work;
         Option<Vec<Placed>>
     )
-}
-
-/// Returns the largest of all numbers less `less`.
-#[inline(always)]
-fn most_of(numbers: &[f32], less: impl Fn(usize) -> f32) -> f32 {
-    let mut most = [f32::NEG_INFINITY; 8];
-    let (chunks, rest) = numbers.as_chunks::<8>();
-    for (chunk, numbers) in chunks.iter().enumerate() {
-        for lane in 0..8 {
-            let height = numbers[lane] - less(8 * chunk + lane);
-            most[lane] = if height > most[lane] {
-                height
-            } else {
-                most[lane]
-            };
-        }
-    }
-    let behind = 8 * chunks.len();
-    let rest = rest
-        .iter()
-        .enumerate()
-        .map(|(at, number)| number - less(behind + at));
-    rest.chain(most).fold(f32::NEG_INFINITY, f32::max)
 }
 
 #[cfg(test)]
@@ -307,7 +303,7 @@ mod tests {
                 let most = all
                     .map(|(a, b)| value(a, b))
                     .fold(f32::NEG_INFINITY, f32::max);
-                let found = overlaps.best(&heights, &energies, signs, &mut Vec::new());
+                let found = overlaps.best(&heights, &energies, signs, &mut Default::default());
                 let (height, [(a, of_a), (b, of_b)]) = found.unwrap();
                 assert_eq!([of_a, of_b], signs);
                 assert!((height - most).abs() < 1e-4, "{height} {most}");
