@@ -252,7 +252,7 @@ impl Size {
         } else {
             self.fitted(search)
         };
-        PIXEL + found + 2 * self.residual(events) + self.centre() + 2 * grid.agree(events)
+        PIXEL + found + 2 * self.residual(events) + self.centre() + 3 * grid.agree(events)
     }
 }
 

@@ -86,7 +86,7 @@ impl Waves {
         waves
     }
 
-    /// Adds `count` times the sums of cosines and of sines weighted by the numbers of all points.
+    /// Computes the sums of cosines and of sines weighted by the numbers of all points.
     #[inline(always)]
     fn moments(&self, numbers: &[f64], moments: &mut Moments) {
         moments.cosines.clear();
@@ -165,7 +165,7 @@ impl Moments {
 /// Numbers of the search for the flattest densities, reused from pixel to pixel.
 #[derive(Debug, Default)]
 pub(super) struct DensityWork {
-    /// Those of all shapes so far; the last ones were in use last.
+    /// Those of all shapes so far, of which there are a few; the last ones are in use.
     waves: Vec<Waves>,
     /// k of the rows that are used.
     ks: Vec<usize>,
@@ -397,8 +397,8 @@ pub(super) const fn points(highest: usize) -> usize {
     }
 }
 
-/// Returns above which k there are no waves, if the highest coefficient used is `highest`: sums of two of its powers
-/// of two are below, so that few shapes of them serve all pixels.
+/// Returns the number of k, from 0 on, of which there are waves if the highest coefficient used is `highest`: the sum of
+/// two k is among them. It is a power of two, so that a few tables serve all pixels.
 pub(super) const fn limit(highest: usize) -> usize {
     2 * (highest + 1).next_power_of_two()
 }
@@ -479,4 +479,92 @@ pub(super) fn quantiles(density: &[f64], n: usize, place: f64) -> Vec<f64> {
         times.push((point as f64 + within) / density.len() as f64);
     }
     times
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Moments and values are the sums over all points and all k, each computed from its atom.
+    #[test]
+    fn waves_are_those_of_all_atoms() {
+        let (points, limit) = (64, 16);
+        for transform in [Transform::Dct, Transform::Dtft] {
+            let waves = Waves::new(transform, points, limit);
+            let wave = |k: usize, point: usize| {
+                let u = (point as f64 + 0.5) / points as f64;
+                (omega(transform) * k as f64 * u).sin_cos()
+            };
+            let of = |i: usize, step: usize| (i * i * step % 23) as f64 / 7.0 - 1.5;
+            let numbers: Vec<f64> = (0..points).map(|point| of(point, 3)).collect();
+            let mut moments = Moments::default();
+            waves.moments(&numbers, &mut moments);
+            let mut factors = Moments::default();
+            factors.cosines.resize(blocks(limit), [0.0; LANES]);
+            factors.sines.resize(blocks(limit), [0.0; LANES]);
+            for k in 0..limit {
+                factors.cosines.as_flattened_mut()[k] = of(k, 5);
+                if transform.is_complex() {
+                    factors.sines.as_flattened_mut()[k] = of(k, 7);
+                }
+                let terms = numbers.iter().enumerate().map(|(point, number)| {
+                    let (sin, cos) = wave(k, point);
+                    (number * sin, number * cos)
+                });
+                let (sin, cos) =
+                    terms.fold((0.0, 0.0), |sum, term| (sum.0 + term.0, sum.1 + term.1));
+                assert!((moments.cosine(k) - cos).abs() < 1e-11, "{transform:?} {k}");
+                if transform.is_complex() {
+                    assert!((moments.sine(k) - sin).abs() < 1e-11, "{transform:?} {k}");
+                }
+            }
+            let mut values = vec![0.0; points];
+            waves.values(&factors, &mut values);
+            for (point, value) in values.iter().enumerate() {
+                let terms = (0..limit).map(|k| {
+                    let (sin, cos) = wave(k, point);
+                    factors.cosine(k) * cos + factors.sine(k) * sin
+                });
+                assert!(
+                    (value - terms.sum::<f64>()).abs() < 1e-11,
+                    "{transform:?} {point}"
+                );
+            }
+        }
+    }
+
+    /// The densities explain the coefficients to within the quantisation error, where any do.
+    #[test]
+    fn densities_explain_the_coefficients() {
+        use crate::reconstruct::test_pixel;
+
+        for transform in [Transform::Dct, Transform::Dtft] {
+            let header = test_pixel::header(transform, 8, -6, 32_768);
+            let events: Vec<(u32, bool)> = (0..60)
+                .map(|i| (500 * i + 91 * (i % 5), i % 4 > 0))
+                .collect();
+            let pixel = test_pixel::pixel(&header, &events);
+            let equations = Equations::new(&header, &pixel);
+            let mut work = Work::default();
+            let [on, off] = densities(&equations, &mut work);
+            let sum = |density: &[f64]| density.iter().sum::<f64>();
+            assert!((sum(&on) - 1.0).abs() < 1e-9 && (sum(&off) - 1.0).abs() < 1e-9);
+            let mut explained = vec![0.0; equations.rows()];
+            for (point, (on, off)) in on.iter().zip(&off).enumerate() {
+                let u = (point as f64 + 0.5) / on_points(&equations) as f64;
+                let weight = f64::from(pixel.on) * on - f64::from(pixel.off) * off;
+                equations.atoms([u; LANES], |row, values, _| {
+                    explained[row] += weight * values[0];
+                });
+            }
+            for (explained, middle) in explained.iter().zip(&equations.middles) {
+                let error = (explained - middle).abs();
+                assert!(error < 4.0 * equations.half, "{transform:?} {error}");
+            }
+        }
+    }
+
+    fn on_points(equations: &Equations) -> usize {
+        points(usize::from(*equations.ks.last().expect("coefficients")))
+    }
 }

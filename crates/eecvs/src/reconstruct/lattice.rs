@@ -159,14 +159,24 @@ impl<'e> Lattice<'e> {
             .then(|| next.rem_euclid(duration) as u32)
     }
 
-    /// Searches for times near `start` that encode to what was received.
+    /// Searches for times near `start` that encode to what was received, and for the middle of all that do.
     #[must_use]
     pub fn agree(&mut self, start: &[u32], work: &mut Work) -> Option<Agreed> {
+        self.search(start, CANDIDATES_MAX, work)
+    }
+
+    /// Searches for times near `start` that encode to what was received. Unless they are unique, they are any that do.
+    #[must_use]
+    pub fn any(&mut self, start: &[u32], work: &mut Work) -> Option<Agreed> {
+        self.search(start, 2, work)
+    }
+
+    fn search(&mut self, start: &[u32], most: usize, work: &mut Work) -> Option<Agreed> {
         let mut candidate = Candidate::new(self, start, work)?;
         if !candidate.descend(self, work) {
             return None;
         }
-        Some(candidate.middle(self, work))
+        Some(candidate.middle(self, most, work))
     }
 }
 
@@ -396,8 +406,9 @@ impl Candidate {
         least == 0
     }
 
-    /// Collects the agreeing times that can be reached from these, and returns those nearest to their mean.
-    fn middle(mut self, lattice: &mut Lattice<'_>, work: &mut Work) -> Agreed {
+    /// Collects the agreeing times that can be reached from these, until there are `most`, and returns those nearest to
+    /// their mean.
+    fn middle(mut self, lattice: &mut Lattice<'_>, most: usize, work: &mut Work) -> Agreed {
         let n = self.offsets.len();
         let first = self.offsets.clone();
         if n == 0 {
@@ -423,7 +434,7 @@ impl Candidate {
         let places = 2 * reach + 1;
         let of_others = places.pow(n as u32 - 1);
         let mut rows = Vec::new();
-        while next < found.len() && found.len() < CANDIDATES_MAX {
+        'found: while next < found.len() && found.len() < most {
             let at = found[next];
             next += 1;
             work.spend(lattice.grid_size.around(n as u64));
@@ -453,6 +464,9 @@ impl Candidate {
                     {
                         found.push(to);
                     }
+                }
+                if most < CANDIDATES_MAX && found.len() >= most {
+                    break 'found;
                 }
             }
         }

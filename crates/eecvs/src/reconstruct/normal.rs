@@ -241,6 +241,33 @@ mod tests {
                 prop_assert!(rest.abs() < 1e-5 * (1.0 + normal.step().iter().fold(0.0, |m, d| d.abs().max(m))));
             }
         }
+
+        /// The sum of squares falls as predicted by any part of a damped step.
+        #[test]
+        fn what_a_step_gains_is_predicted(
+            n in 1..20_usize,
+            numbers in proptest::collection::vec(-1.0..1.0_f64, 24 * 20),
+            scale in 0.1..1.0_f64,
+        ) {
+            let blocks = blocks(n);
+            let mut slopes = vec![[0.0; LANES]; 24 * blocks];
+            for (row, numbers) in slopes.chunks_exact_mut(blocks).zip(numbers.chunks_exact(20)) {
+                row.as_flattened_mut()[..n].copy_from_slice(&numbers[..n]);
+            }
+            let v: Vec<f64> = numbers.iter().take(24).copied().collect();
+            let mut normal = Normal::default();
+            normal.fill(&slopes, n, &[1.0; 24], &v);
+            prop_assert!(normal.solve(0.1));
+            let rows = slopes.chunks_exact(blocks).map(<[Lanes]>::as_flattened).zip(&v);
+            let gained: f64 = rows
+                .map(|(row, v)| {
+                    let moved: f64 = row.iter().zip(normal.step()).map(|(a, d)| a * d).sum();
+                    v * v - (v - scale * moved).powi(2)
+                })
+                .sum();
+            let predicted = normal.predicted(scale);
+            prop_assert!((gained - predicted).abs() < 1e-9 * (1.0 + gained), "{gained} {predicted}");
+        }
     }
 
     #[test]

@@ -154,19 +154,22 @@ pub fn pixel(header: &Header, peaks: &Peaks, pixel: &Pixel, work: &mut Work) -> 
     if rms(&equations, &times, work) < RMS_SOLVED {
         let mut lattice = Lattice::new(header, &equations);
         // Where no other times agree, it does not matter where the search for them begins.
-        let near = lattice.agree(&offsets_us(&equations, &times), work);
+        let near = offsets_us(&equations, &times);
         let found = |agreed: Agreed, work: &mut Work| Recovered {
             confidence: Confidence::of(agreed.is_unique),
             residual_steps: residual_steps(&equations, &agreed.offsets, work),
             offsets_us: agreed.offsets,
         };
-        if let Some(agreed) = near.clone().filter(|agreed| agreed.is_unique) {
+        let any = lattice.any(&near, work);
+        if let Some(agreed) = any.clone().filter(|agreed| agreed.is_unique) {
             return found(agreed, work);
         }
         let mut middle = times;
         centre(&equations, &mut middle, work);
-        let agreed = lattice.agree(&offsets_us(&equations, &middle), work);
-        return match agreed.or(near) {
+        if let Some(agreed) = lattice.agree(&offsets_us(&equations, &middle), work) {
+            return found(agreed, work);
+        }
+        return match any.and_then(|_| lattice.agree(&near, work)) {
             Some(agreed) => found(agreed, work),
             None => approximate(&equations, &middle, work),
         };
