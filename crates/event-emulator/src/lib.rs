@@ -27,6 +27,7 @@ mod random;
 mod readout;
 #[cfg(test)]
 mod tests;
+mod video;
 mod wide;
 
 use event_types::stream::{BATCH_EVENTS, EventReader, Result, Skipped};
@@ -35,9 +36,12 @@ use event_types::{Event, Sensor, ensure};
 pub use array::PixelArray;
 pub use light::scene::SceneLight;
 pub use light::scene::preset::{PRESETS, Preset};
+pub use light::video::exposure::Exposure;
+pub use light::video::motion::Motion;
 pub use light::{Light, Tile};
 pub use noise::Cause;
 pub use parameters::{Effect, PARAMETERS, Parameter, PixelParameters};
+pub use video::{VideoConfig, VideoEmulator, emulate_video};
 
 /// How a pixel is emulated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]

@@ -163,6 +163,11 @@ impl<L: Light> PixelArray<L> {
         self.elapsed_us
     }
 
+    /// Returns the light, to which later times may be added.
+    pub(crate) fn light_mut(&mut self) -> &mut L {
+        &mut self.light
+    }
+
     /// Returns how many samples of a tile's light have been taken so far, times the tiles' pixels: over the pixels and
     /// the time, the mean rate at which a pixel is sampled.
     #[must_use]

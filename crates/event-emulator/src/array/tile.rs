@@ -263,6 +263,8 @@ impl TilePixels {
         let change = physics.sample_change * share;
         // The bound of a shorter time is lower: the best of several times is taken.
         let mut within_ns = (8.0 * self.step_ns).min(LONGEST_NS) * share;
+        let bend_ns = light.next_bend_ns(self.tile, from_ns);
+        within_ns = within_ns.min((bend_ns - from_ns) as f64);
         let mut step_ns = 0.0_f64;
         let mut changes = true;
         while step_ns < within_ns && within_ns >= SHORTEST_NS {
@@ -278,7 +280,8 @@ impl TilePixels {
         }
         let step_ns = step_ns.max(SHORTEST_NS);
         self.step_ns = step_ns;
-        (from_ns.saturating_add(step_ns as u64), changes)
+        let to_ns = from_ns.saturating_add(step_ns as u64);
+        (to_ns.min(bend_ns), changes)
     }
 
     /// Samples the light, as input of the photoreceptors.

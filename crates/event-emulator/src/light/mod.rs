@@ -1,6 +1,7 @@
 //! The light that falls on the pixels.
 
 pub(crate) mod scene;
+pub(crate) mod video;
 
 use event_types::Sensor;
 
@@ -51,4 +52,11 @@ pub trait Light: Sync {
     /// Returns the first time after `after_ns` at which the light of a pixel of the tile jumps; [`u64::MAX`] if it
     /// never does.
     fn next_switch_ns(&self, tile: Tile, after_ns: u64) -> u64;
+
+    /// Returns the first time after `after_ns` at which a sample has to be taken, [`u64::MAX`] if there is none: where
+    /// the light's slope jumps, or where what is known of it ends. No bound and no sample beyond it is asked for.
+    fn next_bend_ns(&self, tile: Tile, after_ns: u64) -> u64 {
+        let _ = (tile, after_ns);
+        u64::MAX
+    }
 }

@@ -15,11 +15,13 @@ mod memory;
 pub mod small_file;
 #[cfg(test)]
 mod test_reader;
+mod video;
 
 pub use ahead::Ahead;
 pub use error::{Context, Error, ErrorKind, Result};
 pub use intact::Intact;
 pub use memory::MemoryReader;
+pub use video::{Response, VideoReader};
 
 /// Largest number of events that one call of [`EventReader::read`] returns; a reader may return fewer.
 pub const BATCH_EVENTS: usize = 1 << 14;
