@@ -195,7 +195,10 @@ impl FormatOptions {
 }
 
 /// Parses a unit of time.
-fn time_unit(text: &str) -> Result<TimeUnit, String> {
+///
+/// # Errors
+/// Another text than a unit's name; the message lists them.
+pub fn time_unit(text: &str) -> Result<TimeUnit, String> {
     let units = [TimeUnit::S, TimeUnit::Ms, TimeUnit::Us, TimeUnit::Ns];
     let unit = units.into_iter().find(|unit| unit.name() == text);
     unit.ok_or_else(|| "expected one of s, ms, us, ns".to_owned())

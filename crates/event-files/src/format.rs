@@ -291,7 +291,7 @@ pub fn file_of(path: &Path) -> &Path {
 }
 
 /// Splits a path that leads into a file or a bag's folder; `None` if the path itself exists or leads into neither.
-fn place_inside(path: &Path) -> Option<(&Path, String)> {
+pub(crate) fn place_inside(path: &Path) -> Option<(&Path, String)> {
     let is_bag = |folder: &Path| folder.join(METADATA).is_file();
     if path.exists() {
         return None;

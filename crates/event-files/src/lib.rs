@@ -39,6 +39,7 @@
 //! | `npz` | NumPy, and zip files that hold one recording |
 //! | `ros` | ROS 1 and ROS 2 bags, including MCAP |
 //! | `serde` | no format: makes findings and results serialisable |
+//! | `video` | no events, but the frames of videos and recordings: see [`video`] |
 //! | `info` | no format: adds `recording_info`, which counts and hashes events |
 // A build without some of the formats does not use all of the code that formats share.
 #![cfg_attr(
@@ -81,6 +82,10 @@ pub mod ros;
 pub mod text;
 #[cfg(feature = "npz")]
 mod zipped;
+
+// Frames in place of events.
+#[cfg(feature = "video")]
+pub mod video;
 
 // Code that several families share.
 #[cfg(any(feature = "aedat4", feature = "arrow"))]

@@ -1,35 +1,43 @@
-//! `eecvs emulate`: writes a seeded scene to a recording.
+//! `eecvs emulate`: writes the events of a seeded scene, or of a video, to a recording.
 
+mod input;
 mod pixel;
+mod video;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::{Context, ensure};
+use anyhow::{Context, bail, ensure};
 use eecvs_cli::options::{FormatOptions, OutputOptions};
-use eecvs_cli::output::{Place, print, print_json};
+use eecvs_cli::output::{Place, print, print_json, rows};
 use eecvs_cli::progress::Progress;
-use eecvs_cli::values::{model, preset};
+use eecvs_cli::values::model;
 use eecvs_nostd::{Event, Polarity, Sensor};
-use event_emulator::{Emulator, Model, PRESETS, PixelParameters, Preset, SceneConfig};
-use event_files::{EventReader, EventWriter};
+use event_emulator::{
+    Emulator, Exposure, Model, PRESETS, PixelParameters, Preset, SceneConfig, VideoEmulator,
+};
+use event_files::input::piped::name_of;
+use event_files::{EventReader, EventWriter, file_of};
+use input::{Input, InputParser};
 use pixel::PixelOptions;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use serde::Serialize;
+use video::{VideoOptions, tell_motion};
 
-/// Emulate a seeded scene and write its events to a recording
+/// Emulate a seeded scene, or what a camera sees of a video, and write the events to a recording
 #[derive(Debug, Clone, clap::Args)]
 pub struct Emulate {
-    /// Scene type
-    #[arg(value_parser = preset(), value_name = "SCENE", required_unless_present_any = ["list", "print_pixel"])]
-    scene: Option<Preset>,
+    /// Scene type, or a video: a Y4M file, a folder of PNG files, .npy or .npz of frames x rows x columns, a recording
+    /// with frames (AEDAT 4, a ROS bag), or - for Y4M or .npy on stdin, and gray pixels with --size
+    #[arg(value_parser = InputParser, value_name = "SCENE|VIDEO", required_unless_present_any = ["list", "print_pixel"])]
+    input: Option<Input>,
 
     /// List the scenes, one per line with a description, and exit; with --json, as an array of objects
-    #[arg(long, conflicts_with_all = ["scene", "output"])]
+    #[arg(long, conflicts_with_all = ["input", "output"])]
     list: bool,
 
     /// Print the pixel of model 2 as the flags make it, as a file for --pixel, and exit
-    #[arg(long, conflicts_with_all = ["scene", "output", "list", "json"])]
+    #[arg(long, conflicts_with_all = ["input", "output", "list", "json"])]
     print_pixel: bool,
 
     /// Recording to write; the extension names the format
@@ -43,25 +51,25 @@ pub struct Emulate {
     #[arg(long, default_value_t = 1)]
     seed: u64,
 
-    /// Columns of the sensor [default: 346]
+    /// Columns of a scene's sensor [default: 346]
     #[arg(long, requires = "height", value_parser = clap::value_parser!(u16).range(1..=2048))]
     width: Option<u16>,
 
-    /// Rows of the sensor [default: 260]
+    /// Rows of a scene's sensor [default: 260]
     #[arg(long, requires = "width", value_parser = clap::value_parser!(u16).range(1..=2048))]
     height: Option<u16>,
 
-    /// Duration in microseconds [default: 1000000]
+    /// Duration in microseconds [default: 1000000 of a scene, all of a video]
     #[arg(long, value_name = "D")]
     duration_us: Option<u64>,
 
-    /// Time at which the scene starts, in microseconds
-    #[arg(long, value_name = "T", default_value_t = 0)]
-    start_us: u64,
+    /// Time at which the scene or the video starts, in microseconds [default: 0 of a scene, the first frame's of a video]
+    #[arg(long, value_name = "T")]
+    start_us: Option<u64>,
 
-    /// Model of the pixel
-    #[arg(long, value_parser = model(), default_value = "1")]
-    model: Model,
+    /// Model of the pixel [default: 1 for scenes, 2 for videos, which have no other]
+    #[arg(long, value_parser = model())]
+    model: Option<Model>,
 
     /// Number of threads of model 2; the events do not depend on it [default: the number of cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
@@ -69,6 +77,9 @@ pub struct Emulate {
 
     #[command(flatten)]
     pixel: PixelOptions,
+
+    #[command(flatten)]
+    video: VideoOptions,
 
     #[command(flatten)]
     overwrite: OutputOptions,
@@ -100,12 +111,12 @@ struct Written {
 }
 
 impl Emulate {
-    /// Emulates the scene, writes it and prints the result on stdout.
+    /// Emulates the scene or the video, writes the events and prints the result on stdout.
     ///
     /// # Errors
-    /// Fails if the scene cannot exist (its end is beyond 2^64 us), the pixel's file cannot be read or has a value out of
-    /// range, a flag of model 2 is given with model 1, the extension is unknown, the file cannot be written, or the
-    /// format cannot hold an event.
+    /// Fails if the scene cannot exist (its end is beyond 2^64 us), the video or the pixel's file cannot be read or has a
+    /// value out of range, a flag does not belong to the model or to the kind of input, the extension is unknown, the file
+    /// cannot be written, or the format cannot hold an event.
     pub fn run(self) -> anyhow::Result<()> {
         if self.list {
             return match self.json {
@@ -117,48 +128,113 @@ impl Emulate {
         if self.print_pixel {
             return print(&pixel::file(&pixel));
         }
-        let (preset, output) = self.scene.zip(self.output.as_ref()).with_context(|| {
-            format!(
-                "give a scene and -o FILE; the scenes are\n{}",
-                scenes().trim_end()
-            )
-        })?;
+        let (input, output) = self
+            .input
+            .as_ref()
+            .zip(self.output.as_ref())
+            .with_context(|| {
+                format!(
+                    "give a scene or a video, and -o FILE; the scenes are\n{}",
+                    scenes().trim_end()
+                )
+            })?;
+        match input {
+            Input::Scene(preset) => self.run_scene(*preset, &pixel, output),
+            Input::Video(path) => self.run_video(path, &pixel, output),
+        }
+    }
+
+    fn run_scene(
+        &self,
+        preset: Preset,
+        pixel: &PixelParameters,
+        output: &Path,
+    ) -> anyhow::Result<()> {
         self.overwrite.check(output, self.format.kind(), [])?;
         let format = self.format.of(output)?;
+        ensure!(
+            self.video.is_default(),
+            "{} is a scene: flags of videos do not apply to it",
+            preset.name()
+        );
         let mut config = SceneConfig::new(preset, self.seed);
         if let Some((width, height)) = self.width.zip(self.height) {
             config.sensor = Sensor { width, height };
         }
         config.duration_us = self.duration_us.unwrap_or(config.duration_us);
-        config.start_us = self.start_us;
-        config.model = self.model;
+        config.start_us = self.start_us.unwrap_or(0);
+        config.model = self.model.unwrap_or(Model::Steps);
         if config.model == Model::Steps {
             ensure!(
                 self.pixel.is_default() && self.threads.is_none(),
                 "the pixel's flags and --threads are of model 2: give --model 2"
             );
         }
-
-        let mut emulator = event_emulator::emulate_with(config, &pixel)?;
+        let mut emulator = event_emulator::emulate_with(config, pixel)?;
         let mut writer = event_files::create_as(output, format, config.sensor)?;
         let begun = Instant::now();
-        let pool = self.pool()?;
+        let pool = self.pool(config.model)?;
         emulator = emulator.parallel(pool.is_some());
-        let written = write_scene(&mut emulator, writer.as_mut(), pool.as_ref())?;
+        let elapsed_us = Emulator::elapsed_us;
+        let written = write_events(&mut emulator, elapsed_us, writer.as_mut(), pool.as_ref())?;
         writer.finish()?;
-        let seconds = begun.elapsed().as_secs_f64();
-        let samples = emulator.samples();
-        let place = Place::beside([output.as_path()]);
-        let pixel = samples.map(|samples| (pixel, samples));
-        place.print(&format!(
-            "{}\n",
-            self.report(&config, pixel, written, seconds)
-        ))
+        let emulated = Emulated {
+            source: Source::Scene(preset),
+            sensor: config.sensor,
+            start_us: config.start_us,
+            duration_us: config.duration_us,
+            model: config.model,
+            samples: emulator.samples(),
+            written,
+            seconds: begun.elapsed().as_secs_f64(),
+        };
+        self.print_report(output, &emulated, pixel)
+    }
+
+    fn run_video(&self, path: &Path, pixel: &PixelParameters, output: &Path) -> anyhow::Result<()> {
+        let inputs = [file_of(path)].into_iter().chain(self.video.files());
+        self.overwrite.check(output, self.format.kind(), inputs)?;
+        let format = self.format.of(output)?;
+        let name = name_of(path);
+        if self.model == Some(Model::Steps) {
+            bail!("{name}: model 1 has scenes only: give --model 2 for a video");
+        }
+        ensure!(
+            self.width.is_none(),
+            "{name}: a video has a size of its own: --width and --height are of scenes; scale the video, or give --size WxH \
+             for gray pixels without a header"
+        );
+        let begun = Instant::now();
+        let span_us = (self.start_us, self.duration_us);
+        let (emulator, exposure) = self.video.emulate(path, span_us, self.seed, pixel)?;
+        let mut writer = event_files::create_as(output, format, emulator.sensor())?;
+        let pool = self.pool(Model::Physical)?;
+        let mut emulator = emulator.parallel(pool.is_some());
+        let elapsed_us = VideoEmulator::elapsed_us;
+        let written = write_events(&mut emulator, elapsed_us, writer.as_mut(), pool.as_ref())?;
+        writer.finish()?;
+        tell_motion(&name, emulator.motion(), emulator.elapsed_us());
+        let emulated = Emulated {
+            source: Source::Video {
+                name,
+                format: emulator.format(),
+                frames: emulator.frames(),
+                exposure,
+            },
+            sensor: emulator.sensor(),
+            start_us: emulator.start_us(),
+            duration_us: emulator.elapsed_us(),
+            model: Model::Physical,
+            samples: Some(emulator.samples()),
+            written,
+            seconds: begun.elapsed().as_secs_f64(),
+        };
+        self.print_report(output, &emulated, pixel)
     }
 
     /// Returns the threads that the tiles of model 2 are shared by; `None` if this thread does all.
-    fn pool(&self) -> anyhow::Result<Option<ThreadPool>> {
-        if self.model == Model::Steps || self.threads == Some(1) {
+    fn pool(&self, model: Model) -> anyhow::Result<Option<ThreadPool>> {
+        if model == Model::Steps || self.threads == Some(1) {
             return Ok(None);
         }
         // 0 threads are as many as there are cores.
@@ -167,69 +243,148 @@ impl Emulate {
         Ok(Some(pool.context("the threads cannot be started")?))
     }
 
-    /// Formats the result as a table or as JSON; `pixel` has the parameters and the samples of model 2.
-    fn report(
+    fn print_report(
         &self,
-        config: &SceneConfig,
-        pixel: Option<(PixelParameters, u64)>,
-        written: Written,
-        seconds: f64,
-    ) -> String {
-        let scene_s = config.duration_us as f64 * 1e-6;
-        let exposure = f64::from(config.sensor.pixels()) * scene_s;
+        output: &Path,
+        emulated: &Emulated,
+        pixel: &PixelParameters,
+    ) -> anyhow::Result<()> {
+        let report = if self.json {
+            emulated.json(output, self.seed, pixel).to_string()
+        } else {
+            emulated.table(output, self.seed)
+        };
+        Place::beside([output]).print(&format!("{}\n", report.trim_end()))
+    }
+}
+
+/// What was emulated, for the report.
+#[derive(Debug, Clone)]
+struct Emulated {
+    source: Source,
+    sensor: Sensor,
+    start_us: u64,
+    duration_us: u64,
+    model: Model,
+    /// Samples of the light, of model 2.
+    samples: Option<u64>,
+    written: Written,
+    /// Time that it took.
+    seconds: f64,
+}
+
+/// Where light came from.
+#[derive(Debug, Clone)]
+enum Source {
+    Scene(Preset),
+    Video {
+        name: String,
+        format: &'static str,
+        frames: u64,
+        exposure: Exposure,
+    },
+}
+
+impl Emulated {
+    /// Returns a count per pixel and second; 0 of nothing.
+    fn per_px_s(&self, count: u64) -> f64 {
+        let exposure = f64::from(self.sensor.pixels()) * self.duration_us as f64 * 1e-6;
         // The density of an empty scene is 0, not 0 / 0.
-        let density = if exposure > 0.0 {
-            written.events as f64 / exposure
+        if exposure > 0.0 {
+            count as f64 / exposure
         } else {
             0.0
-        };
-        let output = self.output.as_deref().unwrap_or_else(|| "".as_ref());
-        let samples_hz = |samples: u64| {
-            if exposure > 0.0 {
-                samples as f64 / exposure
-            } else {
-                0.0
-            }
-        };
-        if self.json {
-            let mut report = serde_json::json!({
-                "scene": config.preset.name(),
-                "file": output.display().to_string(),
-                "seed": config.seed,
-                "width": config.sensor.width,
-                "height": config.sensor.height,
-                "start_us": config.start_us,
-                "duration_us": config.duration_us,
-                "events": written.events,
-                "on": written.on,
-                "off": written.events - written.on,
-                "density_per_px_s": density,
-                "emulate_s": seconds,
-                "model": config.model.name(),
-            });
-            if let Some((pixel, samples)) = pixel {
-                report["samples_per_px_s"] = samples_hz(samples).into();
-                report["pixel"] = pixel::json(&pixel);
-            }
-            return report.to_string();
         }
-        let sampled = pixel.map_or(String::new(), |(_, samples)| {
-            format!("sampled   {:.0} times/px/s\n", samples_hz(samples))
+    }
+
+    fn json(&self, output: &Path, seed: u64, pixel: &PixelParameters) -> serde_json::Value {
+        let written = self.written;
+        let mut report = serde_json::json!({
+            "file": output.display().to_string(),
+            "seed": seed,
+            "width": self.sensor.width,
+            "height": self.sensor.height,
+            "start_us": self.start_us,
+            "duration_us": self.duration_us,
+            "events": written.events,
+            "on": written.on,
+            "off": written.events - written.on,
+            "density_per_px_s": self.per_px_s(written.events),
+            "emulate_s": self.seconds,
+            "model": self.model.name(),
         });
-        format!(
-            "scene     {}, seed {}, model {}\nfile      {}\nsensor    {} x {}\nduration  {scene_s} s\n\
-             events    {} ({} on, {} off)\ndensity   {density:.3} events/px/s\n{sampled}\
-             took      {seconds:.2} s",
-            config.preset.name(),
-            config.seed,
-            config.model.name(),
-            output.display(),
-            config.sensor.width,
-            config.sensor.height,
-            written.events,
-            written.on,
-            written.events - written.on,
-        )
+        match &self.source {
+            Source::Scene(preset) => report["scene"] = preset.name().into(),
+            Source::Video {
+                name,
+                format,
+                frames,
+                exposure,
+            } => {
+                report["video"] = name.as_str().into();
+                report["video_format"] = (*format).into();
+                report["frames"] = (*frames).into();
+                report["response"] = exposure.response.name().into();
+                report["white_lux"] = exposure.white_lux.into();
+                report["flare"] = exposure.flare.into();
+            }
+        }
+        if let Some(samples) = self.samples {
+            report["samples_per_px_s"] = self.per_px_s(samples).into();
+            report["pixel"] = pixel::json(pixel);
+        }
+        report
+    }
+
+    fn table(&self, output: &Path, seed: u64) -> String {
+        let Written { events, on } = self.written;
+        let model = self.model.name();
+        let mut table = match &self.source {
+            Source::Scene(preset) => vec![(
+                "scene",
+                format!("{}, seed {seed}, model {model}", preset.name()),
+            )],
+            Source::Video {
+                name,
+                format,
+                frames,
+                exposure,
+            } => vec![
+                (
+                    "video",
+                    format!("{name} ({format}), seed {seed}, model {model}"),
+                ),
+                ("frames", frames.to_string()),
+                (
+                    "light",
+                    format!(
+                        "{}, white at {} lx, flare {}",
+                        exposure.response.name(),
+                        exposure.white_lux,
+                        exposure.flare
+                    ),
+                ),
+            ],
+        };
+        let Sensor { width, height } = self.sensor;
+        table.extend([
+            ("file", output.display().to_string()),
+            ("sensor", format!("{width} x {height}")),
+            ("duration", format!("{} s", self.duration_us as f64 * 1e-6)),
+            ("events", format!("{events} ({on} on, {} off)", events - on)),
+            (
+                "density",
+                format!("{:.3} events/px/s", self.per_px_s(events)),
+            ),
+        ]);
+        if let Some(samples) = self.samples {
+            table.push((
+                "sampled",
+                format!("{:.0} times/px/s", self.per_px_s(samples)),
+            ));
+        }
+        table.push(("took", format!("{:.2} s", self.seconds)));
+        rows(table)
     }
 }
 
@@ -256,13 +411,14 @@ fn scenes() -> String {
         .collect()
 }
 
-/// Writes every event of a scene, batch by batch, and counts them. The threads of `pool` read, this one writes.
-fn write_scene(
-    emulator: &mut Emulator,
+/// Writes every event of an emulation, batch by batch, and counts them. The threads of `pool` read, this one writes.
+fn write_events<R: EventReader>(
+    emulator: &mut R,
+    elapsed_us: impl Fn(&R) -> u64,
     writer: &mut dyn EventWriter,
     pool: Option<&ThreadPool>,
 ) -> anyhow::Result<Written> {
-    let progress = Progress::new("ms of scene");
+    let progress = Progress::new("ms emulated");
     let mut written = Written::default();
     let mut events: Vec<Event> = Vec::with_capacity(event_files::BATCH_EVENTS);
     loop {
@@ -278,7 +434,7 @@ fn write_scene(
         let on = events.iter().filter(|e| e.polarity == Polarity::On);
         written.on += on.count() as u64;
         events.clear();
-        progress.set(emulator.elapsed_us() / 1_000);
+        progress.set(elapsed_us(emulator) / 1_000);
     }
     Ok(written)
 }
@@ -286,6 +442,7 @@ fn write_scene(
 #[cfg(test)]
 mod tests {
     use clap::{CommandFactory, Parser};
+    use event_types::stream::Response;
 
     use super::*;
 
@@ -323,7 +480,7 @@ mod tests {
         Line::command().debug_assert();
         let ok = "indoor-flying -o a.csv --seed 9 --width 2048 --height 1 --duration-us 0 --json";
         let parsed = parse(ok).unwrap();
-        assert_eq!(parsed.scene, Some(Preset::IndoorFlying));
+        assert_eq!(parsed.input, Some(Input::Scene(Preset::IndoorFlying)));
         assert_eq!((parsed.width, parsed.height), (Some(2048), Some(1)));
         assert!(parse("--list").unwrap().list);
         for bad in [
@@ -376,7 +533,7 @@ mod tests {
             room: usize::MAX,
         };
         let mut emulator = event_emulator::emulate(config).unwrap();
-        let written = write_scene(&mut emulator, &mut writer, None).unwrap();
+        let written = write_events(&mut emulator, Emulator::elapsed_us, &mut writer, None).unwrap();
         assert_eq!(written.events, writer.events.len() as u64);
         assert!(written.on > 0 && written.on < written.events);
 
@@ -388,32 +545,57 @@ mod tests {
         writer.events.clear();
         writer.room = 10;
         let mut emulator = event_emulator::emulate(config).unwrap();
-        assert!(write_scene(&mut emulator, &mut writer, None).is_err());
+        assert!(write_events(&mut emulator, Emulator::elapsed_us, &mut writer, None).is_err());
+    }
+
+    /// A night of 2 events per pixel and second.
+    fn night() -> Emulated {
+        Emulated {
+            source: Source::Scene(Preset::OutdoorDark),
+            sensor: Preset::OutdoorDark.sensor(),
+            start_us: 0,
+            duration_us: 1_000_000,
+            model: Model::Steps,
+            samples: None,
+            written: Written {
+                events: 179_920,
+                on: 89_000,
+            },
+            seconds: 0.5,
+        }
     }
 
     #[test]
     fn report_is_one_json_object_or_a_table() {
-        let mut config = SceneConfig::new(Preset::OutdoorDark, 7);
-        let mut command = parse("outdoor-dark -o x/night.csv --json").unwrap();
-        let written = Written {
-            events: 179_920,
-            on: 89_000,
-        };
-        let text = command.report(&config, None, written, 0.5);
-        let value: serde_json::Value = serde_json::from_str(&text).unwrap();
+        let (file, pixel) = (Path::new("x/night.csv"), PixelParameters::default());
+        let mut night = night();
+        let value = night.json(file, 7, &pixel);
         assert_eq!(value["scene"], "outdoor-dark");
         assert_eq!(value["off"], 90_920);
         assert_eq!(value["density_per_px_s"], 2.0);
-        config.duration_us = 0;
-        let none = Written::default();
-        let value: serde_json::Value =
-            serde_json::from_str(&command.report(&config, None, none, 0.0)).unwrap();
-        assert_eq!(value["density_per_px_s"], 0.0);
-        command.json = false;
+        assert!(value.get("pixel").is_none());
+        assert!(night.table(file, 7).contains("file      x/night.csv\n"));
+        night.duration_us = 0;
+        assert_eq!(night.json(file, 7, &pixel)["density_per_px_s"], 0.0);
+        night.source = Source::Video {
+            name: "a.y4m".to_owned(),
+            format: "y4m",
+            frames: 31,
+            exposure: Exposure::of(Response::Srgb),
+        };
+        let value = night.json(file, 7, &pixel);
+        assert_eq!(
+            (&value["video"], &value["frames"]),
+            (&"a.y4m".into(), &31.into())
+        );
+        assert_eq!(
+            (&value["response"], &value["white_lux"]),
+            (&"srgb".into(), &300.0.into())
+        );
         assert!(
-            command
-                .report(&config, None, none, 0.0)
-                .contains("night.csv")
+            night
+                .table(file, 7)
+                .contains("light     srgb, white at 300 lx")
         );
     }
 
@@ -449,17 +631,143 @@ mod tests {
 
     #[test]
     fn the_report_of_model_2_has_the_pixel() {
-        let mut command = parse("outdoor-dark -o x.csv --json --model 2").unwrap();
-        let config = SceneConfig::new(Preset::OutdoorDark, 7);
-        let pixel = Some((PixelParameters::default(), 89_960_000));
-        let written = Written::default();
-        let text = command.report(&config, pixel, written, 0.5);
-        let value: serde_json::Value = serde_json::from_str(&text).unwrap();
+        let night = Emulated {
+            model: Model::Physical,
+            samples: Some(89_960_000),
+            ..night()
+        };
+        let (file, pixel) = (Path::new("x.csv"), PixelParameters::default());
+        let value = night.json(file, 7, &pixel);
         assert_eq!(value["samples_per_px_s"], 1_000.0);
         assert_eq!(value["pixel"]["refractory_us"], 300.0);
-        command.json = false;
-        let text = command.report(&config, pixel, written, 0.5);
+        let text = night.table(file, 7);
         assert!(text.contains("sampled   1000 times/px/s"), "{text}");
+    }
+
+    #[test]
+    fn a_video_is_a_path_that_is_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.y4m");
+        let line = |rest: &str| {
+            format!(
+                "{} -o {}/b.csv {rest}",
+                path.display(),
+                folder.path().display()
+            )
+        };
+        assert!(parse(&line("")).is_err());
+        let mut video = b"YUV4MPEG2 W16 H2 F100:1 Ip Cmono\n".to_vec();
+        for frame in 0..3_u8 {
+            video.extend_from_slice(b"FRAME\n");
+            video.extend((0..32).map(|i| 20 + 3 * i * frame));
+        }
+        std::fs::write(&path, &video).unwrap();
+        parse(&line("--no-noise --threads 1"))
+            .unwrap()
+            .run()
+            .unwrap();
+        let text = std::fs::read_to_string(folder.path().join("b.csv")).unwrap();
+        assert!(text.lines().count() > 50, "{text}");
+        let said = |rest: &str| {
+            let line = line(&format!("--overwrite {rest}"));
+            format!("{:#}", parse(&line).unwrap().run().unwrap_err())
+        };
+        for (flags, what) in [
+            ("--model 1", "model 1 has scenes only"),
+            ("--width 16 --height 2", "a size of its own"),
+            ("--flare 0", "flare is 0"),
+            ("--white 0", "white is 0"),
+            ("--leak-hz -1", "give 0 to 1000"),
+            (
+                "--times nowhere.txt --time-unit s",
+                "nowhere.txt: cannot be opened",
+            ),
+        ] {
+            assert!(said(flags).contains(what), "{flags}: {}", said(flags));
+        }
+        // What was there is still there.
+        assert_eq!(
+            std::fs::read_to_string(folder.path().join("b.csv")).unwrap(),
+            text
+        );
+        video.pop();
+        std::fs::write(&path, &video).unwrap();
+        assert!(said("").contains("frame 2 ends after 31 of 32 bytes"));
+        assert_eq!(
+            std::fs::read_to_string(folder.path().join("b.csv")).unwrap(),
+            text
+        );
+        let scene = format!("outdoor-dark -o {}/c.csv --fps 30", folder.path().display());
+        let error = parse(&scene).unwrap().run().unwrap_err();
+        assert!(error.to_string().contains("flags of videos"), "{error}");
+        assert!(parse("- --fps 0 -o a.csv").is_err());
+        assert!(parse("- --times a.txt -o a.csv").is_err());
+    }
+
+    /// Videos of ffmpeg's test picture, in 8 and 10 bits, become events, and these frames that decode to the same events.
+    #[test]
+    fn videos_of_ffmpeg_become_events_and_frames() {
+        #[derive(Debug, Parser)]
+        struct EncodeLine {
+            #[command(flatten)]
+            encode: crate::cmd::encode::Encode,
+        }
+
+        if std::process::Command::new("ffmpeg")
+            .arg("-version")
+            .output()
+            .is_err()
+        {
+            eprintln!("skipped: ffmpeg is not there");
+            return;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name).display().to_string();
+        let events_of = |name: &str| {
+            let mut reader = event_files::open(&folder.path().join(name), None).unwrap();
+            assert_eq!((reader.sensor().width, reader.sensor().height), (96, 64));
+            let mut events = Vec::new();
+            while reader.read(&mut events).unwrap() > 0 {}
+            events
+        };
+        let mut counts = Vec::new();
+        for format in ["yuv420p", "yuv444p", "yuvj422p", "yuv420p10le", "gray"] {
+            let made = std::process::Command::new("ffmpeg")
+                .args(["-v", "error", "-f", "lavfi"])
+                .args(["-i", "testsrc=size=96x64:rate=120:duration=0.5"])
+                .args([
+                    "-pix_fmt",
+                    format,
+                    "-strict",
+                    "-1",
+                    "-f",
+                    "yuv4mpegpipe",
+                    "-y",
+                ])
+                .arg(path("in.y4m"))
+                .status()
+                .unwrap();
+            assert!(made.success(), "{format}");
+            let line = format!(
+                "{} -o {} --no-noise --overwrite",
+                path("in.y4m"),
+                path("out.raw")
+            );
+            parse(&line).unwrap().run().unwrap();
+            counts.push(events_of("out.raw").len());
+        }
+        // The same picture, but for what its chroma loses and its bits round.
+        let most = counts.iter().max().copied().unwrap();
+        assert!(
+            counts
+                .iter()
+                .all(|count| *count > 500 && 10 * count > 9 * most),
+            "{counts:?}"
+        );
+        let line = format!("encode {} -o {}", path("out.raw"), path("out.eecvs"));
+        let line = EncodeLine::try_parse_from(line.split_whitespace()).unwrap();
+        line.encode.run().unwrap();
+        assert_eq!(events_of("out.raw"), events_of("out.eecvs"));
     }
 
     #[test]

@@ -79,6 +79,8 @@ enum Content {
     /// Events of the stream that is read.
     Events,
     OtherEvents,
+    /// Frames of the stream that is read.
+    OwnFrames,
     Frames,
     Imu,
     Triggers,
@@ -171,19 +173,9 @@ impl Aedat4Reader {
         place: Option<&str>,
         size: Option<Sensor>,
     ) -> Result<Self> {
-        let mut input = Input::new(source, name)?;
-        let mut start = [0; MAGIC.len()];
-        if input.fill(&mut start)? < start.len() || &start != MAGIC {
-            return Err(input.error_at(0, "no AEDAT 4.0 header (#!AER-DAT4.0)"));
-        }
-        let header = read_io_header(&mut input)?;
-        let Buffers {
-            compression,
-            table_position,
-            xml,
-        } = header;
-        let mut streams = streams_of(&xml).map_err(|what| input.error_at(18, what))?;
-        let assumption = choose(&mut streams, place).map_err(|what| input.error_at(18, what))?;
+        let (input, header, mut streams) = open_streams(source, name)?;
+        let assumption = choose(&mut streams, Content::OtherEvents, place)
+            .map_err(|what| input.error_at(18, what))?;
         let Some(stream) = streams
             .iter()
             .find(|stream| stream.content == Content::Events)
@@ -204,26 +196,54 @@ impl Aedat4Reader {
             })?,
         };
         let (camera, stream_id) = (stream.source.clone(), stream.id);
-        Ok(Self::around(Aedat4Decoder {
-            start: input.offset(),
-            end: table_position,
-            input,
-            compression,
-            streams,
-            stream_id,
-            sensor,
-            camera,
-            assumptions: assumption.into_iter().collect(),
-            leave_out: false,
-            table: None,
-            raw: Vec::new(),
-            packet: Unpacked::default(),
-            packet_offset: 0,
-            elements: Vector { start: 0, len: 0 },
-            events: 0,
-            skipped: Skipped::default(),
-        }))
+        let mut decoder = Aedat4Decoder::new(input, &header, streams, stream_id, sensor);
+        decoder.camera = camera;
+        decoder.assumptions = assumption.into_iter().collect();
+        Ok(Self::around(decoder))
     }
+
+    /// Returns the packets of the stream of frames that `place` names, or else of the first one.
+    ///
+    /// # Errors
+    /// There is no AEDAT 4.0 header; the compression is unknown; there is no such stream, or more than one.
+    pub(super) fn frames_of(
+        source: Box<dyn ReadSeek>,
+        name: &str,
+        place: Option<&str>,
+    ) -> Result<Aedat4Decoder> {
+        let (input, header, mut streams) = open_streams(source, name)?;
+        let assumption = choose(&mut streams, Content::Frames, place)
+            .map_err(|what| input.error_at(18, what))?;
+        let stream = streams.iter().find(|s| s.content == Content::OwnFrames);
+        let Some(stream_id) = stream.map(|stream| stream.id) else {
+            return Err(input.error_at(18, "the recording holds no stream of frames"));
+        };
+        // Other streams need not be decompressed.
+        for stream in &mut streams {
+            if stream.content != Content::OwnFrames {
+                stream.content = Content::Unknown;
+            }
+        }
+        let none = Sensor {
+            width: 0,
+            height: 0,
+        };
+        let mut decoder = Aedat4Decoder::new(input, &header, streams, stream_id, none);
+        decoder.assumptions = assumption.into_iter().collect();
+        Ok(decoder)
+    }
+}
+
+/// Reads a file up to its packets, and lists its streams.
+fn open_streams(source: Box<dyn ReadSeek>, name: &str) -> Result<(Input, Buffers, Vec<Stream>)> {
+    let mut input = Input::new(source, name)?;
+    let mut start = [0; MAGIC.len()];
+    if input.fill(&mut start)? < start.len() || &start != MAGIC {
+        return Err(input.error_at(0, "no AEDAT 4.0 header (#!AER-DAT4.0)"));
+    }
+    let header = read_io_header(&mut input)?;
+    let streams = streams_of(&header.xml).map_err(|what| input.error_at(18, what))?;
+    Ok((input, header, streams))
 }
 
 struct Buffers {
@@ -322,24 +342,31 @@ fn streams_of(xml: &str) -> Result<Vec<Stream>, String> {
     Ok(streams)
 }
 
-/// Selects the event stream that `place` names, or else the first one, and returns an assumption if there was a
-/// choice.
-fn choose(streams: &mut [Stream], place: Option<&str>) -> Result<Option<Assumption>, String> {
-    let is_events = |stream: &&Stream| stream.content == Content::OtherEvents;
+/// Selects the stream of a content, [`Content::OtherEvents`] or [`Content::Frames`], that `place` names, or else the first
+/// one, and returns an assumption if there was a choice.
+fn choose(
+    streams: &mut [Stream],
+    content: Content,
+    place: Option<&str>,
+) -> Result<Option<Assumption>, String> {
+    let (kind, own) = match content {
+        Content::Frames => ("stream of frames", Content::OwnFrames),
+        _ => ("event stream", Content::Events),
+    };
     let titles: Vec<String> = streams
         .iter()
-        .filter(is_events)
+        .filter(|stream| stream.content == content)
         .map(Stream::title)
         .collect();
     let all = titles.join(", ");
     let mut found = streams
         .iter_mut()
-        .filter(|stream| stream.content == Content::OtherEvents)
+        .filter(|stream| stream.content == content)
         .filter(|stream| place.is_none_or(|place| stream.is_named(place)));
     let Some(stream) = found.next() else {
         return match place {
             Some(place) if !titles.is_empty() => {
-                Err(format!("no event stream {place}: the recording has {all}"))
+                Err(format!("no {kind} {place}: the recording has {all}"))
             }
             _ => Ok(None),
         };
@@ -347,13 +374,13 @@ fn choose(streams: &mut [Stream], place: Option<&str>) -> Result<Option<Assumpti
     if let Some(place) = place {
         if found.next().is_some() {
             return Err(format!(
-                "more than one event stream is called {place}: choose one by its number: {all}"
+                "more than one {kind} is called {place}: choose one by its number: {all}"
             ));
         }
-        stream.content = Content::Events;
+        stream.content = own;
         return Ok(None);
     }
-    stream.content = Content::Events;
+    stream.content = own;
     let taken = stream.title();
     Ok((titles.len() > 1).then(|| Assumption {
         what: "stream",
@@ -393,8 +420,57 @@ pub struct Aedat4Decoder {
 }
 
 impl Aedat4Decoder {
-    /// Reads packets up to the next one of the event stream; returns false at the end.
-    fn next_packet(&mut self) -> Result<bool> {
+    /// Begins at the first packet, to which the input has been read.
+    fn new(
+        input: Input,
+        header: &Buffers,
+        streams: Vec<Stream>,
+        stream_id: i32,
+        sensor: Sensor,
+    ) -> Self {
+        Self {
+            start: input.offset(),
+            end: header.table_position,
+            input,
+            compression: header.compression,
+            streams,
+            stream_id,
+            sensor,
+            camera: None,
+            assumptions: Vec::new(),
+            leave_out: false,
+            table: None,
+            raw: Vec::new(),
+            packet: Unpacked::default(),
+            packet_offset: 0,
+            elements: Vector { start: 0, len: 0 },
+            events: 0,
+            skipped: Skipped::default(),
+        }
+    }
+
+    /// Returns the content of the latest packet, decompressed.
+    pub(super) fn packet(&self) -> &[u8] {
+        self.packet.bytes()
+    }
+
+    /// Returns an error at the latest packet.
+    pub(super) fn packet_error(&self, what: &str) -> event_types::stream::Error {
+        self.input.error_at(self.packet_offset, what)
+    }
+
+    /// Returns the file and the offset of the latest packet.
+    pub(super) fn packet_place(&self) -> String {
+        format!("{}: byte {}", self.input.name(), self.packet_offset)
+    }
+
+    /// Returns what was assumed about the stream.
+    pub(super) fn stream_assumptions(&self) -> &[Assumption] {
+        &self.assumptions
+    }
+
+    /// Reads packets up to the next one of the stream that is read; returns false at the end.
+    pub(super) fn next_packet(&mut self) -> Result<bool> {
         loop {
             let start = self.input.offset();
             if self.end.is_some_and(|end| start >= end) {
@@ -455,6 +531,9 @@ impl Aedat4Decoder {
             }
             self.unpack(start, size)?;
             self.packet_offset = start;
+            if content == Content::OwnFrames {
+                return Ok(true);
+            }
             let elements = self.elements_of(content);
             if content == Content::Events {
                 self.elements = elements

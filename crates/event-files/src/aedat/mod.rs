@@ -5,6 +5,8 @@ pub mod aedat2;
 pub mod aedat3;
 #[cfg(feature = "aedat4")]
 pub mod aedat4;
+#[cfg(feature = "video")]
+pub(crate) mod aedat4_frames;
 #[cfg(feature = "aedat4")]
 pub(crate) mod aedat4_writer;
 pub(crate) mod chip;

@@ -9,3 +9,5 @@ pub(crate) mod npy_writer;
 pub mod npz;
 #[cfg(feature = "npz")]
 pub(crate) mod npz_writer;
+#[cfg(feature = "video")]
+pub(crate) mod stack;

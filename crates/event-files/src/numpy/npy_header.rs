@@ -152,6 +152,11 @@ impl Dtype {
         }
     }
 
+    /// Returns whether the numbers are unsigned integers.
+    pub fn is_unsigned(self) -> bool {
+        self.kind == b'u'
+    }
+
     /// Returns whether the numbers are floats.
     pub fn is_float(self) -> bool {
         self.kind == b'f'

@@ -88,7 +88,7 @@ pub fn unpack(message: &mut Vec<u8>) -> Result<(), String> {
 }
 
 /// A source of messages that may each be compressed, by rosbag2's compression mode `message`.
-struct Unpacked(Box<dyn Messages>);
+pub(super) struct Unpacked(pub(super) Box<dyn Messages>);
 
 impl Messages for Unpacked {
     fn format(&self) -> &'static str {

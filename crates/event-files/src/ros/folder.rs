@@ -41,6 +41,14 @@ const METADATA_MAX: u64 = 1 << 24;
 /// # Errors
 /// Those of [`RosReader::new`]; the metadata is missing or lists no files.
 pub fn open(path: &Path, place: Option<&str>, size: Option<Sensor>) -> Result<RosReader> {
+    RosReader::new(messages(path)?, place, size)
+}
+
+/// Returns the messages of the bag in the folder `path`.
+///
+/// # Errors
+/// The metadata is missing or lists no files.
+pub fn messages(path: &Path) -> Result<Box<dyn Messages>> {
     let name = path.join(METADATA).display().to_string();
     std::fs::metadata(path.join(METADATA)).with_context(|| {
         let folder = path.display();
@@ -61,7 +69,7 @@ pub fn open(path: &Path, place: Option<&str>, size: Option<Sensor>) -> Result<Ro
         file: None,
         places: Vec::new(),
     };
-    RosReader::new(Box::new(messages), place, size)
+    Ok(Box::new(messages))
 }
 
 /// Returns the items of the list `relative_file_paths`.

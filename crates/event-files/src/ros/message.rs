@@ -20,12 +20,21 @@ pub enum Kind {
     EventPacket,
     /// One structure for each event.
     EventArray,
+    /// A picture.
+    Image,
 }
 
 impl Kind {
     /// Names of the types, for messages to the user.
     pub const NAMES: &str = "event_camera_msgs/EventPacket, dvs_msgs/EventArray or \
                              prophesee_event_msgs/EventArray";
+
+    /// Returns [`Kind::Image`] for the ROS 1 or ROS 2 type of pictures; `None` for any other.
+    #[must_use]
+    pub fn of_image(name: &str) -> Option<Self> {
+        let is_image = name.replace("/msg/", "/") == "sensor_msgs/Image";
+        is_image.then_some(Self::Image)
+    }
 
     /// Returns the kind of a ROS 1 or ROS 2 type; `None` if its messages are not events.
     #[must_use]
@@ -179,6 +188,7 @@ impl Head {
         let (height, width) = (fields.u32()?, fields.u32()?);
         let mut sequence = 0;
         let content = match kind {
+            Kind::Image => return Err("an image, which has no events".to_owned()),
             Kind::EventArray => {
                 let left = fields.u32()?;
                 let cursor = fields.cursor;

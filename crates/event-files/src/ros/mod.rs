@@ -14,6 +14,8 @@ mod db3_writer;
 pub mod decoder;
 pub mod fields;
 pub mod folder;
+#[cfg(feature = "video")]
+pub(crate) mod images;
 pub mod mcap;
 mod mcap_writer;
 pub mod message;

@@ -8,9 +8,11 @@ const NAMES_MAX: usize = 64;
 /// Largest number of letters of a name in messages.
 const NAME_SHOWN: usize = 100;
 
-/// The topic that is read: the one that the caller named, otherwise the first of events.
+/// The topic that is read: the one that the caller named, otherwise the first of events, or of images.
 #[derive(Debug, Default)]
 pub struct Topics {
+    /// Whether images are read, and not events.
+    images: bool,
     wanted: Option<String>,
     /// The event topics that have occurred, for messages.
     events: Vec<String>,
@@ -31,8 +33,18 @@ impl Topics {
     pub fn new(place: Option<&str>) -> Self {
         let wanted = place.map(|place| format!("/{}", place.trim_matches('/')));
         Self {
+            images: false,
             wanted,
             events: Vec::new(),
+        }
+    }
+
+    /// Chooses the topic `place` of images, or the first one.
+    #[must_use]
+    pub fn of_images(place: Option<&str>) -> Self {
+        Self {
+            images: true,
+            ..Self::new(place)
         }
     }
 
@@ -42,15 +54,23 @@ impl Topics {
     /// The caller asked for this topic, and its messages are not events.
     pub fn meet(&mut self, topic: &str, kind_name: &str) -> Result<Use, String> {
         let named = format!("/{}", topic.trim_start_matches('/'));
-        let kind = Kind::of(kind_name);
+        let kind = if self.images {
+            Kind::of_image(kind_name)
+        } else {
+            Kind::of(kind_name)
+        };
         let wanted = self.wanted.as_ref().is_some_and(|wanted| *wanted == named);
         let Some(kind) = kind else {
             if wanted {
+                let names = if self.images {
+                    "images (sensor_msgs/Image)".to_owned()
+                } else {
+                    format!("events ({})", Kind::NAMES)
+                };
                 return Err(format!(
-                    "the topic {} holds {}, not events ({})",
+                    "the topic {} holds {}, not {names}",
                     shown(topic),
-                    shown(kind_name),
-                    Kind::NAMES
+                    shown(kind_name)
                 ));
             }
             return Ok(Use::Skip(match kind_name.rsplit('/').next() {

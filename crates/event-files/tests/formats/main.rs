@@ -15,4 +15,6 @@ mod reference;
 mod roundtrip;
 mod support;
 mod tables;
+#[cfg(feature = "video")]
+mod video;
 mod writers;
