@@ -41,6 +41,8 @@ pub use light::video::motion::Motion;
 pub use light::{Light, Tile};
 pub use noise::Cause;
 pub use parameters::{Effect, PARAMETERS, Parameter, PixelParameters};
+pub use readout::parameters::{CAMERAS, Camera, READOUT_PARAMETERS, ReadoutParameters};
+pub use readout::{Losses, Readout};
 pub use video::{VideoConfig, VideoEmulator, emulate_video};
 
 /// How a pixel is emulated.

@@ -3,9 +3,9 @@
 use event_types::stream::Result;
 use event_types::{bail, ensure};
 
-/// A parameter of [`PixelParameters`], for command lines, files and documents.
+/// A parameter of [`PixelParameters`] or of another structure, for command lines, files and documents.
 #[derive(Debug, Clone, Copy)]
-pub struct Parameter {
+pub struct Parameter<P = PixelParameters> {
     /// Name, as the field and in TOML files.
     pub name: &'static str,
     /// Unit; `1` for a share or a relative value, `ln` for a difference of logarithms.
@@ -18,35 +18,40 @@ pub struct Parameter {
     pub about: &'static str,
     /// Where the default, or the effect, comes from.
     pub source: &'static str,
-    get: fn(&PixelParameters) -> f64,
-    set: fn(&mut PixelParameters, f64),
+    pub(crate) get: fn(&P) -> f64,
+    pub(crate) set: fn(&mut P, f64),
 }
 
-impl Parameter {
+impl<P> Parameter<P> {
     /// Returns the value in `parameters`.
     #[must_use]
-    pub fn of(&self, parameters: &PixelParameters) -> f64 {
+    pub fn of(&self, parameters: &P) -> f64 {
         (self.get)(parameters)
     }
 }
 
+/// Makes a structure of numbers, each with its default, unit, range, description and source, and the table of them.
 macro_rules! parameters {
-    ($($name:ident: $default:literal, $unit:literal, $least:literal to $most:literal, $about:literal, $source:literal;)*) => {
-        /// The pixel of model 2. Every field is a row of [`PARAMETERS`].
+    (
+        $(#[$about_all:meta])* pub struct $type:ident;
+        $(#[$about_table:meta])* pub const $table:ident;
+        $($name:ident: $default:literal, $unit:literal, $least:literal to $most:literal, $about:literal, $source:literal;)*
+    ) => {
+        $(#[$about_all])*
         #[derive(Debug, Clone, Copy, PartialEq)]
-        pub struct PixelParameters {
+        pub struct $type {
             $(#[doc = $about] #[doc = concat!("\n\nUnit ", $unit, ", ", stringify!($least), " to ", stringify!($most), ". Source: ", $source, ".")] pub $name: f64,)*
         }
 
-        impl Default for PixelParameters {
+        impl Default for $type {
             fn default() -> Self {
                 Self { $($name: $default,)* }
             }
         }
 
-        /// The parameters, in the order in which light meets them.
-        pub const PARAMETERS: &[Parameter] = &[
-            $(Parameter {
+        $(#[$about_table])*
+        pub const $table: &[$crate::parameters::Parameter<$type>] = &[
+            $($crate::parameters::Parameter {
                 name: stringify!($name),
                 unit: $unit,
                 least: $least,
@@ -59,8 +64,14 @@ macro_rules! parameters {
         ];
     };
 }
+pub(crate) use parameters;
 
 parameters! {
+    /// The pixel of model 2. Every field is a row of [`PARAMETERS`].
+    pub struct PixelParameters;
+    /// The parameters, in the order in which light meets them.
+    pub const PARAMETERS;
+
     sample_change: 1.0, "1", 0.01 to 4.0,
         "Largest change of light between two samples, relative to the smaller threshold.",
         "the idea: ESIM, Rebecq 2018, with half a threshold";
@@ -327,7 +338,7 @@ impl PixelParameters {
     }
 }
 
-fn check(parameter: &Parameter, value: f64) -> Result<()> {
+pub(crate) fn check<P>(parameter: &Parameter<P>, value: f64) -> Result<()> {
     let Parameter {
         name,
         unit,

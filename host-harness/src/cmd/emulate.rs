@@ -2,6 +2,7 @@
 
 mod input;
 mod pixel;
+mod readout;
 mod video;
 
 use std::path::{Path, PathBuf};
@@ -14,13 +15,15 @@ use eecvs_cli::progress::Progress;
 use eecvs_cli::values::model;
 use eecvs_nostd::{Event, Polarity, Sensor};
 use event_emulator::{
-    Emulator, Exposure, Model, PRESETS, PixelParameters, Preset, SceneConfig, VideoEmulator,
+    Camera, Emulator, Exposure, Model, PRESETS, PixelParameters, Preset, Readout,
+    ReadoutParameters, SceneConfig, VideoEmulator,
 };
 use event_files::input::piped::name_of;
 use event_files::{EventReader, EventWriter, file_of};
 use input::{Input, InputParser};
 use pixel::PixelOptions;
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use readout::ReadoutOptions;
 use serde::Serialize;
 use video::{VideoOptions, tell_motion};
 
@@ -51,11 +54,11 @@ pub struct Emulate {
     #[arg(long, default_value_t = 1)]
     seed: u64,
 
-    /// Columns of a scene's sensor [default: 346]
+    /// Columns of a scene's sensor [default: 346, or the camera's]
     #[arg(long, requires = "height", value_parser = clap::value_parser!(u16).range(1..=2048))]
     width: Option<u16>,
 
-    /// Rows of a scene's sensor [default: 260]
+    /// Rows of a scene's sensor [default: 260, or the camera's]
     #[arg(long, requires = "width", value_parser = clap::value_parser!(u16).range(1..=2048))]
     height: Option<u16>,
 
@@ -77,6 +80,9 @@ pub struct Emulate {
 
     #[command(flatten)]
     pixel: PixelOptions,
+
+    #[command(flatten)]
+    readout: ReadoutOptions,
 
     #[command(flatten)]
     video: VideoOptions,
@@ -158,9 +164,13 @@ impl Emulate {
             preset.name()
         );
         let mut config = SceneConfig::new(preset, self.seed);
+        let camera = self.readout.readout()?;
         if let Some((width, height)) = self.width.zip(self.height) {
             config.sensor = Sensor { width, height };
+        } else if let Some((Some(camera), _)) = camera {
+            config.sensor = camera.sensor;
         }
+        let mut readout = Stage::new(config.sensor, camera)?;
         config.duration_us = self.duration_us.unwrap_or(config.duration_us);
         config.start_us = self.start_us.unwrap_or(0);
         config.model = self.model.unwrap_or(Model::Steps);
@@ -176,9 +186,16 @@ impl Emulate {
         let pool = self.pool(config.model)?;
         emulator = emulator.parallel(pool.is_some());
         let elapsed_us = Emulator::elapsed_us;
-        let written = write_events(&mut emulator, elapsed_us, writer.as_mut(), pool.as_ref())?;
+        let written = write_events(
+            &mut emulator,
+            elapsed_us,
+            readout.as_mut(),
+            writer.as_mut(),
+            pool.as_ref(),
+        )?;
         writer.finish()?;
         let emulated = Emulated {
+            readout,
             source: Source::Scene(preset),
             sensor: config.sensor,
             start_us: config.start_us,
@@ -207,14 +224,22 @@ impl Emulate {
         let begun = Instant::now();
         let span_us = (self.start_us, self.duration_us);
         let (emulator, exposure) = self.video.emulate(path, span_us, self.seed, pixel)?;
+        let mut readout = Stage::new(emulator.sensor(), self.readout.readout()?)?;
         let mut writer = event_files::create_as(output, format, emulator.sensor())?;
         let pool = self.pool(Model::Physical)?;
         let mut emulator = emulator.parallel(pool.is_some());
         let elapsed_us = VideoEmulator::elapsed_us;
-        let written = write_events(&mut emulator, elapsed_us, writer.as_mut(), pool.as_ref())?;
+        let written = write_events(
+            &mut emulator,
+            elapsed_us,
+            readout.as_mut(),
+            writer.as_mut(),
+            pool.as_ref(),
+        )?;
         writer.finish()?;
         tell_motion(&name, emulator.motion(), emulator.elapsed_us());
         let emulated = Emulated {
+            readout,
             source: Source::Video {
                 name,
                 format: emulator.format(),
@@ -262,6 +287,7 @@ impl Emulate {
 #[derive(Debug, Clone)]
 struct Emulated {
     source: Source,
+    readout: Option<Stage>,
     sensor: Sensor,
     start_us: u64,
     duration_us: u64,
@@ -271,6 +297,31 @@ struct Emulated {
     written: Written,
     /// Time that it took.
     seconds: f64,
+}
+
+/// The readout that events go through.
+#[derive(Debug, Clone)]
+struct Stage {
+    camera: Option<&'static Camera>,
+    parameters: ReadoutParameters,
+    readout: Readout,
+}
+
+impl Stage {
+    /// Begins the readout of a sensor, if one was asked for.
+    fn new(
+        sensor: Sensor,
+        of: Option<(Option<&'static Camera>, ReadoutParameters)>,
+    ) -> anyhow::Result<Option<Self>> {
+        let Some((camera, parameters)) = of else {
+            return Ok(None);
+        };
+        Ok(Some(Self {
+            camera,
+            parameters,
+            readout: Readout::new(sensor, &parameters)?,
+        }))
+    }
 }
 
 /// Where light came from.
@@ -329,6 +380,13 @@ impl Emulated {
                 report["flare"] = exposure.flare.into();
             }
         }
+        if let Some(stage) = &self.readout {
+            let lost = stage.readout.losses();
+            report["camera"] = stage.camera.map(|camera| camera.name).into();
+            report["readout"] = readout::json(&stage.parameters);
+            report["lost_unread"] = lost.unread.into();
+            report["lost_link"] = lost.link.into();
+        }
         if let Some(samples) = self.samples {
             report["samples_per_px_s"] = self.per_px_s(samples).into();
             report["pixel"] = pixel::json(pixel);
@@ -377,6 +435,17 @@ impl Emulated {
                 format!("{:.3} events/px/s", self.per_px_s(events)),
             ),
         ]);
+        if let Some(stage) = &self.readout {
+            let camera = stage
+                .camera
+                .map_or("by its parameters", |camera| camera.name);
+            let lost = stage.readout.losses();
+            table.push(("readout", camera.to_owned()));
+            table.push((
+                "lost",
+                format!("{} unread, {} at the link", lost.unread, lost.link),
+            ));
+        }
         if let Some(samples) = self.samples {
             table.push((
                 "sampled",
@@ -411,29 +480,40 @@ fn scenes() -> String {
         .collect()
 }
 
-/// Writes every event of an emulation, batch by batch, and counts them. The threads of `pool` read, this one writes.
+/// Writes every event of an emulation, batch by batch and through the readout if there is one, and counts them. The threads
+/// of `pool` read, this one writes.
 fn write_events<R: EventReader>(
     emulator: &mut R,
     elapsed_us: impl Fn(&R) -> u64,
+    mut stage: Option<&mut Stage>,
     writer: &mut dyn EventWriter,
     pool: Option<&ThreadPool>,
 ) -> anyhow::Result<Written> {
     let progress = Progress::new("ms emulated");
     let mut written = Written::default();
     let mut events: Vec<Event> = Vec::with_capacity(event_files::BATCH_EVENTS);
+    let mut fired: Vec<Event> = Vec::new();
     loop {
         let read = match pool {
             Some(pool) => pool.install(|| emulator.read(&mut events))?,
             None => emulator.read(&mut events)?,
         };
-        if read == 0 {
-            break;
+        if let Some(stage) = &mut stage {
+            std::mem::swap(&mut events, &mut fired);
+            stage.readout.push(&fired, None, &mut events, None);
+            fired.clear();
+            if read == 0 {
+                stage.readout.finish(&mut events, None);
+            }
         }
         writer.write(&events)?;
         written.events += events.len() as u64;
         let on = events.iter().filter(|e| e.polarity == Polarity::On);
         written.on += on.count() as u64;
         events.clear();
+        if read == 0 {
+            break;
+        }
         progress.set(elapsed_us(emulator) / 1_000);
     }
     Ok(written)
@@ -533,7 +613,8 @@ mod tests {
             room: usize::MAX,
         };
         let mut emulator = event_emulator::emulate(config).unwrap();
-        let written = write_events(&mut emulator, Emulator::elapsed_us, &mut writer, None).unwrap();
+        let written =
+            write_events(&mut emulator, Emulator::elapsed_us, None, &mut writer, None).unwrap();
         assert_eq!(written.events, writer.events.len() as u64);
         assert!(written.on > 0 && written.on < written.events);
 
@@ -545,13 +626,16 @@ mod tests {
         writer.events.clear();
         writer.room = 10;
         let mut emulator = event_emulator::emulate(config).unwrap();
-        assert!(write_events(&mut emulator, Emulator::elapsed_us, &mut writer, None).is_err());
+        assert!(
+            write_events(&mut emulator, Emulator::elapsed_us, None, &mut writer, None).is_err()
+        );
     }
 
     /// A night of 2 events per pixel and second.
     fn night() -> Emulated {
         Emulated {
             source: Source::Scene(Preset::OutdoorDark),
+            readout: None,
             sensor: Preset::OutdoorDark.sensor(),
             start_us: 0,
             duration_us: 1_000_000,
@@ -642,6 +726,31 @@ mod tests {
         assert_eq!(value["pixel"]["refractory_us"], 300.0);
         let text = night.table(file, 7);
         assert!(text.contains("sampled   1000 times/px/s"), "{text}");
+    }
+
+    #[test]
+    fn a_camera_has_its_size_and_loses_what_its_link_does_not_take() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.csv");
+        let run = |flags: &str| {
+            let line = format!(
+                "indoor-flying -o {} --overwrite --duration-us 20000 {flags}",
+                path.display()
+            );
+            parse(&line).unwrap().run().unwrap();
+            std::fs::read_to_string(&path).unwrap().lines().count()
+        };
+        let all = run("--width 128 --height 128");
+        let read = run("--camera dvs128 --buffer-events 1000000");
+        assert_eq!(read, all);
+        let part = run("--camera dvs128 --link-per-us 0.001 --buffer-events 50");
+        // A header, what the buffer holds, and what goes over the link in 20 ms.
+        assert!((50..=90).contains(&part) && part < all, "{part} of {all}");
+        let line = format!(
+            "indoor-flying -o {} --overwrite --row-ns -1",
+            path.display()
+        );
+        assert!(parse(&line).unwrap().run().is_err());
     }
 
     #[test]

@@ -3,7 +3,9 @@
 use std::fmt::Write;
 use std::path::PathBuf;
 
-use event_emulator::{Effect, PARAMETERS, PixelParameters};
+use event_emulator::{
+    CAMERAS, Effect, PARAMETERS, Parameter, PixelParameters, READOUT_PARAMETERS, ReadoutParameters,
+};
 
 use crate::measure::Row;
 
@@ -19,7 +21,14 @@ pub fn check(rows: &[Row]) {
         assert!(text.contains(&flag), "docs/emulator.md lacks {flag}");
     }
     let mut expected = text.clone();
-    for (name, table) in [("parameters", parameters()), ("effects", effects(rows))] {
+    let pixel = parameters(PARAMETERS, &PixelParameters::default());
+    let readout = parameters(READOUT_PARAMETERS, &ReadoutParameters::default());
+    for (name, table) in [
+        ("parameters", pixel),
+        ("effects", effects(rows)),
+        ("readout", readout),
+        ("cameras", cameras()),
+    ] {
         expected = replace(&expected, name, &table);
     }
     if std::env::var_os("EECVS_BLESS").is_some() {
@@ -41,23 +50,41 @@ fn replace(text: &str, name: &str, table: &str) -> String {
     [before, &begin, table, &end, after].concat()
 }
 
-fn parameters() -> String {
+fn parameters<P>(parameters: &[Parameter<P>], defaults: &P) -> String {
     let mut table = "| parameter | unit | range | default | what it is | source |\n\
                      |---|---|---|---|---|---|\n"
         .to_owned();
-    let defaults = PixelParameters::default();
-    for parameter in PARAMETERS {
+    for parameter in parameters {
         let (least, most) = (parameter.least, parameter.most);
         let line = writeln!(
             table,
             "| `{}` | {} | {least} to {most} | {} | {} | {} |",
             parameter.name,
             parameter.unit,
-            parameter.of(&defaults),
+            parameter.of(defaults),
             parameter.about,
             parameter.source
         );
         line.expect("a string");
+    }
+    table
+}
+
+fn cameras() -> String {
+    let mut table = "| `--camera` | size |".to_owned();
+    for parameter in READOUT_PARAMETERS {
+        write!(table, " `{}` |", parameter.name).expect("a string");
+    }
+    table.push_str(" source |\n|---|---|");
+    table.push_str(&"---|".repeat(READOUT_PARAMETERS.len() + 1));
+    table.push('\n');
+    for camera in CAMERAS {
+        let (width, height) = (camera.sensor.width, camera.sensor.height);
+        write!(table, "| `{}` | {width} x {height} |", camera.name).expect("a string");
+        for parameter in READOUT_PARAMETERS {
+            write!(table, " {} |", parameter.of(&camera.readout)).expect("a string");
+        }
+        writeln!(table, " {} |", camera.source).expect("a string");
     }
     table
 }

@@ -60,8 +60,12 @@ impl PixelOptions {
     }
 }
 
-/// Changes parameters by a file: first the effects that it switches off, then its values.
-fn read(path: &Path, parameters: &mut PixelParameters) -> anyhow::Result<()> {
+/// Reads a file of parameters; the message of an error names it.
+pub fn table(path: &Path) -> anyhow::Result<toml::Table> {
+    parse(path).with_context(|| path.display().to_string())
+}
+
+fn parse(path: &Path) -> anyhow::Result<toml::Table> {
     let mut text = String::new();
     let file = File::open(path).context("cannot be opened")?;
     file.take(FILE_MAX + 1)
@@ -71,7 +75,21 @@ fn read(path: &Path, parameters: &mut PixelParameters) -> anyhow::Result<()> {
         text.len() as u64 <= FILE_MAX,
         "is longer than {FILE_MAX} bytes, which no file of parameters is"
     );
-    let table: toml::Table = text.parse()?;
+    Ok(text.parse()?)
+}
+
+/// Returns the value of a parameter in a file.
+pub fn number(name: &str, value: &toml::Value) -> anyhow::Result<f64> {
+    match value {
+        toml::Value::Float(value) => Ok(*value),
+        toml::Value::Integer(value) => Ok(*value as f64),
+        other => bail!("{name} is {other}, which is not a number"),
+    }
+}
+
+/// Changes parameters by a file: first the effects that it switches off, then its values.
+fn read(path: &Path, parameters: &mut PixelParameters) -> anyhow::Result<()> {
+    let table = parse(path)?;
     if let Some(without) = table.get(WITHOUT) {
         let names = without
             .as_array()
@@ -88,12 +106,7 @@ fn read(path: &Path, parameters: &mut PixelParameters) -> anyhow::Result<()> {
         }
     }
     for (name, value) in table.iter().filter(|(name, _)| *name != WITHOUT) {
-        let value = match value {
-            toml::Value::Float(value) => *value,
-            toml::Value::Integer(value) => *value as f64,
-            other => bail!("{name} is {other}, which is not a number"),
-        };
-        parameters.set(name, value)?;
+        parameters.set(name, number(name, value)?)?;
     }
     Ok(())
 }
