@@ -8,7 +8,7 @@
 ///
 /// The units are counted and not timed ([`crate::reconstruct::cost`]), so which pixels are beyond the limit does not
 /// depend on the load of the machine or on the number of threads. The default is some 8 s of one core: the densest
-/// recording that the tests read, of 5.4 million events per second, costs three quarters of it at the encoder's default
+/// recording that the tests read, of 5.4 million events per second, costs two fifths of it at the encoder's default
 /// M, K and choice of the transform.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WorkLimit(u64);

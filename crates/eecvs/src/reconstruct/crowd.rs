@@ -15,7 +15,8 @@
 //!   + eps |lambda|^2 / 2
 //! ```
 //!
-//! by Newton's method; eps = h^2 allows for the quantisation error. The i-th ON event is placed where the
+//! by Newton's method; eps = h^2 allows for the quantisation error. A product of two atoms is a sum of two others, so that
+//! the second derivatives are sums of the densities' moments, of which there are as many as atoms. The i-th ON event is placed where the
 //! cumulative sum of a reaches i + 1/2, or another value between i and i + 1. The work does not depend on the
 //! number of events, except for placing them.
 //!
