@@ -801,7 +801,11 @@ mod tests {
         );
         video.pop();
         std::fs::write(&path, &video).unwrap();
-        assert!(said("").contains("frame 2 ends after 31 of 32 bytes"));
+        let cut = said("");
+        assert!(cut.contains("frame 2 ends after 31 of 32 bytes"), "{cut}");
+        assert_eq!(cut.matches("a.y4m").count(), 1, "{cut}");
+        let absent = parse("nowhere.y4m -o a.csv").unwrap_err().to_string();
+        assert!(absent.contains("'nowhere.y4m' is neither"), "{absent}");
         assert_eq!(
             std::fs::read_to_string(folder.path().join("b.csv")).unwrap(),
             text

@@ -4,6 +4,7 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValue, TypedValueParser};
+use clap::error::ErrorKind;
 use clap::{Arg, Command};
 use eecvs_cli::values::preset;
 use event_emulator::{PRESETS, Preset};
@@ -39,8 +40,16 @@ impl TypedValueParser for InputParser {
         if !is_scene && (is_stream(path) || file_of(path).exists()) {
             return Ok(Input::Video(path.to_owned()));
         }
-        // The error names the scenes.
-        preset().parse_ref(command, arg, value).map(Input::Scene)
+        if is_scene {
+            return preset().parse_ref(command, arg, value).map(Input::Scene);
+        }
+        let scenes: Vec<&str> = PRESETS.iter().map(|preset| preset.name()).collect();
+        let message = format!(
+            "'{}' is neither a scene nor a file that is there; the scenes are {}\n",
+            value.to_string_lossy(),
+            scenes.join(", ")
+        );
+        Err(clap::Error::raw(ErrorKind::InvalidValue, message).with_cmd(command))
     }
 
     fn possible_values(&self) -> Option<Box<dyn Iterator<Item = PossibleValue> + '_>> {

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use clap::builder::PossibleValue;
 use clap::{Args, ValueEnum};
 use eecvs_cli::options::time_unit;
@@ -14,7 +14,7 @@ use event_files::input::piped::name_of;
 use event_files::reading::TimeUnit;
 use event_files::video::{Fps, RawGray, VideoReading, open_video};
 use event_types::Sensor;
-use event_types::stream::Response;
+use event_types::stream::{ErrorKind, Response};
 
 /// Heading of the flags in the help.
 const HEADING: &str = "Video";
@@ -156,7 +156,12 @@ impl VideoOptions {
             duration_us,
             seed,
         };
-        let emulator = emulate_video(reader, config, pixel).with_context(|| name)?;
+        let emulator = emulate_video(reader, config, pixel);
+        // What the reader says names the file.
+        let emulator = emulator.map_err(|error| match error.kind() {
+            ErrorKind::Refused => error.context(&name),
+            _ => error,
+        })?;
         Ok((emulator, exposure))
     }
 
