@@ -97,7 +97,7 @@ fn measure(part: Part) -> Result<()> {
         }
         Part::RateControl => bless("rate_control::a_flood_fits_its_link"),
         Part::KeepOrder => bless("keep_order::recordings_come_back_in_order"),
-        Part::ExactTimes => bless("exact_times::come_back_with_the_documented_exactness"),
+        Part::ExactTimes => bless("come_back_with_the_documented_exactness"),
         Part::ReadSpeed => {
             read_speed::run(Some(&tree::path(file("read-speed"))), 5)?;
             sections()
