@@ -12,11 +12,9 @@ from numcodecs.abc import Codec  # type: ignore[import-untyped]
 from numcodecs.compat import ensure_contiguous_ndarray, ndarray_copy  # type: ignore[import-untyped]
 from numcodecs.registry import register_codec  # type: ignore[import-untyped]
 
-from ._eecvs import _pack, _unpack
+from ._eecvs import _names, _pack, _unpack
 
 __all__ = ["Events"]
-
-_NAMES = (("t", "ts", "timestamp", "time", "t_us"), ("x",), ("y",), ("p", "on", "polarity", "pol"))
 
 
 class Events(Codec):  # type: ignore[misc]
@@ -56,7 +54,7 @@ class Events(Codec):  # type: ignore[misc]
             dtype = np.dtype([(name, dtype[name]) for name in dtype.names])
         fields = dtype.fields or {}
         values = [dtype.itemsize]
-        for names in _NAMES:
+        for names in _names():
             found = next((fields[name] for name in names if name in fields), None)
             if found is None or found[0].kind not in "iub" or found[0].str[0] == ">":
                 raise ValueError(f"{dtype} has no field {' or '.join(names)} of little-endian whole numbers")

@@ -8,6 +8,7 @@ use eecvs::encode::{
     Codec, EncodeSummary, duration, encode as encode_reader, encode_nothing, readout,
 };
 use eecvs::frame_file::FrameFileWriter;
+use eecvs::representation::check_places;
 use eecvs_nostd::Config;
 use event_files::sort::Sorted;
 use event_types::stream::{Error, EventReader, Intact, Result};
@@ -17,7 +18,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 
 use crate::errors::warn_of_loss;
-use crate::given::{self, Size, Table, check_places, raise};
+use crate::given::{self, Size, Table, raise};
 use crate::options::Asked;
 use crate::work::{Interruptible, Raised, Signals};
 
@@ -362,7 +363,7 @@ impl Encoder {
             let mut events = Vec::new();
             let count = table.len();
             table.read(0, count, &mut events)?;
-            check_places(&events, self.sensor, 0)?;
+            check_places(self.sensor, &events, 0)?;
             let mut inner = self.inner.lock().unwrap_or_else(PoisonError::into_inner);
             inner.push(&events)?;
             Ok(inner.bytes.take())

@@ -1,5 +1,6 @@
 //! Events that a caller gives: structured arrays of any known field names, columns, recordings, and iterators of these.
 
+use eecvs::representation::check_places;
 use event_types::stream::{BATCH_EVENTS, Error, EventReader, Result, Skipped};
 use event_types::{Event, Polarity, Sensor, error};
 use numpy::{PyArrayDescrMethods, PyUntypedArray, PyUntypedArrayMethods};
@@ -353,29 +354,6 @@ impl Table {
     }
 }
 
-/// Returns an error if an event lies outside of a sensor; the first of them is event `from`.
-///
-/// # Errors
-/// As stated.
-pub fn check_places(events: &[Event], sensor: Sensor, from: usize) -> Result<()> {
-    let Sensor { width, height } = sensor;
-    let is_outside = |event: &Event| (event.x >= width) | (event.y >= height);
-    // All of them first, several at a time.
-    let any = events
-        .iter()
-        .fold(false, |any, event| any | is_outside(event));
-    if !any {
-        return Ok(());
-    }
-    let found = events.iter().position(is_outside).unwrap_or(0);
-    let (x, y) = events.get(found).map_or((0, 0), |event| (event.x, event.y));
-    Err(error!(
-        Refused,
-        "event {} at ({x}, {y}) is outside of the sensor of {width} x {height}",
-        from + found
-    ))
-}
-
 /// A reader of a table's events.
 pub struct TableReader {
     table: Table,
@@ -408,11 +386,8 @@ impl EventReader for TableReader {
     fn read(&mut self, events: &mut Vec<Event>) -> Result<usize> {
         let before = events.len();
         let read = self.table.read(self.next, BATCH_EVENTS, events)?;
-        check_places(
-            events.get(before..).unwrap_or_default(),
-            self.sensor,
-            self.next,
-        )?;
+        let new = events.get(before..).unwrap_or_default();
+        check_places(self.sensor, new, self.next as u64)?;
         self.next += read;
         Ok(read)
     }
@@ -496,6 +471,12 @@ pub fn reader(
         raised: raised.clone(),
         skipped: Skipped::default(),
     }))
+}
+
+/// Returns the names of an event's fields in the arrays of others: of t, x, y and p.
+#[pyfunction]
+pub fn _names() -> [Vec<&'static str>; 4] {
+    NAMES.map(<[_]>::to_vec)
 }
 
 /// Returns whether events can be read more than once: anything but an iterator.

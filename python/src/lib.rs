@@ -74,6 +74,8 @@ mod _eecvs {
     #[pymodule_export]
     use super::emulate::{_scenes, emulate};
     #[pymodule_export]
+    use super::given::_names;
+    #[pymodule_export]
     use super::picture::{Picture, picture};
     #[pymodule_export]
     use super::recording::{_reopen, Recording, Slices, Times, open};

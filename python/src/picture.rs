@@ -60,15 +60,6 @@ pub fn picture(
         let mut batch = Vec::new();
         while reader.read(&mut batch)? > 0 {
             for event in &batch {
-                event_types::ensure!(
-                    sensor.contains(event.x, event.y),
-                    Refused,
-                    "an event at ({}, {}) is outside of the sensor of {} x {}",
-                    event.x,
-                    event.y,
-                    sensor.width,
-                    sensor.height
-                );
                 sums.add(event);
             }
             batch.clear();

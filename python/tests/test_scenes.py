@@ -116,7 +116,7 @@ def test_pictures(tmp_path: Path) -> None:
     picture.save(tmp_path / "a.png", overwrite=True)
     with pytest.raises(eecvs.RefusedError, match="there is no folder"):
         picture.save(tmp_path / "none" / "a.png")
-    with pytest.raises(eecvs.RefusedError, match="outside of the sensor"):
+    with pytest.raises(eecvs.RefusedError, match="outside the sensor"):
         eecvs.picture(events, sensor=(8, 8))
     for wrong in ({"clip": 0}, {"upscale": 0}, {"upscale": 65}):
         with pytest.raises(ValueError):

@@ -102,15 +102,7 @@ impl Span {
             return Ok(());
         }
         for (index, event) in (index..).zip(events) {
-            ensure!(
-                sensor.contains(event.x, event.y),
-                Refused,
-                "event {index} at x = {}, y = {} is outside the sensor ({}x{})",
-                event.x,
-                event.y,
-                sensor.width,
-                sensor.height
-            );
+            check_place(sensor, event, index)?;
             ensure!(
                 !is_outside(event),
                 Refused,
@@ -122,6 +114,37 @@ impl Span {
         }
         Ok(())
     }
+}
+
+/// Returns an error if an event is outside of the sensor; `index` is the first one's number.
+///
+/// # Errors
+/// As stated.
+pub fn check_places(sensor: Sensor, events: &[Event], index: u64) -> Result<()> {
+    // Without a branch per event, several are compared at once.
+    let is_outside = |event: &Event| (event.x >= sensor.width) | (event.y >= sensor.height);
+    if !events
+        .iter()
+        .fold(false, |any, event| any | is_outside(event))
+    {
+        return Ok(());
+    }
+    (index..)
+        .zip(events)
+        .try_for_each(|(index, event)| check_place(sensor, event, index))
+}
+
+fn check_place(sensor: Sensor, event: &Event, index: u64) -> Result<()> {
+    ensure!(
+        sensor.contains(event.x, event.y),
+        Refused,
+        "event {index} at x = {}, y = {} is outside the sensor ({}x{})",
+        event.x,
+        event.y,
+        sensor.width,
+        sensor.height
+    );
+    Ok(())
 }
 
 /// Reads all events in blocks, with the pixel number of each known to be on the sensor.

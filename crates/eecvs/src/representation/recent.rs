@@ -3,7 +3,7 @@
 use event_types::stream::{Context, EventReader, Result};
 use event_types::{Event, Polarity, Sensor, ensure};
 
-use super::{each_block, planes};
+use super::{check_place, each_block, planes};
 
 /// Ages up to this one, in microseconds, are not distinguished by TORE volumes.
 pub const TORE_AGE_MIN_US: f64 = 150.0;
@@ -74,15 +74,7 @@ impl Recent {
 
 fn check(sensor: Sensor, end_us: u64, events: &[Event], index: u64) -> Result<()> {
     for (index, event) in (index..).zip(events) {
-        ensure!(
-            sensor.contains(event.x, event.y),
-            Refused,
-            "event {index} at x = {}, y = {} is outside the sensor ({}x{})",
-            event.x,
-            event.y,
-            sensor.width,
-            sensor.height
-        );
+        check_place(sensor, event, index)?;
         ensure!(
             event.t_us <= end_us,
             Refused,

@@ -1,16 +1,13 @@
 //! The pixel of model 2 on the command line: a flag for each parameter and for each effect, and a file of them.
 
 use std::fmt::Write;
-use std::fs::File;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail, ensure};
+use anyhow::Context;
 use clap::{Arg, ArgAction, ArgMatches, Command, value_parser};
 use event_emulator::{Effect, PARAMETERS, PixelParameters};
 
-/// Largest file of parameters, in bytes.
-const FILE_MAX: u64 = 1 << 20;
+use super::parameters::{self, number};
 
 /// Name of the key of a file that lists the effects that are switched off.
 const WITHOUT: &str = "without";
@@ -60,36 +57,9 @@ impl PixelOptions {
     }
 }
 
-/// Reads a file of parameters; the message of an error names it.
-pub fn table(path: &Path) -> anyhow::Result<toml::Table> {
-    parse(path).with_context(|| path.display().to_string())
-}
-
-fn parse(path: &Path) -> anyhow::Result<toml::Table> {
-    let mut text = String::new();
-    let file = File::open(path).context("cannot be opened")?;
-    file.take(FILE_MAX + 1)
-        .read_to_string(&mut text)
-        .context("cannot be read")?;
-    ensure!(
-        text.len() as u64 <= FILE_MAX,
-        "is longer than {FILE_MAX} bytes, which no file of parameters is"
-    );
-    Ok(text.parse()?)
-}
-
-/// Returns the value of a parameter in a file.
-pub fn number(name: &str, value: &toml::Value) -> anyhow::Result<f64> {
-    match value {
-        toml::Value::Float(value) => Ok(*value),
-        toml::Value::Integer(value) => Ok(*value as f64),
-        other => bail!("{name} is {other}, which is not a number"),
-    }
-}
-
 /// Changes parameters by a file: first the effects that it switches off, then its values.
 fn read(path: &Path, parameters: &mut PixelParameters) -> anyhow::Result<()> {
-    let table = parse(path)?;
+    let table = parameters::read(path)?;
     if let Some(without) = table.get(WITHOUT) {
         let names = without
             .as_array()
@@ -160,21 +130,10 @@ impl clap::Args for PixelOptions {
             );
         }
         for parameter in PARAMETERS {
-            let (least, most) = (parameter.least, parameter.most);
             let default = parameter.of(&PixelParameters::default());
-            let about = parameter.about.trim_end_matches('.');
-            command = command.arg(
-                Arg::new(parameter.name)
-                    .long(parameter.name.replace('_', "-"))
-                    .value_name("X")
-                    .value_parser(value_parser!(f64))
-                    .allow_negative_numbers(true)
-                    .help_heading(HEADING)
-                    .help(format!(
-                        "{about}; unit {}, {least} to {most} [default: {default}]",
-                        parameter.unit
-                    )),
-            );
+            let range = [parameter.least, parameter.most];
+            let (name, about, unit) = (parameter.name, parameter.about, parameter.unit);
+            command = command.arg(parameters::flag(HEADING, name, about, unit, range, default));
         }
         command
     }

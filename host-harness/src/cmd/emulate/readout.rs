@@ -7,7 +7,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Arg, ArgMatches, Command, value_parser};
 use event_emulator::{CAMERAS, Camera, READOUT_PARAMETERS, ReadoutParameters};
 
-use super::pixel::{number, table};
+use super::parameters::{flag, number, table};
 
 /// Name of the key of a file that names a camera.
 const CAMERA: &str = "camera";
@@ -97,19 +97,9 @@ impl clap::Args for ReadoutOptions {
             );
         for parameter in READOUT_PARAMETERS {
             let default = parameter.of(&ReadoutParameters::default());
-            let about = parameter.about.trim_end_matches('.');
-            command = command.arg(
-                Arg::new(parameter.name)
-                    .long(parameter.name.replace('_', "-"))
-                    .value_name("X")
-                    .value_parser(value_parser!(f64))
-                    .allow_negative_numbers(true)
-                    .help_heading(HEADING)
-                    .help(format!(
-                        "{about}; unit {}, {} to {} [default: {default}]",
-                        parameter.unit, parameter.least, parameter.most
-                    )),
-            );
+            let range = [parameter.least, parameter.most];
+            let (name, about, unit) = (parameter.name, parameter.about, parameter.unit);
+            command = command.arg(flag(HEADING, name, about, unit, range, default));
         }
         command
     }
