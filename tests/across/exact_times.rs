@@ -26,7 +26,7 @@ use strategies::hold_against_record;
 const WINDOW_US: u32 = 32_768;
 const M: u8 = 16;
 /// Windows of a recording that are looked at: its first.
-const WINDOWS: u64 = 20;
+const WINDOWS: u64 = 10;
 
 /// Events of pixels of so many events.
 #[derive(Debug, Clone, Copy, Default)]
@@ -255,7 +255,7 @@ fn scenes_come_back_with_the_documented_exactness() {
                     width: 86,
                     height: 65,
                 },
-                duration_us: 6 * u64::from(WINDOW_US),
+                duration_us: 3 * u64::from(WINDOW_US),
                 ..SceneConfig::new(preset, 1)
             };
             let open = || -> Box<dyn EventReader> { Box::new(emulate(config).expect("a scene")) };
