@@ -1,5 +1,6 @@
 //! Writer of AEDAT 4.0 files: one event stream, by default in LZ4 frames with checksums, and a packet table.
 
+use std::cell::RefCell;
 use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::Path;
@@ -17,6 +18,12 @@ const TOO_LARGE: &str = "AEDAT 4: the packet or the file is too large";
 
 /// Largest number of events in a packet: 256 KiB before compression.
 const PACKET_EVENTS: usize = BATCH_EVENTS;
+
+/// Bytes of an event packet before its events.
+const PACKET_HEAD_BYTES: usize = 32;
+
+/// Bytes of the largest packet.
+const PACKET_BYTES: usize = PACKET_HEAD_BYTES + PACKET_EVENTS * EVENT_BYTES;
 
 /// Number of the stream, in the XML and in every packet.
 const STREAM: i32 = 0;
@@ -45,10 +52,27 @@ impl Compression {
 }
 
 fn lz4(bytes: &[u8]) -> Result<Vec<u8>> {
-    let info = FrameInfo::new().content_checksum(true);
-    let mut encoder = FrameEncoder::with_frame_info(info, Vec::new());
+    thread_local! {
+        /// This thread's latest encoder, with the length of its content. Its buffers are a megabyte, which the system
+        /// would clear anew for every packet; its size of blocks is that of its first content, so that it serves those
+        /// of the same length alone: most packets are full.
+        static LATEST: RefCell<Option<(usize, FrameEncoder<Vec<u8>>)>> = const { RefCell::new(None) };
+    }
+    let latest = LATEST.take().filter(|(length, _)| *length == bytes.len());
+    let mut encoder = latest.map_or_else(
+        || {
+            let info = FrameInfo::new().content_checksum(true);
+            FrameEncoder::with_frame_info(info, Vec::new())
+        },
+        |(_, encoder)| encoder,
+    );
+    encoder.get_mut().reserve_exact(bytes.len());
     encoder.write_all(bytes).context("LZ4")?;
-    encoder.finish().context("LZ4")
+    encoder.try_finish().context("LZ4")?;
+    let content = std::mem::take(encoder.get_mut());
+    // Not one that failed, nor one of an empty frame, which it would not begin a second time.
+    LATEST.set((!bytes.is_empty()).then_some((bytes.len(), encoder)));
+    Ok(content)
 }
 
 /// A packet's entry in the packet table.
@@ -64,6 +88,8 @@ struct Packet {
 /// A packet's content, compressed, with its number of events, and first and last time.
 struct Compressed {
     content: Result<Vec<u8>>,
+    /// The memory of the packet.
+    memory: Vec<u8>,
     events: u32,
     first_us: i64,
     last_us: i64,
@@ -79,8 +105,10 @@ pub struct Aedat4Writer {
     sensor: Sensor,
     compression: Compression,
     position: u64,
-    /// Events of the packet being filled, as they will be stored.
+    /// The packet being filled: room for its head, and its events as they will be stored.
     pending: Vec<u8>,
+    /// Memory of packets that are written.
+    spare: Vec<Vec<u8>>,
     first_us: i64,
     last_us: i64,
     compressing: Workers<Compressed>,
@@ -109,7 +137,8 @@ impl Aedat4Writer {
             sensor,
             compression,
             position: 0,
-            pending: Vec::with_capacity(PACKET_EVENTS * EVENT_BYTES),
+            pending: new_packet(Vec::new()),
+            spare: Vec::new(),
             first_us: i64::MAX,
             last_us: i64::MIN,
             compressing: Workers::new(),
@@ -129,20 +158,25 @@ impl Aedat4Writer {
     }
 
     fn close_packet(&mut self) -> Result<()> {
-        let events = u32::try_from(self.pending.len() / EVENT_BYTES).context(TOO_LARGE)?;
+        let events = self.pending.len().saturating_sub(PACKET_HEAD_BYTES) / EVENT_BYTES;
+        let events = u32::try_from(events).context(TOO_LARGE)?;
         if events == 0 {
             return Ok(());
         }
-        let pending = Vec::with_capacity(PACKET_EVENTS * EVENT_BYTES);
-        let pending = std::mem::replace(&mut self.pending, pending);
+        let next = new_packet(self.spare.pop().unwrap_or_default());
+        let pending = std::mem::replace(&mut self.pending, next);
         let (first_us, last_us) = (self.first_us, self.last_us);
         (self.first_us, self.last_us) = (i64::MAX, i64::MIN);
         let compress = self.compression.compress;
-        let compressed = self.compressing.give(move || Compressed {
-            content: compress(&event_packet(&pending, events)),
-            events,
-            first_us,
-            last_us,
+        let compressed = self.compressing.give(move || {
+            let packet = event_packet(pending, events);
+            Compressed {
+                content: compress(&packet),
+                memory: packet,
+                events,
+                first_us,
+                last_us,
+            }
         });
         compressed.map_or(Ok(()), |compressed| self.place(compressed))
     }
@@ -151,10 +185,12 @@ impl Aedat4Writer {
     fn place(&mut self, compressed: Compressed) -> Result<()> {
         let Compressed {
             content,
+            memory,
             events,
             first_us,
             last_us,
         } = compressed;
+        self.spare.push(memory);
         let content = self.compressed(content)?;
         let size = i32::try_from(content.len()).context(TOO_LARGE)?;
         self.put(&STREAM.to_le_bytes())?;
@@ -190,7 +226,7 @@ impl EventWriter for Aedat4Writer {
             self.pending
                 .extend_from_slice(&[u8::from(event.polarity == Polarity::On), 0, 0, 0]);
             self.events += 1;
-            if self.pending.len() >= PACKET_EVENTS * EVENT_BYTES {
+            if self.pending.len() >= PACKET_BYTES {
                 self.close_packet()?;
             }
         }
@@ -259,18 +295,21 @@ fn io_header(sensor: Sensor, compression: Compression) -> Vec<u8> {
     finish(bytes, 28, b"IOHE")
 }
 
-/// Returns an `EVTS` packet of events of 16 bytes each.
-fn event_packet(events: &[u8], count: u32) -> Vec<u8> {
-    let mut bytes = Vec::with_capacity(32 + events.len());
-    bytes.resize(14, 0);
+/// Returns an empty packet in `memory`: room for its head.
+fn new_packet(mut memory: Vec<u8>) -> Vec<u8> {
+    memory.clear();
+    memory.reserve_exact(PACKET_BYTES);
+    memory.resize(PACKET_HEAD_BYTES, 0);
+    memory
+}
+
+/// Returns an `EVTS` packet: `bytes` with the head in its room, before events of 16 bytes each.
+fn event_packet(mut bytes: Vec<u8>, count: u32) -> Vec<u8> {
     // vtable at 14, table at 20 with the vector's offset at 24, the vector's length at 28.
-    for value in [6_u16, 8, 4] {
-        bytes.extend_from_slice(&value.to_le_bytes());
-    }
-    bytes.extend_from_slice(&6_i32.to_le_bytes());
-    bytes.extend_from_slice(&4_u32.to_le_bytes());
-    bytes.extend_from_slice(&count.to_le_bytes());
-    bytes.extend_from_slice(events);
+    let vtable = [6_u16, 8, 4].map(u16::to_le_bytes);
+    let table = [6, 4, count].map(u32::to_le_bytes);
+    let head = [&[0; 14], vtable.as_flattened(), table.as_flattened()].concat();
+    bytes.splice(..PACKET_HEAD_BYTES, head);
     finish(bytes, 20, b"EVTS")
 }
 
@@ -331,6 +370,22 @@ fn finish(mut bytes: Vec<u8>, root_at: u32, letters: &[u8; 4]) -> Vec<u8> {
 mod tests {
     use super::*;
     use crate::flatbuffer::Buffer;
+
+    #[test]
+    fn a_frame_does_not_depend_on_those_before_it() {
+        let content = |length: u32, seed: u32| -> Vec<u8> {
+            (0..length).map(|i| ((i % 97 * seed) >> 3) as u8).collect()
+        };
+        let lengths = [300_000, 300_000, 5, 0, 0, 300_000, 300_000, 70_000, 5];
+        for (seed, length) in (1..).zip(lengths) {
+            let content = content(length, seed);
+            let info = FrameInfo::new().content_checksum(true);
+            let mut fresh = FrameEncoder::with_frame_info(info, Vec::new());
+            fresh.write_all(&content).expect("memory");
+            let fresh = fresh.finish().expect("memory");
+            assert!(lz4(&content).expect("memory") == fresh, "{length}");
+        }
+    }
 
     #[test]
     fn the_packet_table_reads_back() {
