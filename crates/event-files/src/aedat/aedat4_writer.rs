@@ -53,8 +53,8 @@ impl Compression {
 
 fn lz4(bytes: &[u8]) -> Result<Vec<u8>> {
     thread_local! {
-        /// This thread's latest encoder, with the length of its content. Its buffers are a megabyte, which the system
-        /// would clear anew for every packet; its size of blocks is that of its first content, so that it serves those
+        /// This thread's latest encoder, with the length of its content. The system would clear the memory
+        /// of its buffers anew for every packet; its size of blocks is that of its first content, so that it serves those
         /// of the same length alone: most packets are full.
         static LATEST: RefCell<Option<(usize, FrameEncoder<Vec<u8>>)>> = const { RefCell::new(None) };
     }
@@ -97,8 +97,9 @@ struct Compressed {
 
 /// A writer of AEDAT 4.0 files, for times up to 2^63 - 1 us in any order.
 ///
-/// It holds one packet, those that are being compressed on other threads (at most nine), and 32 bytes for every packet
-/// written (16,384 events).
+/// It holds one packet, those that are being compressed on other threads (at most nine), the memory of as many for those
+/// to come, and 32 bytes for every packet written (16,384 events). Each thread that compresses keeps its encoder, whose
+/// buffers have room for 2 MB; that of the caller's thread outlives the writer.
 pub struct Aedat4Writer {
     file: BufWriter<File>,
     name: String,
