@@ -315,14 +315,12 @@ mod tests {
     fn the_sentence_about_converting_is_of_its_record() {
         let rows: Vec<pipelines_table::Row> = read(&folder(), "pipelines").unwrap().rows;
         let document = of_project("crates/event-files/README.md");
-        assert!(document.contains("faery writes AEDAT 4 more quickly on one thread"));
-        let slower = pipelines_table::slower(&rows);
         assert!(
-            slower
-                .iter()
-                .all(|(_, to, library)| (*to, *library) == ("aedat4", "faery"))
+            document
+                .contains("No other library converts between two of these formats more quickly")
         );
-        assert_eq!(slower.len(), 3);
+        assert!(rows.len() > 36);
+        assert_eq!(pipelines_table::slower(&rows), []);
     }
 
     /// Checks the sentences on kernels in docs/results.md.
