@@ -11,6 +11,9 @@
 //! form, and has a parameter for each effect of the pixel ([`PixelParameters`]); it takes any [`Light`]
 //! ([`PixelArray`]). The repository's `docs/emulator.md` has the formulas, and what was measured.
 //!
+//! What is really there is known, too: the cause of each event ([`Emulator::read_with_causes`]), and the object, the
+//! motion and the depth at each pixel of a scene ([`SceneTruth`], in `truth/`).
+//!
 //! Event times have a resolution of 1 us. The same configuration gives the same events on every machine and with any
 //! number of threads: all arithmetic is IEEE `f32` and `f64` in a fixed order, and transcendental functions come from
 //! `libm` or from sums of the crate's own.
@@ -27,6 +30,7 @@ mod random;
 mod readout;
 #[cfg(test)]
 mod tests;
+mod truth;
 mod video;
 mod wide;
 
@@ -43,6 +47,7 @@ pub use noise::Cause;
 pub use parameters::{Effect, PARAMETERS, Parameter, PixelParameters};
 pub use readout::parameters::{CAMERAS, Camera, READOUT_PARAMETERS, ReadoutParameters};
 pub use readout::{Losses, Readout};
+pub use truth::{ObjectKind, SceneTruth};
 pub use video::{VideoConfig, VideoEmulator, emulate_video};
 
 /// How a pixel is emulated.
@@ -111,6 +116,27 @@ impl SceneConfig {
             model: Model::Steps,
         }
     }
+
+    /// Checks that the sensor and the times can exist.
+    fn check(&self) -> Result<()> {
+        let Sensor { width, height } = self.sensor;
+        ensure!(
+            Sensor::new(width, height).is_some(),
+            Refused,
+            "scene {}: a sensor of {width} x {height} pixels; give sides of 1 to {}",
+            self.preset.name(),
+            Sensor::SIDE_MAX
+        );
+        ensure!(
+            self.start_us.checked_add(self.duration_us).is_some(),
+            Refused,
+            "scene {}: start {} us plus duration {} us is beyond 2^64; give an earlier start",
+            self.preset.name(),
+            self.start_us,
+            self.duration_us
+        );
+        Ok(())
+    }
 }
 
 /// A running emulation of a scene; its events are read through [`EventReader`].
@@ -142,22 +168,7 @@ pub fn emulate(config: SceneConfig) -> Result<Emulator> {
 /// # Errors
 /// As [`emulate`]; also parameters that [`PixelParameters::check`] refuses.
 pub fn emulate_with(config: SceneConfig, parameters: &PixelParameters) -> Result<Emulator> {
-    let Sensor { width, height } = config.sensor;
-    ensure!(
-        Sensor::new(width, height).is_some(),
-        Refused,
-        "scene {}: a sensor of {width} x {height} pixels; give sides of 1 to {}",
-        config.preset.name(),
-        Sensor::SIDE_MAX
-    );
-    ensure!(
-        config.start_us.checked_add(config.duration_us).is_some(),
-        Refused,
-        "scene {}: start {} us plus duration {} us is beyond 2^64; give an earlier start",
-        config.preset.name(),
-        config.start_us,
-        config.duration_us
-    );
+    config.check()?;
     let pixels = match config.model {
         Model::Steps => Pixels::Steps(Box::new(model_1::Emulation::new(config))),
         Model::Physical => {

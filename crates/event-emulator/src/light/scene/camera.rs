@@ -58,7 +58,7 @@ impl Camera {
     }
 
     /// Returns the velocity of [`Self::offset`] after `t` seconds, in pixels per second.
-    fn velocity(&self, t: f64) -> (f64, f64) {
+    pub(crate) fn velocity(&self, t: f64) -> (f64, f64) {
         let pace = 1.0 + self.pulse * libm::sin(TURN * self.pulse_hz * t);
         let (mut x, mut y) = (self.drift.0 * pace, self.drift.1 * pace);
         for (i, (along, across, hz)) in self.sway.iter().enumerate() {

@@ -53,6 +53,17 @@ pub(crate) struct Placed {
     shape: Shape,
 }
 
+/// How a rigid object moves in the picture at one moment.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Motion {
+    /// The point that it turns about, in pixels.
+    centre: (f64, f64),
+    /// Velocity of that point in pixels per second.
+    velocity: (f64, f64),
+    /// Angular velocity in radians per second, from the x axis to the y axis.
+    spin: f64,
+}
+
 #[derive(Debug, Clone, Copy)]
 enum Shape {
     Box {
@@ -148,6 +159,24 @@ impl Pattern {
         };
         let shape = Shape::Even(depth * wave as f32);
         Some(Placed { shape, ..placed })
+    }
+
+    /// Returns how the object moves after `t` seconds; a lamp stays where it is in the picture.
+    pub(crate) fn motion(&self, t: f64, sensor: Sensor) -> Motion {
+        let (velocity, spin_hz) = match *self {
+            Self::Box {
+                velocity, spin_hz, ..
+            } => (velocity, spin_hz),
+            Self::Flicker { .. } => ((0.0, 0.0), 0.0),
+        };
+        Motion {
+            centre: self.centre(t, sensor),
+            velocity: (
+                velocity.0 * f64::from(sensor.width),
+                velocity.1 * f64::from(sensor.height),
+            ),
+            spin: TURN * spin_hz,
+        }
     }
 
     fn is_square(&self) -> bool {
@@ -306,7 +335,37 @@ impl Pattern {
     }
 }
 
+impl Motion {
+    /// Returns the velocity of the object's point at the centre of pixel (x, y), in pixels per second.
+    pub(crate) fn at(&self, x: u16, y: u16) -> [f32; 2] {
+        let (dx, dy) = (f64::from(x) - self.centre.0, f64::from(y) - self.centre.1);
+        [
+            (self.velocity.0 - self.spin * dy) as f32,
+            (self.velocity.1 + self.spin * dx) as f32,
+        ]
+    }
+}
+
 impl Placed {
+    /// Returns the pixels whose centres lie in the object, edges included, row by row: in the middle of its soft edge, a
+    /// box gives half of its light.
+    pub(crate) fn pixels(&self) -> impl Iterator<Item = (u16, u16)> {
+        let Self { x, y, shape } = *self;
+        let all = (y.0..y.1).flat_map(move |y| (x.0..x.1).map(move |x| (x, y)));
+        all.filter(move |(x, y)| match shape {
+            Shape::Even(_) => true,
+            Shape::Box {
+                centre,
+                half,
+                direction: (c, s),
+                ..
+            } => {
+                let (dx, dy) = (f32::from(*x) - centre.0, f32::from(*y) - centre.1);
+                (dx * c + dy * s).abs() <= half.0 && (dy * c - dx * s).abs() <= half.1
+            }
+        })
+    }
+
     fn visible(self) -> Option<Self> {
         (self.x.0 < self.x.1 && self.y.0 < self.y.1).then_some(self)
     }
