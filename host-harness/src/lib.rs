@@ -3,6 +3,7 @@
 pub mod baseline;
 pub mod cmd;
 pub mod downstream;
+pub mod npy;
 pub mod rate;
 pub mod recordings;
 pub mod report;

@@ -16,6 +16,8 @@ use event_files::output::OutputFile;
 use zip::CompressionMethod;
 use zip::write::SimpleFileOptions;
 
+use crate::npy::write_array;
+
 /// The lowest level compresses volumes well enough, since they are mostly zeros.
 const DEFLATE_LEVEL: i64 = 1;
 
@@ -126,11 +128,11 @@ impl VolumeFile {
             .shape
             .with_context(|| format!("{name}: no window, so no volume"))?;
         let mut sides = if self.all {
-            vec![self.times.len()]
+            vec![self.times.len() as u64]
         } else {
             vec![]
         };
-        sides.extend(shape);
+        sides.extend(shape.map(|side| side as u64));
         let context = || format!("{name}: cannot be written");
         let waiting = self
             .waiting
@@ -153,8 +155,13 @@ impl VolumeFile {
                         .flatten()
                         .flat_map(|time| time.to_le_bytes())
                         .collect();
-                    write_array(&mut out, "<i8", &[self.times.len(), 2], bytes.as_slice())
-                        .with_context(context)?;
+                    write_array(
+                        &mut out,
+                        "<i8",
+                        &[self.times.len() as u64, 2],
+                        bytes.as_slice(),
+                    )
+                    .with_context(context)?;
                     out.finish()?;
                 }
                 out.finish()?;
@@ -168,26 +175,14 @@ impl VolumeFile {
     }
 }
 
-/// Writes an array of shape `sides`, whose bytes in C order are `values`.
-fn write_array(
-    out: &mut impl Write,
-    dtype: &str,
-    sides: &[usize],
-    mut values: impl Read,
-) -> Result<()> {
-    out.write_all(&header(dtype, sides))?;
-    std::io::copy(&mut values, out)?;
-    Ok(())
-}
-
 fn write_npz(
     out: &mut impl Write,
-    sides: &[usize],
+    sides: &[u64],
     values: impl Read,
     times: &[[i64; 2]],
 ) -> Result<()> {
     let mut zip = zip::ZipWriter::new_stream(out);
-    let bytes = 4 * sides.iter().product::<usize>() as u64;
+    let bytes = 4 * sides.iter().product::<u64>();
     let options = SimpleFileOptions::default()
         .compression_method(CompressionMethod::Deflated)
         .compression_level(Some(DEFLATE_LEVEL));
@@ -205,26 +200,6 @@ fn write_npz(
     }
     zip.finish()?;
     Ok(())
-}
-
-/// Returns the version 1.0 header of an array in C order, padded with spaces to a multiple of 64 bytes and ended by
-/// a newline.
-fn header(dtype: &str, sides: &[usize]) -> Vec<u8> {
-    // Written like a tuple in Python: (), (1,), (1, 2).
-    let sides: Vec<String> = sides.iter().map(ToString::to_string).collect();
-    let comma = if sides.len() == 1 { "," } else { "" };
-    let shape = sides.join(", ");
-    let mut text =
-        format!("{{'descr': '{dtype}', 'fortran_order': False, 'shape': ({shape}{comma}), }}");
-    let prefix = 10;
-    while (prefix + text.len() + 1) % 64 != 0 {
-        text.push(' ');
-    }
-    text.push('\n');
-    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
-    bytes.extend((text.len() as u16).to_le_bytes());
-    bytes.extend(text.into_bytes());
-    bytes
 }
 
 /// Returns the path of the times beside the file at `path`, if it is an `.npy` of `all` windows.
@@ -258,27 +233,6 @@ fn kind(path: &Path) -> Result<Kind> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn headers_are_numpy_s() {
-        for (sides, shape) in [
-            (&[][..], "()"),
-            (&[3], "(3,)"),
-            (&[4, 2], "(4, 2)"),
-            (&[7, 5, 260, 346], "(7, 5, 260, 346)"),
-        ] {
-            let bytes = header("<f4", sides);
-            assert_eq!(bytes.len() % 64, 0);
-            assert_eq!(&bytes[..8], b"\x93NUMPY\x01\x00");
-            assert_eq!(
-                usize::from(u16::from_le_bytes([bytes[8], bytes[9]])),
-                bytes.len() - 10
-            );
-            let text = std::str::from_utf8(&bytes[10..]).unwrap();
-            let wanted = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}");
-            assert!(text.starts_with(&wanted) && text.ends_with('\n'), "{text}");
-        }
-    }
 
     #[test]
     fn endings_are_checked() {

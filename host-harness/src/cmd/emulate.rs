@@ -6,7 +6,9 @@ mod pixel;
 mod readout;
 #[cfg(test)]
 mod tests;
+mod truth;
 mod video;
+mod write;
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -14,21 +16,22 @@ use std::time::Instant;
 use anyhow::{Context, bail, ensure};
 use eecvs_cli::options::{FormatOptions, OutputOptions};
 use eecvs_cli::output::{Place, print, print_json, rows};
-use eecvs_cli::progress::Progress;
 use eecvs_cli::values::model;
-use eecvs_nostd::{Event, Polarity, Sensor};
+use eecvs_nostd::Sensor;
 use event_emulator::{
-    Camera, Emulator, Exposure, Model, PRESETS, PixelParameters, Preset, Readout,
-    ReadoutParameters, SceneConfig, VideoEmulator,
+    Camera, Cause, Exposure, Model, PRESETS, PixelParameters, Preset, Readout, ReadoutParameters,
+    SceneConfig,
 };
 use event_files::input::piped::name_of;
-use event_files::{EventReader, EventWriter, file_of};
+use event_files::{EventReader, file_of};
 use input::{Input, InputParser};
 use pixel::PixelOptions;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use readout::ReadoutOptions;
 use serde::Serialize;
+use truth::{TruthCounts, TruthOptions};
 use video::{VideoOptions, tell_motion};
+use write::{Written, finish, write_events};
 
 /// Emulate a seeded scene, or what a camera sees of a video, and write the events to a recording
 #[derive(Debug, Clone, clap::Args)]
@@ -88,6 +91,9 @@ pub struct Emulate {
     readout: ReadoutOptions,
 
     #[command(flatten)]
+    truth: TruthOptions,
+
+    #[command(flatten)]
     video: VideoOptions,
 
     #[command(flatten)]
@@ -110,13 +116,6 @@ struct Listed {
     height: u16,
     /// Duration in microseconds, unless another is given.
     duration_us: u64,
-}
-
-/// Counts of the events written.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-struct Written {
-    events: u64,
-    on: u64,
 }
 
 impl Emulate {
@@ -160,6 +159,7 @@ impl Emulate {
         output: &Path,
     ) -> anyhow::Result<()> {
         self.overwrite.check(output, self.format.kind(), [])?;
+        self.truth.check(output, false, self.overwrite, [])?;
         let format = self.format.of(output)?;
         ensure!(
             self.video.is_default(),
@@ -184,21 +184,24 @@ impl Emulate {
             );
         }
         let mut emulator = event_emulator::emulate_with(config, pixel)?;
+        let mut truth = self
+            .truth
+            .of_scene(&config, config.model == Model::Physical)?;
         let mut writer = event_files::create_as(output, format, config.sensor)?;
         let begun = Instant::now();
         let pool = self.pool(config.model)?;
         emulator = emulator.parallel(pool.is_some());
-        let elapsed_us = Emulator::elapsed_us;
         let written = write_events(
             &mut emulator,
-            elapsed_us,
             readout.as_mut(),
             writer.as_mut(),
+            truth.as_mut(),
             pool.as_ref(),
         )?;
-        writer.finish()?;
+        let truth = finish(writer, truth)?;
         let emulated = Emulated {
             readout,
+            truth,
             source: Source::Scene(preset),
             sensor: config.sensor,
             start_us: config.start_us,
@@ -212,8 +215,9 @@ impl Emulate {
     }
 
     fn run_video(&self, path: &Path, pixel: &PixelParameters, output: &Path) -> anyhow::Result<()> {
-        let inputs = [file_of(path)].into_iter().chain(self.video.files());
-        self.overwrite.check(output, self.format.kind(), inputs)?;
+        let inputs = || [file_of(path)].into_iter().chain(self.video.files());
+        self.overwrite.check(output, self.format.kind(), inputs())?;
+        self.truth.check(output, true, self.overwrite, inputs())?;
         let format = self.format.of(output)?;
         let name = name_of(path);
         if self.model == Some(Model::Steps) {
@@ -228,21 +232,22 @@ impl Emulate {
         let span_us = (self.start_us, self.duration_us);
         let (emulator, exposure) = self.video.emulate(path, span_us, self.seed, pixel)?;
         let mut readout = Stage::new(emulator.sensor(), self.readout.readout()?)?;
+        let mut truth = self.truth.of_video()?;
         let mut writer = event_files::create_as(output, format, emulator.sensor())?;
         let pool = self.pool(Model::Physical)?;
         let mut emulator = emulator.parallel(pool.is_some());
-        let elapsed_us = VideoEmulator::elapsed_us;
         let written = write_events(
             &mut emulator,
-            elapsed_us,
             readout.as_mut(),
             writer.as_mut(),
+            truth.as_mut(),
             pool.as_ref(),
         )?;
-        writer.finish()?;
+        let truth = finish(writer, truth)?;
         tell_motion(&name, emulator.motion(), emulator.elapsed_us());
         let emulated = Emulated {
             readout,
+            truth,
             source: Source::Video {
                 name,
                 format: emulator.format(),
@@ -291,6 +296,7 @@ impl Emulate {
 struct Emulated {
     source: Source,
     readout: Option<Stage>,
+    truth: Option<TruthCounts>,
     sensor: Sensor,
     start_us: u64,
     duration_us: u64,
@@ -390,6 +396,12 @@ impl Emulated {
             report["lost_unread"] = lost.unread.into();
             report["lost_link"] = lost.link.into();
         }
+        if let Some(truth) = &self.truth {
+            report["truth"] = truth.path.display().to_string().into();
+            report["truth_frames"] = truth.frames.into();
+            let causes = |counts| serde_json::Value::from_iter(by_cause(counts));
+            report["causes"] = truth.causes.map(causes).into();
+        }
         if let Some(samples) = self.samples {
             report["samples_per_px_s"] = self.per_px_s(samples).into();
             report["pixel"] = pixel::json(pixel);
@@ -449,6 +461,22 @@ impl Emulated {
                 format!("{} unread, {} at the link", lost.unread, lost.link),
             ));
         }
+        if let Some(truth) = &self.truth {
+            table.push(("truth", truth.path.display().to_string()));
+            if let Some(frames) = truth.frames {
+                table.push(("frames", format!("{frames} of the truth")));
+            }
+            let causes = match truth.causes {
+                Some(counts) => {
+                    let causes: Vec<String> = by_cause(counts)
+                        .map(|(name, count)| format!("{count} {name}"))
+                        .collect();
+                    causes.join(", ")
+                }
+                None => "not known to model 1".to_owned(),
+            };
+            table.push(("causes", causes));
+        }
         if let Some(samples) = self.samples {
             table.push((
                 "sampled",
@@ -483,41 +511,7 @@ fn scenes() -> String {
         .collect()
 }
 
-/// Writes every event of an emulation, batch by batch and through the readout if there is one, and counts them. The threads
-/// of `pool` read, this one writes.
-fn write_events<R: EventReader>(
-    emulator: &mut R,
-    elapsed_us: impl Fn(&R) -> u64,
-    mut stage: Option<&mut Stage>,
-    writer: &mut dyn EventWriter,
-    pool: Option<&ThreadPool>,
-) -> anyhow::Result<Written> {
-    let progress = Progress::new("ms emulated");
-    let mut written = Written::default();
-    let mut events: Vec<Event> = Vec::with_capacity(event_files::BATCH_EVENTS);
-    let mut fired: Vec<Event> = Vec::new();
-    loop {
-        let read = match pool {
-            Some(pool) => pool.install(|| emulator.read(&mut events))?,
-            None => emulator.read(&mut events)?,
-        };
-        if let Some(stage) = &mut stage {
-            std::mem::swap(&mut events, &mut fired);
-            stage.readout.push(&fired, None, &mut events, None);
-            fired.clear();
-            if read == 0 {
-                stage.readout.finish(&mut events, None);
-            }
-        }
-        writer.write(&events)?;
-        written.events += events.len() as u64;
-        let on = events.iter().filter(|e| e.polarity == Polarity::On);
-        written.on += on.count() as u64;
-        events.clear();
-        if read == 0 {
-            break;
-        }
-        progress.set(elapsed_us(emulator) / 1_000);
-    }
-    Ok(written)
+/// Returns the names of causes with the numbers of their events.
+fn by_cause(counts: [u64; Cause::ALL.len()]) -> impl Iterator<Item = (&'static str, u64)> {
+    Cause::ALL.map(Cause::name).into_iter().zip(counts)
 }

@@ -24,6 +24,7 @@ mod save;
 mod status;
 mod streams;
 mod support;
+mod truth;
 mod view;
 #[cfg(target_os = "linux")]
 mod view_keys;

@@ -99,6 +99,26 @@ fn does_not_grow_with_the_recording() {
 }
 
 #[test]
+fn does_not_grow_with_the_frames_of_the_truth() {
+    let folder = Folder::new();
+    let [short, long] = [50_000, 1_500_000].map(|duration_us| {
+        memory(
+            &folder,
+            &format!(
+                "emulate outdoor-dark-blur -o a.raw --truth a.npz --truth-fps 2000 --model 2 --threads 1 --width 64 --height 48 \
+                 --duration-us {duration_us} --overwrite"
+            ),
+        )
+    });
+    println!("{short} KiB, {long} KiB");
+    // All flow would be 74 MB more.
+    assert!(
+        short > 0 && long <= short + GROWTH_KIB,
+        "{short} KiB, {long} KiB"
+    );
+}
+
+#[test]
 fn does_not_grow_while_nobody_takes_the_output() {
     let folder = Folder::new();
     recording(&folder, "long.dat", LONG);

@@ -136,6 +136,10 @@ pub const CASES: &[Case] = &[
         "emulate motorcycle -o OUT.raw --width 40 --height 30 --duration-us 60000 --overwrite",
         &["OUT.raw"],
     ),
+    files(
+        "emulate motorcycle -o OUT.raw --truth OUT.npz --model 2 --width 40 --height 30 --duration-us 40000 --overwrite",
+        &["OUT.raw", "OUT.npz"],
+    ),
     converted!("scene.raw", "raw"),
     converted!("scene.raw", "csv"),
     converted!("scene.raw", "txt"),

@@ -19,6 +19,8 @@ pub enum Kind {
     AnyRecording,
     /// A volume, as an array.
     Volume,
+    /// The truth about an emulated recording, as arrays.
+    Truth,
     /// A picture or an animation.
     Picture,
     /// A chart in SVG.
@@ -29,10 +31,11 @@ pub enum Kind {
     Stream,
 }
 
-const KINDS: [Kind; 7] = [
+const KINDS: [Kind; 8] = [
     Kind::Frames,
     Kind::Recording,
     Kind::Volume,
+    Kind::Truth,
     Kind::Picture,
     Kind::Chart,
     Kind::Settings,
@@ -76,6 +79,7 @@ impl Kind {
             Self::Frames => &[FRAMES_ENDING],
             Self::Recording | Self::AnyRecording => &[],
             Self::Volume => &[".npy", ".npz"],
+            Self::Truth => &[".npz"],
             Self::Picture => &[".gif", ".png"],
             Self::Chart => &[".svg"],
             Self::Settings => &[".toml"],

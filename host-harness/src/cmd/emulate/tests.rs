@@ -1,4 +1,6 @@
 use clap::{CommandFactory, Parser};
+use eecvs_nostd::Event;
+use event_files::EventWriter;
 use event_types::stream::Response;
 
 use super::*;
@@ -90,8 +92,7 @@ fn every_event_is_written_and_counted() {
         room: usize::MAX,
     };
     let mut emulator = event_emulator::emulate(config).unwrap();
-    let written =
-        write_events(&mut emulator, Emulator::elapsed_us, None, &mut writer, None).unwrap();
+    let written = write_events(&mut emulator, None, &mut writer, None, None).unwrap();
     assert_eq!(written.events, writer.events.len() as u64);
     assert!(written.on > 0 && written.on < written.events);
 
@@ -103,7 +104,7 @@ fn every_event_is_written_and_counted() {
     writer.events.clear();
     writer.room = 10;
     let mut emulator = event_emulator::emulate(config).unwrap();
-    assert!(write_events(&mut emulator, Emulator::elapsed_us, None, &mut writer, None).is_err());
+    assert!(write_events(&mut emulator, None, &mut writer, None, None).is_err());
 }
 
 /// A night of 2 events per pixel and second.
@@ -111,6 +112,7 @@ fn night() -> Emulated {
     Emulated {
         source: Source::Scene(Preset::OutdoorDark),
         readout: None,
+        truth: None,
         sensor: Preset::OutdoorDark.sensor(),
         start_us: 0,
         duration_us: 1_000_000,
