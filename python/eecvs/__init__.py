@@ -40,7 +40,7 @@ from ._errors import (
     UndecidedError,
     UnsupportedError,
 )
-from ._types import CAUSES, DTYPES, Comparison, EncodeOptions, Info, Sensor, Written
+from ._types import CAUSES, DTYPES, Comparison, EncodeOptions, Info, Sensor, Truth, Written
 
 if sys.platform == "linux":
     from ._eecvs import Capture, capture
@@ -70,6 +70,7 @@ __all__ = [
     "Sensor",
     "Slices",
     "Times",
+    "Truth",
     "UndecidedError",
     "UnsupportedError",
     "Window",

@@ -7,6 +7,7 @@ from os import PathLike
 from typing import Literal, NamedTuple, Optional, TypedDict, Union
 
 import numpy as np
+import numpy.typing as npt
 
 
 class Sensor(NamedTuple):
@@ -106,6 +107,19 @@ class Written(NamedTuple):
 
 #: What caused an event of an emulated scene, by the numbers of ``Recording.causes()``.
 CAUSES: tuple[str, ...] = ("signal", "leak", "shot noise", "hot", "stuck")
+
+
+class Truth(NamedTuple):
+    """What is really seen at each pixel of a scene, from ``Recording.truth()``."""
+
+    #: (H, W) uint8: the number of the object; 0 is the background.
+    object: npt.NDArray[np.uint8]
+    #: (H, W, 2) float32: optical flow in pixels per second, to the right and down.
+    flow: npt.NDArray[np.float32]
+    #: (H, W) float32: depth relative to that of the picture's middle, NaN in objects; None in a scene without depth.
+    depth: Optional[npt.NDArray[np.float32]]
+    #: What the objects are, by their numbers: ``"background"``, ``"box"`` or ``"lamp"``.
+    objects: tuple[str, ...]
 
 
 class EncodeOptions(TypedDict, total=False):

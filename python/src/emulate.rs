@@ -1,9 +1,11 @@
 //! Scenes of the emulator, as recordings.
 
-use event_emulator::{Effect, Model, PRESETS, PixelParameters, Preset, SceneConfig};
+use event_emulator::{Effect, Model, PRESETS, PixelParameters, Preset, SceneConfig, SceneTruth};
+use event_types::stream::Result;
+use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyTuple};
 
 use crate::errors::exception;
 use crate::given::Size;
@@ -25,7 +27,8 @@ use crate::window::not_one_of;
 ///     dtype: Layout of the arrays, as for ``open``.
 ///
 /// Returns:
-///     A Recording, which is emulated anew whenever it is read; ``causes()`` is the truth about its noise in model 2.
+///     A Recording, which is emulated anew whenever it is read; ``causes()`` is the truth about its noise in model 2,
+///     ``truth()`` that about its objects and their motion.
 ///
 /// Raises:
 ///     RefusedError: A scene that cannot exist; a parameter that is out of range.
@@ -121,6 +124,34 @@ fn parameters(
     let checked = parameters.check();
     checked.map_err(|error| exception(py, &error, None))?;
     Ok(parameters)
+}
+
+/// Returns what is seen at each pixel of a scene at a time, as a `Truth`.
+///
+/// # Errors
+/// The time is before the scene's beginning.
+pub fn truth<'py>(py: Python<'py>, config: &SceneConfig, t_us: u64) -> PyResult<Bound<'py, PyAny>> {
+    let sides = [config.sensor.height, config.sensor.width].map(usize::from);
+    let pixels = sides[0] * sides[1];
+    let made = py.detach(|| -> Result<_> {
+        let truth = SceneTruth::new(config)?;
+        let (mut object, mut flow) = (vec![0_u8; pixels], vec![[0.0_f32; 2]; pixels]);
+        truth.objects_at(t_us, &mut object)?;
+        truth.flow_at(t_us, &mut flow)?;
+        let mut depth = truth.has_depth().then(|| vec![0.0_f32; pixels]);
+        if let Some(depth) = &mut depth {
+            truth.depth_at(t_us, depth)?;
+        }
+        let objects = truth.objects();
+        let names: Vec<&str> = objects.iter().map(|kind| kind.name()).collect();
+        Ok((object, flow.into_flattened(), depth, names))
+    });
+    let (object, flow, depth, names) = made.map_err(|error| exception(py, &error, None))?;
+    let object = PyArray1::from_vec(py, object).reshape(sides)?;
+    let flow = PyArray1::from_vec(py, flow).reshape([sides[0], sides[1], 2])?;
+    let depth = depth.map(|depth| PyArray1::from_vec(py, depth).reshape(sides));
+    let class = py.import("eecvs._types")?.getattr("Truth")?;
+    class.call1((object, flow, depth.transpose()?, PyTuple::new(py, names)?))
 }
 
 /// Returns the names and descriptions of the scenes.

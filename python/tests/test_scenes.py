@@ -51,6 +51,35 @@ def test_causes_are_those_of_the_events() -> None:
         eecvs.emulate("motorcycle", **SMALL).causes()
 
 
+def test_truth_is_that_of_the_scene(tmp_path: Path) -> None:
+    scene = eecvs.emulate("motorcycle", start_us=5, **SMALL)
+    truth = scene.truth(60_005)
+    assert truth.objects == ("background", "box", "lamp")
+    assert (truth.object.shape, truth.object.dtype) == ((24, 32), np.uint8)
+    assert (truth.flow.shape, truth.flow.dtype) == ((24, 32, 2), np.float32)
+    assert truth.depth is not None and truth.depth.dtype == np.float32
+    assert set(np.unique(truth.object)) == {0, 1, 2}
+    # The box crosses 1.7 of the width and 0.1 of the height in a second, the lamp stays.
+    assert np.allclose(truth.flow[truth.object == 1], (1.7 * 32, 0.1 * 24))
+    assert not truth.flow[truth.object == 2].any()
+    # Nearer rows of the background pass more quickly.
+    background = truth.object == 0
+    assert (np.isnan(truth.depth) == ~background).all()
+    pace = (truth.flow[..., 0] * truth.depth)[background]
+    assert np.allclose(pace, pace[0]) and pace[0] < 0
+    assert eecvs.emulate("indoor-dark-blur", **SMALL).truth(0).depth is None
+    # Model and seed do not change it.
+    other = eecvs.emulate("motorcycle", model=2, seed=9, **SMALL).truth(60_000)
+    assert np.array_equal(other.object, truth.object) and np.array_equal(other.flow, truth.flow)
+    with pytest.raises(eecvs.RefusedError, match="before the scene's beginning"):
+        scene.truth(4)
+    with pytest.raises(OverflowError):
+        scene.truth(-1)
+    eecvs.write(tmp_path / "scene.raw", scene)
+    with pytest.raises(eecvs.UnsupportedError, match="only scenes"):
+        eecvs.open(tmp_path / "scene.raw").truth(5)
+
+
 def test_parameters_of_the_pixel() -> None:
     def count(**pixel: float) -> int:
         return len(eecvs.emulate("motorcycle", model=2, pixel=pixel, **SMALL).read())

@@ -491,6 +491,25 @@ impl Recording {
         Ok(PyArray1::from_vec(py, causes))
     }
 
+    /// Computes what is really seen in a scene at a time; the files of ``eecvs emulate --truth`` have the same arrays.
+    ///
+    /// Args:
+    ///     t_us: A time in microseconds, from the scene's start on.
+    ///
+    /// Returns:
+    ///     Truth: (H, W) uint8 ``object``, (H, W, 2) float32 ``flow`` in pixels per second, to the right and down, (H, W)
+    ///     float32 ``depth`` relative to that of the picture's middle and NaN in objects, or None, and ``objects``.
+    ///
+    /// Raises:
+    ///     UnsupportedError: The recording is no scene.
+    ///     RefusedError: The time is before the scene's start.
+    fn truth<'py>(&self, py: Python<'py>, t_us: u64) -> PyResult<Bound<'py, PyAny>> {
+        let config = self.source.config();
+        let config = config
+            .map_err(|error| crate::errors::exception(py, &error, Some(&self.source.name)))?;
+        crate::emulate::truth(py, config, t_us)
+    }
+
     /// Iterates over slices of ``us`` microseconds; a slice without events is an empty array.
     ///
     /// Args:

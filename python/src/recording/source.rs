@@ -71,6 +71,21 @@ impl Source {
         }
     }
 
+    /// Returns what scene is emulated.
+    ///
+    /// # Errors
+    /// There is none.
+    pub fn config(&self) -> Result<&SceneConfig> {
+        match &self.origin {
+            Origin::Scene { config, .. } => Ok(config),
+            Origin::File { path, .. } => Err(error!(
+                Unsupported,
+                "{}: only scenes of the emulator know what is seen in them",
+                path.display()
+            )),
+        }
+    }
+
     /// Returns an error if the source is a pipe, which cannot be read again.
     ///
     /// # Errors
