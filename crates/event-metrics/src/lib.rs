@@ -27,6 +27,7 @@
 //! reader inferred one from the largest x and y: frames then take the larger width and height of the two.
 
 pub mod clock;
+pub mod denoising;
 pub mod emd_pixel;
 pub mod emd_time;
 pub mod exact_fraction;

@@ -1,5 +1,6 @@
 //! `eecvs compare`: measures the distortion between two recordings.
 
+use std::iter;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
@@ -8,9 +9,12 @@ use eecvs_cli::options::ReadingOptions;
 use eecvs_cli::output::{print, print_json};
 use eecvs_cli::progress::Progress;
 use eecvs_cli::say;
+use event_emulator::Cause;
 use event_files::Reading;
 use event_files::content::Rereadable;
+use event_files::numpy::byte_list::ByteList;
 use event_files::output::is_dash;
+use event_metrics::denoising::{Denoising, denoising};
 use event_metrics::{Comparison, clock};
 use serde::Serialize;
 
@@ -31,6 +35,10 @@ pub struct Compare {
     /// Align the clocks first if they differ by a constant
     #[arg(long)]
     align: bool,
+    /// Truth of recording A, as eecvs emulate --truth writes it: also say what B, as a filter left it, has of A's signal
+    /// and noise
+    #[arg(long, value_name = "FILE.npz")]
+    truth: Option<PathBuf>,
     #[command(flatten)]
     reading: ReadingOptions,
     /// Print one JSON object
@@ -42,7 +50,8 @@ impl Compare {
     /// Compares and prints the result on stdout.
     ///
     /// # Errors
-    /// Fails if a recording cannot be read, or for the reasons given at [`event_metrics::compare`].
+    /// Fails if a recording or the truth cannot be read, or for the reasons given at [`event_metrics::compare`] and
+    /// [`denoising`].
     pub fn run(self) -> Result<()> {
         let reading = self.reading.reading();
         ensure!(
@@ -79,6 +88,20 @@ impl Compare {
         );
         drop(progress);
         let comparison = comparison.with_context(context)?;
+        let denoising = match &self.truth {
+            Some(truth) => {
+                let mut causes = ByteList::open(truth, "cause")?;
+                let progress = Progress::new("events");
+                let denoising = denoising(
+                    &mut *open(&a, ahead_us)?,
+                    &mut causes,
+                    &mut *open(&b, ahead_us.saturating_neg())?,
+                    &mut |events| progress.set(events),
+                );
+                Some(denoising.with_context(|| format!("{}: {}", truth.display(), context()))?)
+            }
+            None => None,
+        };
         match offset_us {
             Some(offset_us) if offset_us != 0 && !self.align => say!(
                 "eecvs: the clock of {} is {offset_us} us ahead of that of {}: --align removes \
@@ -95,13 +118,14 @@ impl Compare {
         }
         let report = Report {
             comparison,
+            denoising,
             clock_offset_us: offset_us,
             aligned: self.align && offset_us.is_some(),
         };
         if self.json {
             print_json(&report)
         } else {
-            print(&table(&report.comparison))
+            print(&report.table())
         }
     }
 }
@@ -111,19 +135,39 @@ impl Compare {
 struct Report {
     #[serde(flatten)]
     comparison: Comparison,
+    /// What B has of A's signal and noise, with --truth.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    denoising: Option<Denoising>,
     /// How far B's clock is ahead of A's in microseconds; null if no constant offset was found.
     clock_offset_us: Option<i64>,
     /// Whether that offset was removed before the comparison.
     aligned: bool,
 }
 
+impl Report {
+    fn table(&self) -> String {
+        let mut rows = rows(&self.comparison);
+        if let Some(denoising) = &self.denoising {
+            rows.extend(denoising_rows(denoising));
+        }
+        lines(&rows)
+    }
+}
+
+/// A metric: its name, its value, its unit.
+type Row = (&'static str, String, &'static str);
+
 /// Formats one line per metric: name, value, unit.
 pub fn table(c: &Comparison) -> String {
+    lines(&rows(c))
+}
+
+fn rows(c: &Comparison) -> Vec<Row> {
     // Rounded down, so that 1.000000 means exactly 1.
     let floor = |share: f64| format!("{:.6}", (share * 1e6).floor() / 1e6);
     // Rounded up, so that 0.000000 means exactly 0.
     let ceiling = |share: f64| format!("{:.6}", (share * 1e6).ceil() / 1e6);
-    let rows = [
+    vec![
         ("events_a", c.events_a.to_string(), ""),
         ("events_b", c.events_b.to_string(), ""),
         ("exact_fraction", floor(c.exact_fraction), ""),
@@ -135,7 +179,26 @@ pub fn table(c: &Comparison) -> String {
         ("ssim", floor(c.ssim), ""),
         ("emd_time_ms", format!("{:.6}", c.emd_time_ms), "ms"),
         ("emd_pixel_us", format!("{:.3}", c.emd_pixel_us), "us"),
+    ]
+}
+
+/// Returns what a filter kept: its shares, and for each cause the events kept of all.
+fn denoising_rows(d: &Denoising) -> Vec<Row> {
+    let share = |share: Option<f64>| share.map_or("-".to_owned(), |share| format!("{share:.6}"));
+    let mut rows = vec![
+        ("precision", share(d.precision), ""),
+        ("recall", share(d.recall), ""),
+        ("noise_removed", share(d.noise_removed), ""),
     ];
+    let names = Cause::ALL.into_iter().map(Cause::name);
+    for (name, count) in names.chain(iter::repeat("other")).zip(&d.by_cause) {
+        rows.push((name, format!("{} of {}", count.kept, count.events), ""));
+    }
+    rows
+}
+
+/// Formats rows of a name, a value and its unit, with the values below each other.
+fn lines(rows: &[Row]) -> String {
     let width = rows.iter().map(|row| row.1.len()).max().unwrap_or(0);
     rows.iter()
         .map(|(name, value, unit)| {

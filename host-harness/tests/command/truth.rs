@@ -8,7 +8,7 @@ use event_emulator::{Camera, Cause, Model, Preset, Readout, SceneConfig, SceneTr
 use event_files::video::{VideoReading, open_video};
 use event_types::{Event, Sensor};
 
-use crate::support::{Folder, count};
+use crate::support::{Folder, count, number};
 
 /// An array of an `.npz`.
 struct Array {
@@ -334,4 +334,89 @@ fn a_video_has_causes_and_mistakes_are_refused_before_anything_is_done() {
         let empty = array(&folder, "e.npz", name).expect("an array");
         assert_eq!((empty.shape, empty.bytes.len()), (shape, 0));
     }
+}
+
+#[test]
+fn a_filter_is_judged_by_the_truth() {
+    let folder = Folder::new();
+    let line = "emulate outdoor-dark-blur -o a.raw --truth a.npz --model 2 --width 64 --height 48 --duration-us 300000";
+    folder.eecvs(line).ok();
+    let (sensor, events) = folder.events("a.raw");
+    let causes = array(&folder, "a.npz", "cause").expect("causes").bytes;
+    let write = |name: &str, keep: &dyn Fn(usize, u8) -> bool| {
+        let kept = events.iter().zip(&causes).enumerate();
+        let kept: Vec<Event> = kept
+            .filter(|(index, (_, cause))| keep(*index, **cause))
+            .map(|(_, (event, _))| *event)
+            .collect();
+        let mut writer = event_files::create(&folder.path(name), sensor).expect("a file");
+        writer.write(&kept).expect("events");
+        writer.finish().expect("a file");
+        kept.len()
+    };
+    let judged = |name: &str| {
+        let line = format!("compare a.raw {name} --truth a.npz --json");
+        folder.eecvs(&line).ok().object()["denoising"].clone()
+    };
+    let signal = write("signal.raw", &|_, cause| cause == 0);
+    let found = judged("signal.raw");
+    for share in ["precision", "recall", "noise_removed"] {
+        assert_eq!(number(&found, share), 1.0, "{found}");
+    }
+    let kept = write("third.raw", &|index, _| index % 3 == 0);
+    let found = judged("third.raw");
+    let of_signal = causes
+        .iter()
+        .step_by(3)
+        .filter(|cause| **cause == 0)
+        .count();
+    assert_eq!(number(&found, "precision"), of_signal as f64 / kept as f64);
+    assert_eq!(number(&found, "recall"), of_signal as f64 / signal as f64);
+
+    // The encoder's filter of isolated events: more noise is removed than signal.
+    folder.eecvs("encode a.raw -o b.eecvs --isolated").ok();
+    let found = judged("b.eecvs");
+    let (recall, removed) = (number(&found, "recall"), number(&found, "noise_removed"));
+    assert!(removed > 0.3 && removed > 1.5 * (1.0 - recall), "{found}");
+    assert!(number(&found, "precision") > signal as f64 / causes.len() as f64);
+
+    let table = folder
+        .eecvs("compare a.raw third.raw --truth a.npz")
+        .ok()
+        .stdout;
+    let line = format!("{of_signal} of {signal}");
+    assert!(
+        table.contains("precision") && table.contains(&line),
+        "{table}"
+    );
+    for (line, reason) in [
+        (
+            "compare signal.raw a.raw --truth a.npz",
+            "another recording",
+        ),
+        (
+            "compare a.raw a.raw --truth none.npz",
+            "none.npz: cannot be opened",
+        ),
+        ("compare a.raw a.raw --truth a.raw", "a.raw: byte 0"),
+    ] {
+        folder.eecvs(line).fails(&[reason]);
+    }
+    folder
+        .eecvs("emulate motorcycle -o c.raw --truth c.npz --duration-us 10000")
+        .ok();
+    folder
+        .eecvs("compare c.raw c.raw --truth c.npz")
+        .fails(&["has no array cause, but t_us, object"]);
+    // A truth that is damaged.
+    let mut bytes = folder.bytes("a.npz");
+    let place = bytes
+        .windows(9)
+        .position(|name| name == b"cause.npy")
+        .expect("an entry");
+    bytes[place + 200] ^= 1;
+    folder.write("a.npz", bytes);
+    folder
+        .eecvs("compare a.raw a.raw --truth a.npz")
+        .fails(&["a.npz"]);
 }

@@ -1,6 +1,8 @@
 //! Reads and writes NumPy arrays: `.npy` and `.npz`.
 
 #[cfg(feature = "npz")]
+pub mod byte_list;
+#[cfg(feature = "npz")]
 pub(crate) mod layout;
 pub(crate) mod npy_header;
 #[cfg(feature = "npz")]
