@@ -10,6 +10,29 @@
 //! ```
 //!
 //! Both recordings are read once, in step; memory holds the events of one time.
+//!
+//! ```
+//! use event_metrics::denoising::denoising;
+//! use event_types::stream::MemoryReader;
+//! use event_types::{Event, Polarity, Sensor};
+//!
+//! # fn main() -> Result<(), event_types::stream::Error> {
+//! let sensor = Sensor { width: 4, height: 1 };
+//! let event = |t_us, x| Event { t_us, x, y: 0, polarity: Polarity::On };
+//! let events = vec![event(10, 0), event(20, 3), event(30, 1), event(40, 2)];
+//! // The second event is shot noise; the filter leaves it out, and the fourth with it.
+//! let mut causes = &[0, 2, 0, 0][..];
+//! let filtered = vec![events[0], events[2]];
+//! let found = denoising(
+//!     &mut MemoryReader::new(sensor, events),
+//!     &mut causes,
+//!     &mut MemoryReader::new(sensor, filtered),
+//!     &mut |_| {},
+//! )?;
+//! assert_eq!((found.precision, found.recall), (Some(1.0), Some(2.0 / 3.0)));
+//! # Ok(())
+//! # }
+//! ```
 
 use std::io::Read;
 
