@@ -33,6 +33,11 @@ const COMB_MIN: f64 = PEAK_MIN / 2.0;
 const SETTLED_US: f64 = 1.0 / 16_777_216.0;
 /// Smallest share of the differences that must contribute to a peak.
 const PEAK_MIN: f64 = 0.4;
+/// Of so many lines, a power of two, one is in the coarse spectrum, where there are events enough: the differences of the others would be
+/// of the same lengths.
+const COARSE_LINES: u16 = 4;
+/// Smallest number of events for that.
+const MANY_EVENTS: usize = 1 << 14;
 /// Share of the smallest peak and fit that suffices in the coarse spectrum.
 const COARSE_SHARE: f64 = 0.8;
 /// Periods up to which differences are compared with a peak of the coarse spectrum, before the error of its period shows.
@@ -98,9 +103,18 @@ fn axes_that_may_scan(events: &[Event], sensor: Sensor) -> impl Iterator<Item = 
     const AXES: [Axis; 2] = [Axis::Columns, Axis::Rows];
     let mut latest = AXES.map(|axis| vec![NEVER_US; line_count(axis, sensor)]);
     let mut counts = AXES.map(|_| vec![0_u32; SHORT_US]);
+    let mask = if events.len() < MANY_EVENTS {
+        0
+    } else {
+        COARSE_LINES - 1
+    };
     for event in events {
         for ((axis, latest), counts) in AXES.into_iter().zip(&mut latest).zip(&mut counts) {
-            if let Some(latest) = latest.get_mut(line_of(axis, event)) {
+            let line = line_of(axis, event);
+            if line & mask != 0 {
+                continue;
+            }
+            if let Some(latest) = latest.get_mut(usize::from(line)) {
                 // Of either sign: packets of a recording may have their last event first.
                 let difference = event.t_us.abs_diff(*latest);
                 *latest = event.t_us;
@@ -146,11 +160,11 @@ fn line_count(axis: Axis, sensor: Sensor) -> usize {
 }
 
 /// Returns the line of an event.
-fn line_of(axis: Axis, event: &Event) -> usize {
-    usize::from(match axis {
+fn line_of(axis: Axis, event: &Event) -> u16 {
+    match axis {
         Axis::Columns => event.x,
         Axis::Rows => event.y,
-    })
+    }
 }
 
 /// Returns the readout along an axis with its score from 0 to 1, which says how well the times fit.
@@ -173,7 +187,7 @@ fn times_of_lines(axis: Axis, events: &[Event], sensor: Sensor) -> Vec<Vec<u64>>
     let mut lines = vec![Vec::new(); line_count(axis, sensor)];
     let start = events.iter().map(|event| event.t_us).min().unwrap_or(0);
     for event in events {
-        if let Some(times) = lines.get_mut(line_of(axis, event)) {
+        if let Some(times) = lines.get_mut(usize::from(line_of(axis, event))) {
             times.push(event.t_us - start);
         }
     }
