@@ -26,6 +26,17 @@ const READS: usize = 1000;
 /// Duration that is read.
 const SPAN_US: u64 = 1000;
 
+/// How a file is encoded.
+#[derive(Debug, Clone, Copy)]
+pub struct Case {
+    /// Name of the coder, and of what differs from the defaults of `eecvs encode`.
+    pub name: &'static str,
+    /// Coder of the events.
+    pub coder: Coder,
+    /// Duration of windows that are key frames all, in microseconds; `None` for the defaults of `eecvs encode`.
+    pub key_window_us: Option<u32>,
+}
+
 /// One file; the fields are its JSON keys.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
@@ -69,13 +80,16 @@ impl<R: Seek> Seek for Counted<'_, R> {
     }
 }
 
-/// Writes a file of `events` events without loss with a coder of that name, at `path`, and reads single milliseconds of
-/// it.
+/// Writes a file of `events` events without loss, at `path`, and reads single milliseconds of it.
 ///
 /// # Errors
 /// Fails if the file cannot be written or read, or if a millisecond has other events than were encoded.
-pub fn measure(name: &str, coder: Coder, events: u64, path: &Path) -> Result<Row> {
-    let (scene, config) = stream::scene(coder)?;
+pub fn measure(case: &Case, events: u64, path: &Path) -> Result<Row> {
+    let (scene, mut config) = stream::scene(case.coder)?;
+    if let Some(window_us) = case.key_window_us {
+        config.window.window_us = window_us;
+        config.key_windows = 1;
+    }
     let whose = || path.display().to_string();
     let mut frames = FrameFileWriter::new(BufWriter::new(File::create(path).with_context(whose)?));
     let mut reader = Repeated::new(&scene.events, events, scene.sensor);
@@ -99,7 +113,7 @@ pub fn measure(name: &str, coder: Coder, events: u64, path: &Path) -> Result<Row
     let end_us = reader.end_us();
     let mut random = Xoshiro256PlusPlus::seed_from_u64(SEED);
     let mut row = Row {
-        coder: name.to_owned(),
+        coder: case.name.to_owned(),
         events,
         bytes,
         open_bytes,
@@ -152,14 +166,25 @@ fn read_between<R: Read + Seek>(
 
 #[cfg(test)]
 mod tests {
+    use eecvs_nostd::Effort;
+
     use super::*;
 
     #[test]
     fn a_millisecond_takes_a_few_windows() {
         let folder = tempfile::tempdir().unwrap();
-        for coder in [Coder::Keys, Coder::Quick] {
+        for (coder, key_window_us) in [
+            (Coder::Keys, None),
+            (Coder::Quick, None),
+            (Coder::Tree(Effort::One), Some(4_096)),
+        ] {
             let path = folder.path().join("long.eecvs");
-            let row = measure("a coder", coder, 3_000_000, &path).unwrap();
+            let case = Case {
+                name: "a coder",
+                coder,
+                key_window_us,
+            };
+            let row = measure(&case, 3_000_000, &path).unwrap();
             assert_eq!(row.events, 3_000_000);
             assert!(row.most_events > 0, "{row:?}");
             assert!(row.open_bytes * 200 < row.bytes, "{row:?}");
