@@ -31,6 +31,7 @@ use event_types::{Event, Polarity, Sensor, bail, ensure};
 
 use crate::format::{Format, Limits, Opening};
 use crate::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
+use crate::output::collected::{Collected, ROOM};
 use crate::output::sequential::Output;
 use crate::{EventWriter, Skipped};
 
@@ -44,6 +45,8 @@ const DVS_OVERFLOW_US: u64 = 127;
 
 /// Largest time that is written, 19 hours: every 127 us of a gap costs a byte, so such a gap costs 541 MB.
 const T_MAX_US: u64 = 1 << 36;
+/// Bytes of an event: its step in time and polarity, x, and y from below.
+const RECORD_BYTES: usize = 5;
 
 /// Largest number of bytes of a generic event's length: 63 bits.
 const LENGTH_BYTES: u32 = 9;
@@ -215,6 +218,44 @@ impl EsDecoder {
         Ok(Some((x, self.sensor.height - 1 - y)))
     }
 
+    /// Appends the events of a DVS file whose bytes are there, up to one outside of the sensor.
+    fn decode_run(&mut self, batch: &mut Batch<'_>) -> Result<()> {
+        let (_, bytes) = self.bytes.run(&mut self.input, usize::MAX)?;
+        let mut rest = bytes.as_flattened();
+        let (mut t_us, mut events) = (self.t_us, 0);
+        while batch.room() > 0
+            && let Some([first, x0, x1, y0, y1]) = rest.first_chunk::<RECORD_BYTES>().copied()
+        {
+            let length = match Kind::Dvs.first(first) {
+                First::Pass(passed_us) => {
+                    t_us = t_us.saturating_add(passed_us);
+                    1
+                }
+                First::Begin(passed_us, polarity) => {
+                    let (x, y) = (u16::from_le_bytes([x0, x1]), u16::from_le_bytes([y0, y1]));
+                    let Some(polarity) = polarity.filter(|_| self.sensor.contains(x, y)) else {
+                        break;
+                    };
+                    t_us = t_us.saturating_add(passed_us);
+                    let y = self.sensor.height - 1 - y;
+                    batch.push(Event {
+                        t_us,
+                        x,
+                        y,
+                        polarity,
+                    });
+                    events += 1;
+                    RECORD_BYTES
+                }
+            };
+            rest = rest.get(length..).unwrap_or_default();
+        }
+        let left = rest.len();
+        self.bytes.back(left);
+        (self.t_us, self.events) = (t_us, self.events + events);
+        Ok(())
+    }
+
     /// Skips a generic event's length and bytes.
     fn skip_generic(&mut self, offset: u64) -> Result<()> {
         let mut length = 0_u64;
@@ -255,6 +296,12 @@ impl Decode for EsDecoder {
 
     fn decode(&mut self, batch: &mut Batch<'_>) -> Result<()> {
         while batch.room() > 0 {
+            if self.kind == Kind::Dvs {
+                self.decode_run(batch)?;
+                if batch.room() == 0 {
+                    break;
+                }
+            }
             let Some([byte]) = self.bytes.next(&mut self.input)? else {
                 break;
             };
@@ -300,7 +347,7 @@ impl Decode for EsDecoder {
 
 /// A writer of Event Stream files of DVS events.
 pub struct EsWriter {
-    file: Output,
+    file: Collected,
     sensor: Sensor,
     t_us: u64,
     events: u64,
@@ -312,9 +359,8 @@ impl EsWriter {
     /// # Errors
     /// I/O.
     pub fn create(path: &Path, sensor: Sensor) -> Result<Self> {
-        let file = Output::create(path)?;
         let mut writer = Self {
-            file,
+            file: Collected::new(Output::create(path)?),
             sensor,
             t_us: 0,
             events: 0,
@@ -328,41 +374,82 @@ impl EsWriter {
     }
 }
 
+impl EsWriter {
+    /// Checks an event, and writes the bytes that carry whole [`DVS_OVERFLOW_US`] of its step in time; returns the rest of
+    /// the step.
+    #[inline(never)]
+    fn begin(&mut self, event: &Event) -> Result<u64> {
+        crate::check_inside(self.file.name(), self.events, event, self.sensor)?;
+        let (name, index, t_us) = (self.file.name(), self.events, event.t_us);
+        let Some(step_us) = t_us.checked_sub(self.t_us) else {
+            bail!(
+                CannotHold,
+                "{name}: event {index}: time {t_us} us is before {} us, and times cannot step \
+                 back in Event Stream: sort the events, or write .aedat4",
+                self.t_us
+            );
+        };
+        ensure!(
+            t_us <= T_MAX_US,
+            CannotHold,
+            "{name}: event {index}: time {t_us} us is above 2^36 us, the largest written as \
+             Event Stream: write .aedat4"
+        );
+        for _ in 0..step_us / DVS_OVERFLOW_US {
+            self.file.put_first([0xff; ROOM], 1)?;
+        }
+        Ok(step_us % DVS_OVERFLOW_US)
+    }
+}
+
+/// Returns the bytes of an event, `step_us`, below [`DVS_OVERFLOW_US`], after the bytes before it.
+#[inline]
+fn record(event: &Event, step_us: u64, sensor: Sensor) -> [u8; ROOM] {
+    // It fits into 7 bits and is not taken for `0xff` or `0xfe`.
+    let first = step_us << 1 | u64::from(event.polarity == Polarity::On);
+    let y = sensor.height.wrapping_sub(1).wrapping_sub(event.y);
+    (first | u64::from(event.x) << 8 | u64::from(y) << 24).to_le_bytes()
+}
+
 impl EventWriter for EsWriter {
     fn write(&mut self, events: &[Event]) -> Result<()> {
-        for event in events {
-            crate::check_inside(self.file.name(), self.events, event, self.sensor)?;
-            let (name, index, t_us) = (self.file.name(), self.events, event.t_us);
-            let Some(step_us) = t_us.checked_sub(self.t_us) else {
-                bail!(
-                    CannotHold,
-                    "{name}: event {index}: time {t_us} us is before {} us, and times cannot step \
-                     back in Event Stream: sort the events, or write .aedat4",
-                    self.t_us
-                );
-            };
-            ensure!(
-                t_us <= T_MAX_US,
-                CannotHold,
-                "{name}: event {index}: time {t_us} us is above 2^36 us, the largest written as \
-                 Event Stream: write .aedat4"
-            );
-            for _ in 0..step_us / DVS_OVERFLOW_US {
-                self.file.put(&[0xff])?;
+        let mut rest = events;
+        while !rest.is_empty() {
+            // All events of a recording but a few are close to the one before.
+            let (before, mut last_us, sensor) = (rest.len(), self.t_us, self.sensor);
+            self.file.fill(|room| {
+                let mut at = 0;
+                while let Some((event, later)) = rest.split_first()
+                    && let Some(room) = room.get_mut(at..).and_then(<[u8]>::first_chunk_mut)
+                    && let step_us = event.t_us.wrapping_sub(last_us)
+                    && step_us < DVS_OVERFLOW_US
+                    && event.t_us <= T_MAX_US
+                    && sensor.contains(event.x, event.y)
+                {
+                    *room = record(event, step_us, sensor);
+                    at += RECORD_BYTES;
+                    last_us = event.t_us;
+                    rest = later;
+                }
+                at
+            })?;
+            self.t_us = last_us;
+            self.events += (before - rest.len()) as u64;
+            if before == rest.len()
+                && let Some((event, later)) = rest.split_first()
+            {
+                let step_us = self.begin(event)?;
+                self.file
+                    .put_first(record(event, step_us, sensor), RECORD_BYTES)?;
+                self.t_us = event.t_us;
+                self.events += 1;
+                rest = later;
             }
-            // The remainder is below 127, so it fits into 7 bits and is not taken for `0xff` or `0xfe`.
-            let rest = (step_us % DVS_OVERFLOW_US) as u8;
-            let [x0, x1] = event.x.to_le_bytes();
-            let [y0, y1] = (self.sensor.height - 1 - event.y).to_le_bytes();
-            let on = u8::from(event.polarity == Polarity::On);
-            self.file.put(&[rest << 1 | on, x0, x1, y0, y1])?;
-            self.t_us = t_us;
-            self.events += 1;
         }
         Ok(())
     }
 
-    fn finish(mut self: Box<Self>) -> Result<()> {
+    fn finish(self: Box<Self>) -> Result<()> {
         self.file.finish()
     }
 }

@@ -9,6 +9,7 @@
 /// Writers use one, too, to find out how a reader will interpret the next value.
 #[derive(Debug, Clone)]
 pub struct Wrapping {
+    /// A power of two.
     period: u64,
     base: u64,
     last: Option<u64>,
@@ -58,7 +59,8 @@ impl Wrapping {
 
     /// Returns the counter's value in the file for an extended value.
     pub fn low(&self, extended: u64) -> u64 {
-        extended % self.period
+        // A division takes many times as long, and writers ask for every value.
+        extended & (self.period - 1)
     }
 
     /// Extends the counter's next value, which must be below 2^`bits`.
@@ -82,14 +84,14 @@ impl Wrapping {
     /// A wrap is written as the period's last value followed by 0, which every known decoder accepts.
     pub fn step(&mut self, target: u64) -> Option<u64> {
         let next = match self.last {
-            None if target - target % self.period == self.base => target,
+            None if target - self.low(target) == self.base => target,
             None => self.base,
             Some(last) if target <= last => target,
             Some(last) => {
-                if (target - last) / self.period > Self::GAP_PERIODS_MAX {
+                if (target - last) >> self.period.trailing_zeros() > Self::GAP_PERIODS_MAX {
                     return None;
                 }
-                let top = last - last % self.period + (self.period - 1);
+                let top = last | (self.period - 1);
                 if last == top {
                     top + 1
                 } else {

@@ -6,6 +6,7 @@ use event_types::stream::Result;
 use event_types::{Event, Sensor, bail, error};
 
 use crate::evt::header::{RawHeader, Words};
+use crate::output::collected::{Collected, ROOM};
 use crate::output::sequential::Output;
 use crate::wrapping::Wrapping;
 
@@ -15,7 +16,7 @@ use crate::wrapping::Wrapping;
 /// time 0 are written out for every reader. Beyond that, the header's `% time_base_us` carries what exceeds the
 /// words' time bits, and readers that do not know it lose only that.
 pub struct RawWriter {
-    file: Output,
+    file: Collected,
     sensor: Sensor,
     words: Words,
     high_bits: u32,
@@ -27,15 +28,7 @@ pub struct RawWriter {
     /// Smallest step forwards of the upper bits whose word is written twice.
     jump: u64,
     events: u64,
-    /// Bytes to be written together, and how many there are so far: fewer than [`TOGETHER`] between two calls.
-    bytes: Box<[u8; TOGETHER + ROOM]>,
-    filled: usize,
 }
-
-/// Bytes that are written together, or some more.
-const TOGETHER: usize = 8192;
-/// How many bytes more.
-const ROOM: usize = 8;
 
 impl RawWriter {
     /// Creates the file. Of a time, the lowest `low_bits` are in an event's word, the `high_bits` above in another
@@ -49,9 +42,8 @@ impl RawWriter {
         words: Words,
         (high_bits, low_bits): (u32, u32),
     ) -> Result<Self> {
-        let file = Output::create(path)?;
         Ok(Self {
-            file,
+            file: Collected::new(Output::create(path)?),
             sensor,
             words,
             high_bits,
@@ -60,8 +52,6 @@ impl RawWriter {
             walk_max: 0,
             jump: u64::MAX,
             events: 0,
-            bytes: Box::new([0; TOGETHER + ROOM]),
-            filled: 0,
         })
     }
 
@@ -89,14 +79,7 @@ impl RawWriter {
     /// # Errors
     /// I/O.
     pub fn put(&mut self, bytes: &[u8]) -> Result<()> {
-        for part in bytes.chunks(ROOM) {
-            let mut whole = [0; ROOM];
-            for (to, from) in whole.iter_mut().zip(part) {
-                *to = *from;
-            }
-            self.put_first(whole, part.len())?;
-        }
-        Ok(())
+        self.file.put(bytes)
     }
 
     /// Writes the first `count` of these bytes.
@@ -105,23 +88,7 @@ impl RawWriter {
     /// I/O.
     #[inline]
     pub fn put_first(&mut self, bytes: [u8; ROOM], count: usize) -> Result<()> {
-        let room = self.bytes.get_mut(self.filled..);
-        if let Some(room) = room.and_then(<[u8]>::first_chunk_mut) {
-            *room = bytes;
-        }
-        self.filled += count.min(ROOM);
-        if self.filled < TOGETHER {
-            return Ok(());
-        }
-        self.put_all()
-    }
-
-    /// Writes the bytes so far.
-    #[inline(never)]
-    fn put_all(&mut self) -> Result<()> {
-        let filled = std::mem::take(&mut self.filled);
-        let bytes = self.bytes.get(..filled).unwrap_or_default();
-        self.file.put(bytes)
+        self.file.put_first(bytes, count)
     }
 
     /// Counts an event, and returns true, if it lies on the sensor and the upper bits of its time are the current ones.
@@ -134,8 +101,43 @@ impl RawWriter {
         goes_on
     }
 
-    /// Prepares to write the next events, which share one time: checks that they lie on the sensor, and writes the
-    /// upper bits of their time, each value encoded by `word`, if they have changed. Returns whether they have.
+    /// Writes the words of the events at the start of `events` that lie on the sensor and whose upper bits of time are the
+    /// current ones: the first `count` bytes of what `word` returns. Returns how many events these are.
+    ///
+    /// # Errors
+    /// I/O.
+    #[inline]
+    pub fn put_while(
+        &mut self,
+        events: &[Event],
+        word: impl Fn(&Event) -> [u8; ROOM],
+        count: usize,
+    ) -> Result<usize> {
+        let Some(high) = self.high.as_ref().and_then(Wrapping::last) else {
+            return Ok(0);
+        };
+        let (sensor, low_bits) = (self.sensor, self.low_bits);
+        let mut rest = events;
+        self.file.fill(|room| {
+            let mut at = 0;
+            while let Some((event, later)) = rest.split_first()
+                && let Some(room) = room.get_mut(at..).and_then(<[u8]>::first_chunk_mut)
+                && event.t_us >> low_bits == high
+                && sensor.contains(event.x, event.y)
+            {
+                *room = word(event);
+                at += count.min(ROOM);
+                rest = later;
+            }
+            at
+        })?;
+        let written = events.len() - rest.len();
+        self.events += written as u64;
+        Ok(written)
+    }
+
+    /// Prepares to write the next events, whose times share the upper bits: checks that they lie on the sensor, and writes
+    /// these bits, each value encoded by `word`, if they have changed. Returns whether they have.
     ///
     /// # Errors
     /// I/O; an event outside the sensor; a time that a reader could not follow.
@@ -147,15 +149,16 @@ impl RawWriter {
         let Some(Event { t_us, .. }) = events.first().copied() else {
             return Ok(false);
         };
-        for (event, index) in events.iter().zip(self.events..) {
-            crate::check_inside(self.file.name(), index, event, self.sensor)?;
+        crate::check_all_inside(self.file.name(), self.events, events, self.sensor)?;
+        let target = t_us >> self.low_bits;
+        if self.high.as_ref().and_then(Wrapping::last) == Some(target) {
+            self.events += events.len() as u64;
+            return Ok(false);
         }
         let mut high = match self.high.take() {
             Some(high) => high,
             None => self.header(t_us)?,
         };
-        let target = t_us >> self.low_bits;
-        let is_new = high.last() != Some(target);
         let walks = high
             .last()
             .and_then(|last| target.checked_sub(last))
@@ -176,7 +179,7 @@ impl RawWriter {
         }
         self.high = Some(high);
         self.events += events.len() as u64;
-        Ok(is_new)
+        Ok(true)
     }
 
     fn header(&mut self, first_us: u64) -> Result<Wrapping> {
@@ -202,7 +205,6 @@ impl RawWriter {
         if self.events == 0 {
             self.header(0)?;
         }
-        self.put_all()?;
         self.file.finish()
     }
 }

@@ -1,5 +1,6 @@
 //! Output files of commands: checked before the work begins, complete or absent, and never written over an input.
 
+pub(crate) mod collected;
 mod ending;
 mod file;
 mod part;

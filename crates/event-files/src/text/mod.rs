@@ -235,6 +235,7 @@ impl TextDecoder {
     fn largest(&mut self) -> Result<Sensor> {
         let (mut width, mut height) = (0, 0);
         let mut events = Vec::with_capacity(crate::BATCH_EVENTS);
+        self.plain.want_times(false);
         loop {
             events.clear();
             // The reader reports damage after the first event, after it has returned the events before it.
@@ -247,6 +248,7 @@ impl TextDecoder {
                 break;
             }
         }
+        self.plain.want_times(true);
         if width == 0 && !self.lines.line.is_empty() {
             // The first line is not an event.
             self.parse().map_err(|bad| self.refusal(&bad))?;

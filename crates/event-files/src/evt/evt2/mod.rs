@@ -328,17 +328,26 @@ impl Evt2Writer {
 
 impl EventWriter for Evt2Writer {
     fn write(&mut self, events: &[Event]) -> Result<()> {
-        for event in events {
+        let mut rest = events;
+        while let Some((first, later)) = rest.split_first() {
+            let word = |event: &Event| {
+                let word = u32::from(event.polarity == Polarity::On) << 28
+                    | ((event.t_us & 0x3f) as u32) << 22
+                    | u32::from(event.x) << 11
+                    | u32::from(event.y);
+                u64::from(word).to_le_bytes()
+            };
+            // The most frequent case.
+            let count = self.0.put_while(rest, word, 4)?;
+            if count > 0 {
+                (_, rest) = rest.split_at(count);
+                continue;
+            }
             // `high` is below 2^28.
             let time = |high: u64| (TIME_HIGH << 28 | high as u32).to_le_bytes();
-            if !self.0.goes_on(event) {
-                self.0.begin(std::slice::from_ref(event), time)?;
-            }
-            let word = u32::from(event.polarity == Polarity::On) << 28
-                | ((event.t_us & 0x3f) as u32) << 22
-                | u32::from(event.x) << 11
-                | u32::from(event.y);
-            self.0.put_first(u64::from(word).to_le_bytes(), 4)?;
+            self.0.begin(std::slice::from_ref(first), time)?;
+            self.0.put_first(word(first), 4)?;
+            rest = later;
         }
         Ok(())
     }

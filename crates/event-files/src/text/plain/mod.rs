@@ -36,6 +36,15 @@ struct Four {
     p: usize,
 }
 
+/// The lines that are parsed at once.
+#[derive(Debug, Clone, Copy)]
+struct Form {
+    columns: Four,
+    separator: u8,
+    /// Whether events need their times; else these are 0.
+    with_times: bool,
+}
+
 /// Lines that were parsed at once.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Run {
@@ -62,7 +71,7 @@ impl Vectors {
         None
     }
 
-    fn parse(self, _: &[u8], _: Four, _: u8, _: Sensor, _: &mut [Event]) -> Run {
+    fn parse(self, _: &[u8], _: Form, _: Sensor, _: &mut [Event]) -> Run {
         match self {}
     }
 }
@@ -74,6 +83,7 @@ pub struct Plain {
     /// Those of a file of four.
     vectors: Option<(Vectors, Four)>,
     separator: u8,
+    with_times: bool,
 }
 
 /// The polarity of a plain line.
@@ -124,6 +134,7 @@ impl Plain {
             vectors: Vectors::detected().zip(four),
             columns,
             separator: b',',
+            with_times: true,
         }
     }
 
@@ -134,6 +145,7 @@ impl Plain {
             columns: vec![Column::Ignored; crate::text::lines::FIELDS_MAX + 1],
             vectors: None,
             separator: b',',
+            with_times: true,
         }
     }
 
@@ -150,12 +162,20 @@ impl Plain {
     /// microseconds, a pixel of the sensor and a polarity of one digit, up to the first other line. Puts their events into
     /// `events`.
     pub fn parse_many(&self, text: &[u8], sensor: Sensor, events: &mut [Event]) -> Run {
-        match self.vectors {
-            Some((vectors, columns)) => {
-                vectors.parse(text, columns, self.separator, sensor, events)
-            }
-            None => Run::default(),
-        }
+        let Some((vectors, columns)) = self.vectors else {
+            return Run::default();
+        };
+        let form = Form {
+            columns,
+            separator: self.separator,
+            with_times: self.with_times,
+        };
+        vectors.parse(text, form, sensor, events)
+    }
+
+    /// Says whether events of lines that are parsed at once need their times; at first they do. Without, these may be 0.
+    pub const fn want_times(&mut self, with_times: bool) {
+        self.with_times = with_times;
     }
 
     /// Parses the line at the start of `text`, or returns `None` if it is not plain, or does not end there.
