@@ -90,6 +90,7 @@ pub fn emulate(
     let reopen = Reopen::new("emulate", scene, options)?;
     let source = Source {
         name: format!("scene {scene}"),
+        stamp: None,
         origin: Origin::Scene {
             config,
             pixel: Box::new(parameters(py, pixel, without.unwrap_or_default())?),

@@ -14,6 +14,7 @@ use crate::codec::{Given, encode_to};
 use crate::errors::warn_of_loss;
 use crate::given::{self, Size, raise};
 use crate::options::Asked;
+use crate::recording::absolute;
 use crate::work::{Interruptible, Raised};
 
 /// Ending of files of frames.
@@ -62,6 +63,8 @@ pub fn write<'py>(
     if is_dash(&path) {
         return Err(PyValueError::new_err("path is -: give the name of a file"));
     }
+    // Events that are computed may change the current folder.
+    let path = absolute(path);
     let is_frames = format.map_or_else(
         || name.to_ascii_lowercase().ends_with(FRAMES),
         |format| format == "eecvs",
@@ -144,9 +147,9 @@ pub fn write<'py>(
     if !lost.is_empty() {
         warn_of_loss(py, &format!("{name}: lost or changed: {lost}"))?;
     }
-    let place = converted.incomplete_output.as_ref().unwrap_or(&path);
+    let place = converted.incomplete_output.as_ref();
     written.call1((
-        place.display().to_string(),
+        place.map_or(name, |place| place.display().to_string()),
         converted.events_in,
         converted.events_out,
         lost,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import subprocess
 import sys
 import threading
@@ -155,3 +156,99 @@ except KeyboardInterrupt:
 """
     ended = subprocess.run([sys.executable, "-c", code, str(pipe)], timeout=60)
     assert ended.returncode == 9
+
+
+def replace(path: Path, events: Any) -> None:
+    eecvs.write(path, events, sensor=SENSOR, overwrite=True)
+
+
+def overwrite(path: Path, events: Any) -> None:
+    eecvs.write(path.with_suffix(".other.raw"), events, sensor=SENSOR)
+    with path.open("r+b") as file:
+        file.write(path.with_suffix(".other.raw").read_bytes())
+        file.truncate()
+
+
+@pytest.mark.parametrize("change", [replace, overwrite])
+def test_two_contents_of_a_file_are_not_mixed(tmp_path: Path, events: Any, change: Any) -> None:
+    path = tmp_path / "a.raw"
+    eecvs.write(path, events, sensor=SENSOR)
+    recording, read_before = eecvs.open(path), eecvs.open(path)
+    assert recording.info.events == len(events) == len(read_before.read())
+    data = Windows(path, 1000)
+    assert len(data[0])
+    change(path, events[:10])
+    for use in (
+        read_before.read,
+        read_before.columns,
+        lambda: read_before.time[0:5],
+        lambda: list(read_before),
+        lambda: data[0],
+        lambda: read_before.info,
+    ):
+        with pytest.raises(eecvs.RefusedError, match="changed or replaced since it was opened: open it again"):
+            use()
+    if change is replace:
+        # What was opened first is still open.
+        assert len(recording.read()) == len(events)
+    with pytest.raises(eecvs.RefusedError, match="changed or replaced"):
+        recording.read()
+    assert len(eecvs.open(path).read()) == 10
+
+
+def test_a_folder_of_other_files_is_another_one(tmp_path: Path, events: Any) -> None:
+    folder = tmp_path / "events"
+    folder.mkdir()
+    for name in "txyp":
+        np.save(folder / f"{name}.npy", events[name])
+    recording = eecvs.open(folder, width=64, height=48)
+    assert len(recording.read()) == len(recording.read()) == len(events)
+    np.save(folder / "p.npy", ~events["p"])
+    with pytest.raises(eecvs.RefusedError, match="changed or replaced"):
+        recording.read()
+
+
+def test_a_file_may_grow_until_it_is_read(tmp_path: Path, events: Any) -> None:
+    eecvs.write(tmp_path / "whole.dat", events, sensor=SENSOR)
+    whole, path = (tmp_path / "whole.dat").read_bytes(), tmp_path / "a.dat"
+    path.write_bytes(whole[: len(whole) - 8 * 1000])
+    recording = eecvs.open(path)
+    with path.open("ab") as file:
+        file.write(whole[len(whole) - 8 * 1000 :])
+    assert len(recording.read()) >= len(events) - 1000
+    with pytest.raises(eecvs.RefusedError, match="changed or replaced"):
+        recording.read()
+
+
+def test_a_removed_file_is_missing(tmp_path: Path, events: Any) -> None:
+    path = tmp_path / "a.raw"
+    eecvs.write(path, events, sensor=SENSOR)
+    recording = eecvs.open(path)
+    path.unlink()
+    if os.name == "posix":
+        assert same(recording.read(), events)
+    with pytest.raises(eecvs.MissingFileError):
+        recording.read()
+
+
+def test_paths_are_those_of_the_folder_at_the_call(tmp_path: Path, events: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    there, elsewhere = tmp_path / "there", tmp_path / "elsewhere"
+    there.mkdir()
+    elsewhere.mkdir()
+    monkeypatch.chdir(there)
+    eecvs.write("a.raw", events, sensor=SENSOR)
+    recording, data = eecvs.open("a.raw"), Windows("a.raw", 1000)
+
+    def parts() -> Any:
+        yield events[:1000]
+        os.chdir(elsewhere)
+        yield events[1000:]
+
+    assert eecvs.write("b.raw", parts(), sensor=SENSOR).path == "b.raw"
+    assert Path.cwd() == elsewhere and list(elsewhere.iterdir()) == []
+    assert recording.path == there / "a.raw"
+    for _ in range(2):
+        assert same(recording.read(), events)
+    assert recording.info.events == len(events) and len(data[0])
+    assert same(pickle.loads(pickle.dumps(recording)).read(), events)
+    assert same(eecvs.open(there / "b.raw").read(), events)

@@ -2,11 +2,13 @@
 
 mod slices;
 mod source;
+mod stamp;
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 
+use event_files::output::is_dash;
 use event_files::recording_info;
 use event_files::slices::{ByCount, ByTime};
 use event_files::within::Within;
@@ -28,6 +30,7 @@ use slices::Cut;
 pub use slices::{Slices, Times};
 use source::{Found, MARGIN_EVENTS, note};
 pub use source::{Origin, Source, locked};
+use stamp::Stamp;
 
 /// Opens a recording of any format that is known; the format is recognised by the content.
 ///
@@ -120,15 +123,26 @@ pub fn open(
     options.set_item("damaged", damaged)?;
     options.set_item("max_events_per_window", max_events_per_window)?;
     options.set_item("max_work_per_window", max_work_per_window)?;
+    let path = absolute(path);
     let reopen = Reopen::new("open", &path, options)?;
     let source = Source {
         name: path.display().to_string(),
+        stamp: py.detach(|| Stamp::of(event_files::file_of(&path))),
         origin: Origin::File { path, reading },
         sort,
         layout: Layout::of(dtype)?,
         keeps_damaged,
     };
     Recording::open(py, source, reopen)
+}
+
+/// Returns a path that leads to the same file whatever the current folder will be; that of stdin as it is.
+pub fn absolute(path: PathBuf) -> PathBuf {
+    if is_dash(&path) {
+        return path;
+    }
+    // Of an empty path, which opening refuses.
+    std::path::absolute(&path).unwrap_or(path)
 }
 
 fn unit(name: &str) -> PyResult<TimeUnit> {
@@ -181,7 +195,8 @@ pub fn _reopen<'py>(
 /// A recording: an iterable of arrays, a context manager, and slices of time and of number.
 ///
 /// Every reading begins with the first event, so that a recording can be read as often as wanted, by several threads and
-/// by forked or spawned processes. Reading lets other threads run. A pipe can be read once.
+/// by forked or spawned processes. Reading lets other threads run. A pipe can be read once, and a file only as long as it is the
+/// one that was opened: ``RefusedError`` says that it was changed or replaced.
 #[pyclass(module = "eecvs", frozen)]
 pub struct Recording {
     source: Arc<Source>,
@@ -247,7 +262,9 @@ impl Recording {
         let opened = py.detach(|| {
             let first = locked(&self.first).take();
             match first {
-                Some((process, reader)) if process == std::process::id() => Ok(reader),
+                Some((process, reader)) if process == std::process::id() => {
+                    self.source.refuse_overwritten().map(|()| reader)
+                }
                 _ => self.source.open_again(),
             }
         });
@@ -341,7 +358,7 @@ impl Recording {
         self.camera.as_deref()
     }
 
-    /// The path that was opened; None of a scene.
+    /// The path that was opened, from the root; None of a scene.
     #[getter]
     fn path(&self) -> Option<&Path> {
         self.source.path()

@@ -13,6 +13,7 @@ use event_types::stream::{Assumption, BATCH_EVENTS, Error, EventReader, Result, 
 use event_types::{Event, Sensor, ensure, error};
 use pyo3::prelude::*;
 
+use super::stamp::Stamp;
 use crate::errors::warn_of_loss;
 use crate::layout::Layout;
 use crate::work::{Raised, Signals, in_pool};
@@ -34,6 +35,8 @@ pub enum Origin {
 /// The origin of a recording, and how it is read.
 pub struct Source {
     pub origin: Origin,
+    /// What the origin was when it was opened, if it is a file.
+    pub stamp: Option<Stamp>,
     pub name: String,
     pub sort: bool,
     pub layout: Layout,
@@ -126,18 +129,57 @@ impl Source {
     /// Opens the source once more.
     ///
     /// # Errors
-    /// Those of opening; the source is a pipe.
+    /// Those of opening; the source is a pipe, or no longer what it was.
     pub fn open_again(&self) -> Result<Box<dyn EventReader>> {
         self.refuse_pipe()?;
-        self.open()
+        self.unchanged(|| self.open())
+    }
+
+    /// Opens a reader of the file as it was opened before; else what was read and what is read now would be of two files.
+    fn unchanged(
+        &self,
+        open: impl FnOnce() -> Result<Box<dyn EventReader>>,
+    ) -> Result<Box<dyn EventReader>> {
+        let refuse = || self.refuse_if(|old, now| old != now);
+        refuse()?;
+        let reader = open()?;
+        // Or replaced in this moment; what is replaced from now on, the reader does not read.
+        refuse()?;
+        Ok(reader)
+    }
+
+    /// Returns an error if the first reader, which is open since then, would read bytes of another content.
+    ///
+    /// # Errors
+    /// As stated.
+    pub fn refuse_overwritten(&self) -> Result<()> {
+        self.refuse_if(Stamp::is_overwritten_by)
+    }
+
+    fn refuse_if(&self, is_other: impl Fn(&Stamp, &Stamp) -> bool) -> Result<()> {
+        if let (Some(old), Some(path)) = (&self.stamp, self.path()) {
+            // A file that is not there any more is missed where it is opened.
+            let now = Stamp::of(event_files::file_of(path));
+            ensure!(
+                !now.is_some_and(|now| is_other(old, &now)),
+                Refused,
+                "{}: the file was changed or replaced since it was opened: open it again",
+                self.name
+            );
+        }
+        Ok(())
     }
 
     /// Returns a reader that begins with the first event, in the file's order, and needs not look for the sensor's size if
     /// it is given.
     ///
     /// # Errors
-    /// Those of opening.
+    /// Those of opening; the source is no longer what it was.
     pub fn open_as_it_is(&self, sensor: Option<Sensor>) -> Result<Box<dyn EventReader>> {
+        self.unchanged(|| self.open_unsorted(sensor))
+    }
+
+    fn open_unsorted(&self, sensor: Option<Sensor>) -> Result<Box<dyn EventReader>> {
         let reader = match &self.origin {
             Origin::File { path, reading } => event_files::open(
                 path,
@@ -157,8 +199,8 @@ impl Source {
     ///
     /// # Errors
     /// Those of opening.
-    pub fn open(&self) -> Result<Box<dyn EventReader>> {
-        let reader = self.open_as_it_is(None)?;
+    fn open(&self) -> Result<Box<dyn EventReader>> {
+        let reader = self.open_unsorted(None)?;
         if self.sort {
             return Ok(Box::new(Sorted::new(reader, &mut |_| {})?));
         }
