@@ -1,7 +1,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from os import PathLike
 from types import TracebackType
-from typing import Any, Literal, TypeVar, Union, final, overload
+from typing import Any, Literal, SupportsIndex, TypeVar, Union, final, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,7 @@ __all__ = [
     "_reopen",
     "_scenes",
     "_unpack",
+    "_whole",
     "capture",
     "compare",
     "counts",
@@ -331,6 +332,7 @@ class Picture:
     def png(self) -> bytes: ...
     def save(self, path: _Path, *, overwrite: bool = False) -> None: ...
     def _repr_png_(self) -> bytes: ...
+def _whole(value: SupportsIndex, name: str, least: int, most: int) -> int: ...
 def _panic() -> None: ...
 
 def capture(

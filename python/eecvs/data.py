@@ -13,10 +13,13 @@ from typing import Any, Union
 import numpy as np
 import numpy.typing as npt
 
-from ._eecvs import Recording, open
+from ._eecvs import Recording, _whole, open
 from ._types import Sensor
 
 __all__ = ["Windows"]
+
+# Times fit into int64.
+_TIME_MAX = 2**63 - 1
 
 
 class Windows:
@@ -36,7 +39,7 @@ class Windows:
         **options: Those of ``eecvs.open``.
 
     Raises:
-        ValueError: A duration below 1, or times of which the end is before the start.
+        TypeError, ValueError: A duration below 1, times that are no whole numbers, or an end before the start.
         EecvsError: The recording cannot be opened.
     """
 
@@ -50,9 +53,7 @@ class Windows:
         end_us: Union[int, None] = None,
         **options: Any,
     ) -> None:
-        us = index_of(us)
-        if us < 1:
-            raise ValueError(f"us is {us}: a window lasts at least 1 us")
+        us = _whole(us, "us", 1, _TIME_MAX)
         self.recording: Recording = open(path, **options)
         self.us = us
         self.make = make
@@ -61,7 +62,7 @@ class Windows:
             info = self.recording.info
             start_us = (info.t_first_us or 0) if start_us is None else start_us
             end_us = (-1 if info.t_last_us is None else info.t_last_us) + 1 if end_us is None else end_us
-        start_us, end_us = index_of(start_us), index_of(end_us)
+        start_us, end_us = _whole(start_us, "start_us", 0, _TIME_MAX), _whole(end_us, "end_us", 0, _TIME_MAX)
         if end_us < start_us and (info is None or info.events):
             raise ValueError(f"end_us is {end_us}: it must be {start_us} or more, as start_us is")
         self.start_us = start_us

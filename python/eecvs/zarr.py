@@ -12,7 +12,7 @@ from numcodecs.abc import Codec  # type: ignore[import-untyped]
 from numcodecs.compat import ensure_contiguous_ndarray, ndarray_copy  # type: ignore[import-untyped]
 from numcodecs.registry import register_codec  # type: ignore[import-untyped]
 
-from ._eecvs import _names, _pack, _unpack
+from ._eecvs import _names, _pack, _unpack, _whole
 
 __all__ = ["Events"]
 
@@ -35,9 +35,9 @@ class Events(Codec):  # type: ignore[misc]
     codec_id = "eecvs"
 
     def __init__(self, values: list[int], effort: int = 0, bytes_max: int = 1 << 30) -> None:
-        self.values = [int(value) for value in values]
-        self.effort = int(effort)
-        self.bytes_max = int(bytes_max)
+        self.values = [_whole(value, "values", 0, 2**32 - 1) for value in values]
+        self.effort = _whole(effort, "effort", 0, 3)
+        self.bytes_max = _whole(bytes_max, "bytes_max", 0, 2**63 - 1)
         _pack(b"", self._layout())
 
     @classmethod

@@ -20,6 +20,7 @@ use crate::codec::dictionary;
 use crate::errors::{exception, warn_of_loss};
 use crate::given::raise;
 use crate::layout::{Layout, Packed, Packer, array};
+use crate::number;
 use crate::recording::{locked, sensor_object};
 use crate::work::{Raised, Signals};
 
@@ -51,10 +52,10 @@ pub fn capture(
     py: Python<'_>,
     device: Option<&str>,
     rate: &str,
-    duration_s: Option<f64>,
-    max_events: Option<u64>,
+    #[pyo3(from_py_with = number::duration_s)] duration_s: Option<f64>,
+    #[pyo3(from_py_with = number::max_events)] max_events: Option<u64>,
     wait: bool,
-    queue_mib: usize,
+    #[pyo3(from_py_with = number::queue_mib)] queue_mib: usize,
     dtype: Option<&str>,
 ) -> PyResult<Capture> {
     let layout = Layout::of(dtype)?;
@@ -69,11 +70,6 @@ pub fn capture(
         .map(Duration::try_from_secs_f64)
         .transpose()
         .map_err(|why| PyValueError::new_err(format!("duration_s: {why}")))?;
-    if !(1..=4096).contains(&queue_mib) {
-        return Err(PyValueError::new_err(format!(
-            "queue_mib is {queue_mib}: it must be 1 to 4096"
-        )));
-    }
     let options = source::Options {
         wait,
         rate,

@@ -3,11 +3,12 @@
 use event_metrics::clock;
 use event_types::Sensor;
 use event_types::stream::{Error, EventReader, Result};
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::given::{self, Size, raise};
+use crate::number;
 use crate::work::{Interruptible, Raised, in_pool_watched};
 
 /// Compares recording b with recording a, window by window: frames, event times and events.
@@ -30,15 +31,10 @@ pub fn compare<'py>(
     py: Python<'py>,
     a: &Bound<'py, PyAny>,
     b: &Bound<'py, PyAny>,
-    window_us: u64,
+    #[pyo3(from_py_with = number::window_us)] window_us: u64,
     sensor: Option<Size>,
     align: bool,
 ) -> PyResult<Bound<'py, PyAny>> {
-    if window_us == 0 {
-        return Err(PyValueError::new_err(
-            "window_us is 0: a window lasts at least 1 us",
-        ));
-    }
     let raised = Raised::default();
     let sensor = Size::of(sensor);
     let sensor = sensor

@@ -10,6 +10,7 @@ use pyo3::types::{PyDict, PyTuple};
 use crate::errors::exception;
 use crate::given::Size;
 use crate::layout::Layout;
+use crate::number;
 use crate::recording::{Origin, Recording, Reopen, Source};
 use crate::window::not_one_of;
 
@@ -40,11 +41,11 @@ use crate::window::not_one_of;
 pub fn emulate(
     py: Python<'_>,
     scene: &str,
-    seed: u64,
+    #[pyo3(from_py_with = number::seed)] seed: u64,
     sensor: Option<Size>,
-    duration_us: Option<u64>,
-    start_us: u64,
-    model: u8,
+    #[pyo3(from_py_with = number::duration_us)] duration_us: Option<u64>,
+    #[pyo3(from_py_with = number::start_us)] start_us: u64,
+    #[pyo3(from_py_with = number::model)] model: u8,
     pixel: Option<&Bound<'_, PyDict>>,
     without: Option<Vec<String>>,
     dtype: Option<&str>,
@@ -65,14 +66,10 @@ pub fn emulate(
             "start_us + duration_us is beyond 2^63 - 1: arrays hold no such times",
         ));
     }
-    config.model = match model {
-        1 => Model::Steps,
-        2 => Model::Physical,
-        _ => {
-            return Err(PyValueError::new_err(format!(
-                "model is {model}: it must be 1 or 2"
-            )));
-        }
+    config.model = if model == 1 {
+        Model::Steps
+    } else {
+        Model::Physical
     };
     if config.model == Model::Steps && (pixel.is_some() || without.is_some()) {
         return Err(PyValueError::new_err("pixel= and without= need model=2"));
@@ -118,7 +115,8 @@ fn parameters(
         parameters.switch_off(effect);
     }
     for (name, value) in pixel.into_iter().flatten() {
-        let (name, value) = (name.extract::<String>()?, value.extract::<f64>()?);
+        let name = name.extract::<String>()?;
+        let value = number::real(&value).map_err(|error| number::name(&value, &name, &error))?;
         let set = parameters.set(&name, value);
         set.map_err(|error| exception(py, &error, None))?;
     }

@@ -10,6 +10,7 @@
 //! emulate                   scenes, as recordings
 //! compare, picture          distortion; what is seen
 //! chunk                     chunks of others' containers
+//! number                    whole numbers that callers state
 //! errors, work              exceptions; work without the interpreter's lock
 //! ```
 //!
@@ -30,6 +31,7 @@ mod errors;
 mod given;
 mod layout;
 mod memory;
+mod number;
 mod options;
 mod picture;
 mod recording;
@@ -75,6 +77,8 @@ mod _eecvs {
     use super::emulate::{_scenes, emulate};
     #[pymodule_export]
     use super::given::_names;
+    #[pymodule_export]
+    use super::number::_whole;
     #[pymodule_export]
     use super::picture::{Picture, picture};
     #[pymodule_export]

@@ -9,9 +9,11 @@ use eecvs::thresholds_file::ThresholdsFile;
 use eecvs_nostd::window::EVENTS_MAX;
 use eecvs_nostd::{FRAME_BYTES_MAX, Kernel, OUTPUT_BYTES_MIN, Region, Sensor, Transform};
 use event_types::stream::Result;
-use pyo3::exceptions::{PyOverflowError, PyTypeError, PyValueError};
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
+
+use crate::number;
 
 /// Everything that can be asked of an encoder.
 pub struct Asked {
@@ -86,17 +88,13 @@ const SETTERS: &[(&str, Setter)] = &[
         Ok(())
     }),
     ("region", |asked, value| {
-        let (x, y, width, height) = value.extract()?;
-        if width == 0 || height == 0 {
-            return Err(PyValueError::new_err(
-                "a region has one column and one row or more",
-            ));
-        }
+        let parts: [Bound<'_, PyAny>; 4] = value.extract()?;
+        let [x, y, width, height] = &parts;
         asked.encode.region = Some(Region {
-            x,
-            y,
-            width,
-            height,
+            x: number::named(x, "x", 0..=Sensor::SIDE_MAX - 1)?,
+            y: number::named(y, "y", 0..=Sensor::SIDE_MAX - 1)?,
+            width: number::named(width, "the width", 1..=Sensor::SIDE_MAX)?,
+            height: number::named(height, "the height", 1..=Sensor::SIDE_MAX)?,
         });
         Ok(())
     }),
@@ -106,7 +104,14 @@ const SETTERS: &[(&str, Setter)] = &[
         } else {
             let pixels = value
                 .try_iter()?
-                .map(|pixel| pixel?.extract())
+                .map(|pixel| {
+                    let place: [Bound<'_, PyAny>; 2] = pixel?.extract()?;
+                    let [x, y] = &place;
+                    Ok((
+                        number::named(x, "x", 0..=Sensor::SIDE_MAX - 1)?,
+                        number::named(y, "y", 0..=Sensor::SIDE_MAX - 1)?,
+                    ))
+                })
                 .collect::<PyResult<_>>();
             Hot::Pixels(pixels?)
         };
@@ -144,9 +149,7 @@ const SETTERS: &[(&str, Setter)] = &[
         set(&mut asked.encode.max_error, value)
     }),
     ("window_us", |asked, value| {
-        let mut window_us = None;
-        positive(&mut window_us, value)?;
-        asked.encode.window_us = window_us.unwrap_or(asked.encode.window_us);
+        asked.encode.window_us = positive_number(value)?;
         Ok(())
     }),
     ("origin_us", |asked, value| {
@@ -179,18 +182,19 @@ const SETTERS: &[(&str, Setter)] = &[
         Ok(())
     }),
     ("window_events", |asked, value| {
-        asked.limits.window_events = within(value, 1, EVENTS_MAX)?;
+        asked.limits.window_events = number::within(value, 1..=EVENTS_MAX)?;
         Ok(())
     }),
     ("frame_bytes", |asked, value| {
-        asked.limits.frame_bytes = within(value, OUTPUT_BYTES_MIN, FRAME_BYTES_MAX)?;
+        asked.limits.frame_bytes = number::within(value, OUTPUT_BYTES_MIN..=FRAME_BYTES_MAX)?;
         Ok(())
     }),
     ("reorder_us", |asked, value| {
         set(&mut asked.limits.reorder_us, value)
     }),
     ("threads", |asked, value| {
-        asked.threads = NonZeroUsize::new(within(value, 1, 1024)?).unwrap_or(NonZeroUsize::MIN);
+        asked.threads =
+            NonZeroUsize::new(number::within(value, 1..=1024)?).unwrap_or(NonZeroUsize::MIN);
         Ok(())
     }),
     ("allow_loss", |asked, value| {
@@ -199,34 +203,54 @@ const SETTERS: &[(&str, Setter)] = &[
     ("sort", |asked, value| set(&mut asked.sort, value)),
 ];
 
-fn set<'py, T>(slot: &mut T, value: &Bound<'py, PyAny>) -> PyResult<()>
-where
-    T: for<'a> FromPyObject<'a, 'py, Error: Into<PyErr>>,
-{
-    *slot = value.extract().map_err(Into::into)?;
+/// A value of an option.
+trait Value: Sized {
+    fn of(value: &Bound<'_, PyAny>) -> PyResult<Self>;
+}
+
+macro_rules! whole_numbers {
+    ($($number:ty)*) => {$(
+        impl Value for $number {
+            fn of(value: &Bound<'_, PyAny>) -> PyResult<Self> {
+                number::within(value, Self::MIN..=Self::MAX)
+            }
+        }
+    )*};
+}
+
+whole_numbers!(i8 u8 u16 u32 u64);
+
+impl Value for f64 {
+    fn of(value: &Bound<'_, PyAny>) -> PyResult<Self> {
+        number::real(value)
+    }
+}
+
+impl Value for bool {
+    fn of(value: &Bound<'_, PyAny>) -> PyResult<Self> {
+        value.extract()
+    }
+}
+
+impl<T: Value> Value for Option<T> {
+    fn of(value: &Bound<'_, PyAny>) -> PyResult<Self> {
+        T::of(value).map(Some)
+    }
+}
+
+fn set<T: Value>(slot: &mut T, value: &Bound<'_, PyAny>) -> PyResult<()> {
+    *slot = T::of(value)?;
     Ok(())
 }
 
 fn positive(slot: &mut Option<NonZeroU32>, value: &Bound<'_, PyAny>) -> PyResult<()> {
-    let number: Option<u32> = value.extract()?;
-    *slot = match number {
-        None => None,
-        Some(number) => {
-            let number = NonZeroU32::new(number);
-            Some(number.ok_or_else(|| PyValueError::new_err("0: it must be 1 or more"))?)
-        }
-    };
+    *slot = Some(positive_number(value)?);
     Ok(())
 }
 
-fn within(value: &Bound<'_, PyAny>, least: usize, most: usize) -> PyResult<usize> {
-    let number: usize = value.extract()?;
-    if (least..=most).contains(&number) {
-        return Ok(number);
-    }
-    Err(PyValueError::new_err(format!(
-        "{number}: it must be {least} to {most}"
-    )))
+fn positive_number(value: &Bound<'_, PyAny>) -> PyResult<NonZeroU32> {
+    let number = number::within(value, 1..=u32::MAX)?;
+    Ok(NonZeroU32::new(number).unwrap_or(NonZeroU32::MIN))
 }
 
 fn name<T: Copy>(value: &Bound<'_, PyAny>, names: &[(&str, T)]) -> PyResult<T> {
@@ -293,9 +317,7 @@ fn named(py: Python<'_>, keyword: &str, error: &PyErr) -> PyErr {
     let text = format!("{keyword}: {}", error.value(py));
     if error.is_instance_of::<PyTypeError>(py) {
         PyTypeError::new_err(text)
-    } else if error.is_instance_of::<PyOverflowError>(py)
-        || error.get_type(py).is(py.get_type::<PyValueError>())
-    {
+    } else if error.get_type(py).is(py.get_type::<PyValueError>()) {
         PyValueError::new_err(text)
     } else {
         error.clone_ref(py)

@@ -8,6 +8,7 @@ use pyo3::types::PyBytes;
 
 use crate::errors::exception;
 use crate::given::{self, Size, raise};
+use crate::number;
 use crate::work::{Interruptible, Raised};
 
 /// A picture, which notebooks show.
@@ -35,18 +36,10 @@ pub struct Picture {
 pub fn picture(
     events: &Bound<'_, PyAny>,
     sensor: Option<Size>,
-    clip: u32,
-    upscale: Option<usize>,
+    #[pyo3(from_py_with = number::clip)] clip: u32,
+    #[pyo3(from_py_with = number::upscale)] upscale: Option<usize>,
 ) -> PyResult<Picture> {
     let py = events.py();
-    if clip == 0 {
-        return Err(PyValueError::new_err("clip is 0: it must be 1 or more"));
-    }
-    if let Some(upscale) = upscale.filter(|upscale| !(1..=64).contains(upscale)) {
-        return Err(PyValueError::new_err(format!(
-            "upscale is {upscale}: it must be 1 to 64"
-        )));
-    }
     let raised = Raised::default();
     let sensor = Size::of(sensor);
     let reader = given::reader(events, sensor, &raised)?;

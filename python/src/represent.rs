@@ -12,6 +12,7 @@ use rayon::prelude::*;
 
 use crate::errors::exception;
 use crate::given::{self, Size, Table, TableReader};
+use crate::number;
 use crate::recording::{Recording, Slices};
 use crate::window::not_one_of;
 use crate::work::in_pool;
@@ -248,15 +249,6 @@ fn weights_of(name: &str) -> PyResult<Weights> {
     }
 }
 
-fn positive(name: &str, value: u16) -> PyResult<u16> {
-    if (1..=4096).contains(&value) {
-        return Ok(value);
-    }
-    Err(PyValueError::new_err(format!(
-        "{name} is {value}: it must be 1 to 4096"
-    )))
-}
-
 /// Makes the voxel grid of events.
 ///
 /// ``nearest``: V[b, y, x] is the sum of the polarities (+1, -1) of the pixel's events with
@@ -290,17 +282,16 @@ fn positive(name: &str, value: u16) -> PyResult<u16> {
 #[allow(clippy::too_many_arguments)]
 pub fn voxel<'py>(
     events: &Bound<'py, PyAny>,
-    bins: u16,
+    #[pyo3(from_py_with = number::bins)] bins: u16,
     sensor: Option<Size>,
-    t0_us: Option<u64>,
-    t1_us: Option<u64>,
+    #[pyo3(from_py_with = number::t0_us)] t0_us: Option<u64>,
+    #[pyo3(from_py_with = number::t1_us)] t1_us: Option<u64>,
     weights: &str,
     polarity: &str,
     dtype: Option<&str>,
     out: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let weights = weights_of(weights)?;
-    let bins = positive("bins", bins)?;
     let split = match polarity {
         "signed" => false,
         "split" => true,
@@ -335,18 +326,14 @@ pub fn voxel<'py>(
 #[allow(clippy::too_many_arguments)]
 pub fn counts<'py>(
     events: &Bound<'py, PyAny>,
-    bins: u16,
+    #[pyo3(from_py_with = number::bins)] bins: u16,
     sensor: Option<Size>,
-    t0_us: Option<u64>,
-    t1_us: Option<u64>,
-    most: u8,
+    #[pyo3(from_py_with = number::t0_us)] t0_us: Option<u64>,
+    #[pyo3(from_py_with = number::t1_us)] t1_us: Option<u64>,
+    #[pyo3(from_py_with = number::most)] most: u8,
     dtype: Option<&str>,
     out: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let bins = positive("bins", bins)?;
-    if most == 0 {
-        return Err(PyValueError::new_err("most is 0: it must be 1 to 255"));
-    }
     let asked = Asked { t0_us, t1_us };
     let dtype = dtype.or(out.is_none().then_some("uint8"));
     make(events, sensor, dtype, out, |table| {
@@ -373,9 +360,9 @@ pub fn counts<'py>(
 #[pyo3(signature = (events, tau_us, *, sensor=None, t_us=None, dtype=None, out=None))]
 pub fn time_surface<'py>(
     events: &Bound<'py, PyAny>,
-    tau_us: f64,
+    #[pyo3(from_py_with = number::tau_us)] tau_us: f64,
     sensor: Option<Size>,
-    t_us: Option<u64>,
+    #[pyo3(from_py_with = number::t_us)] t_us: Option<u64>,
     dtype: Option<&str>,
     out: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
@@ -407,19 +394,18 @@ pub fn time_surface<'py>(
 #[pyo3(signature = (events, k=3, *, sensor=None, t_us=None, dtype=None, out=None))]
 pub fn tore<'py>(
     events: &Bound<'py, PyAny>,
-    k: u16,
+    #[pyo3(from_py_with = number::k)] k: u16,
     sensor: Option<Size>,
-    t_us: Option<u64>,
+    #[pyo3(from_py_with = number::t_us)] t_us: Option<u64>,
     dtype: Option<&str>,
     out: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let depth = positive("k", k)?;
     let asked = Asked {
         t0_us: None,
         t1_us: t_us,
     };
     make(events, sensor, dtype, out, |table| {
         let end_us = asked.end(table);
-        Ok(Form::Tore(Tore { end_us, depth }))
+        Ok(Form::Tore(Tore { end_us, depth: k }))
     })
 }

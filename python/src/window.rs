@@ -20,6 +20,7 @@ use pyo3::types::{PyBytes, PyDict, PyMemoryView};
 use crate::codec::dictionary;
 use crate::errors::{exception, warn_of_loss};
 use crate::layout::{Layout, array_of};
+use crate::number;
 use crate::recording::sensor_object;
 use crate::work::in_pool;
 
@@ -151,16 +152,11 @@ impl Window {
     fn voxel<'py>(
         &self,
         py: Python<'py>,
-        bins: u16,
+        #[pyo3(from_py_with = number::bins)] bins: u16,
         weights: &str,
         polarity: &str,
         normalise: bool,
     ) -> PyResult<Bound<'py, PyArray3<f32>>> {
-        if !(1..=4096).contains(&bins) {
-            return Err(PyValueError::new_err(format!(
-                "bins is {bins}: it must be 1 to 4096"
-            )));
-        }
         let form = Form {
             channels: Channels::Bins {
                 count: bins,
@@ -292,8 +288,8 @@ impl Decoder {
     fn new(
         dtype: Option<&str>,
         events: &str,
-        max_events_per_window: Option<u32>,
-        max_work_per_window: Option<u32>,
+        #[pyo3(from_py_with = number::max_events_per_window)] max_events_per_window: Option<u32>,
+        #[pyo3(from_py_with = number::max_work_per_window)] max_work_per_window: Option<u32>,
     ) -> PyResult<Self> {
         let finder = Finder::from_name(events);
         let finder = finder.ok_or_else(|| not_one_of("events", events, "exact, peaks"))?;

@@ -105,7 +105,7 @@ def test_ranges_of_time(tmp_path: Path, events: Any, ending: str) -> None:
 
 def test_wrong_ranges_of_time(recording: eecvs.Recording) -> None:
     for wrong in [slice(0, 9, 2), slice(-1, None), slice(0.5, None)]:
-        with pytest.raises(ValueError):
+        with pytest.raises((TypeError, ValueError)):
             recording.time[wrong]
     with pytest.raises(TypeError):
         recording.time[3]  # type: ignore[index]
@@ -140,12 +140,11 @@ def test_slices_of_number(recording: eecvs.Recording, events: Any, n: int) -> No
 
 
 def test_slices_of_nothing_are_refused(recording: eecvs.Recording) -> None:
-    with pytest.raises(eecvs.RefusedError):
-        recording.by_time(0)
-    with pytest.raises(eecvs.RefusedError):
-        recording.by_count(0)
-    with pytest.raises((OverflowError, ValueError)):
-        recording.by_count(-1)
+    for wrong in (0, -1):
+        with pytest.raises(ValueError, match=f"^us is {wrong}: it must be 1 to"):
+            recording.by_time(wrong)
+        with pytest.raises(ValueError, match=f"^n is {wrong}: it must be 1 to"):
+            recording.by_count(wrong)
 
 
 def test_batches_begin_again(recording: eecvs.Recording, events: Any) -> None:

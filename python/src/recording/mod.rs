@@ -25,6 +25,7 @@ use crate::columns::{Builder, Columns};
 use crate::given::{Size, raise};
 use crate::layout::{Layout, Packed, Packer, array, no_memory};
 use crate::memory::room;
+use crate::number;
 use crate::work::{Interruptible, Raised, Signals, in_pool_watched};
 use slices::Cut;
 pub use slices::{Slices, Times};
@@ -65,20 +66,20 @@ pub fn open(
     py: Python<'_>,
     path: PathBuf,
     dtype: Option<&str>,
-    width: Option<i64>,
-    height: Option<i64>,
+    #[pyo3(from_py_with = number::width)] width: Option<u16>,
+    #[pyo3(from_py_with = number::height)] height: Option<u16>,
     time_unit: Option<&str>,
-    time_offset_us: i64,
+    #[pyo3(from_py_with = number::time_offset_us)] time_offset_us: i64,
     columns: Option<&str>,
     leave_out_bad_events: bool,
     sort: bool,
     damaged: &str,
-    max_events_per_window: Option<u32>,
-    max_work_per_window: Option<u32>,
+    #[pyo3(from_py_with = number::max_events_per_window)] max_events_per_window: Option<u32>,
+    #[pyo3(from_py_with = number::max_work_per_window)] max_work_per_window: Option<u32>,
 ) -> PyResult<Recording> {
     let size = match (width, height) {
         (None, None) => None,
-        (Some(width), Some(height)) => Some(Size::sides(width, height)?.0),
+        (Some(width), Some(height)) => Some(Size::sides(width.into(), height.into())?.0),
         _ => {
             return Err(PyValueError::new_err(
                 "width= and height= are needed together",
@@ -539,7 +540,12 @@ impl Recording {
     /// Raises:
     ///     RefusedError: Times run backwards out of a slice: open with ``sort=True``.
     #[pyo3(signature = (us, *, origin_us=None))]
-    fn by_time(&self, py: Python<'_>, us: u64, origin_us: Option<u64>) -> PyResult<Slices> {
+    fn by_time(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = number::us)] us: u64,
+        #[pyo3(from_py_with = number::origin_us)] origin_us: Option<u64>,
+    ) -> PyResult<Slices> {
         let reader = self.reader(py)?;
         self.slices(py, ByTime::new(reader, us, origin_us).map(Cut::Time))
     }
@@ -548,7 +554,11 @@ impl Recording {
     ///
     /// Returns:
     ///     An iterator of structured arrays.
-    fn by_count(&self, py: Python<'_>, n: usize) -> PyResult<Slices> {
+    fn by_count(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = number::n)] n: usize,
+    ) -> PyResult<Slices> {
         let reader = self.reader(py)?;
         self.slices(py, ByCount::new(reader, n).map(Cut::Count))
     }

@@ -12,6 +12,7 @@ use pyo3::types::PySlice;
 use super::Recording;
 use super::source::{Found, Source, locked, note};
 use crate::layout::{Packed, Packer, array};
+use crate::number;
 
 /// The events of a recording by their times.
 #[pyclass(module = "eecvs", frozen)]
@@ -40,17 +41,13 @@ impl Times {
         if !slice.getattr("step")?.is_none() {
             return Err(PyValueError::new_err("a range of times has no step"));
         }
+        // Microseconds of the file's own clock.
         let bound = |name: &str, otherwise: u64| -> PyResult<u64> {
             let bound = slice.getattr(name)?;
             if bound.is_none() {
                 return Ok(otherwise);
             }
-            let bound = bound.call_method0("__index__").unwrap_or(bound);
-            bound.extract().map_err(|_| {
-                PyValueError::new_err(format!(
-                    "{name} is {bound}: times are whole microseconds, 0 or more, of the file's own clock"
-                ))
-            })
+            number::named(&bound, name, 0..=u64::MAX)
         };
         let times = bound("start", 0)?..bound("stop", u64::MAX)?;
         self.recording.get().arrays(py, times)
