@@ -1,7 +1,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from os import PathLike
 from types import TracebackType
-from typing import Any, Literal, SupportsIndex, TypeVar, Union, final, overload
+from typing import Any, Literal, Protocol, SupportsIndex, TypeVar, Union, final, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -42,7 +42,17 @@ __all__ = [
 _Path: TypeAlias = Union[str, PathLike[str]]
 _Dtype: TypeAlias = Literal["eecvs", "tonic", "faery", "expelliarmus", "metavision", "dv"]
 _Array: TypeAlias = npt.NDArray[Any]
-_Table: TypeAlias = Union[_Array, Mapping[str, npt.ArrayLike], Columns, Window]
+class _Frame(Protocol):
+    @property
+    def columns(self) -> Any: ...
+    def __getitem__(self, name: str, /) -> Any: ...
+
+class _ArrowTable(Protocol):
+    @property
+    def column_names(self) -> list[str]: ...
+    def __getitem__(self, name: str, /) -> Any: ...
+
+_Table: TypeAlias = Union[_Array, Mapping[str, npt.ArrayLike], Columns, Window, _Frame, _ArrowTable]
 _Events: TypeAlias = Union[_Table, Recording, Iterable[_Table]]
 _Batch: TypeAlias = Union[_Table, Sequence[_Table]]
 _Floats: TypeAlias = Literal["float32", "float16"]

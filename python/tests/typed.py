@@ -10,6 +10,15 @@ import numpy.typing as npt
 import eecvs
 
 
+class Frame:
+    """A table, as pandas and Polars have them."""
+
+    columns = ["t", "x", "y", "p"]
+
+    def __getitem__(self, name: str) -> Any:
+        return np.zeros(0, np.int64)
+
+
 def use(path: str) -> float:
     with eecvs.open(path, dtype="eecvs", damaged="keep") as recording:
         width, height = recording.sensor
@@ -28,7 +37,8 @@ def use(path: str) -> float:
         same: npt.NDArray[np.float32] = eecvs.voxel([events, part], 5, sensor=recording.sensor, out=out)
     frames: bytes = eecvs.encode(events, sensor=(width, height), coder="dense", m=8)
     encoder = eecvs.Encoder((width, height), window_us=1000)
-    frames += encoder.push(rest) + encoder.finish()
+    frames += encoder.push(rest) + encoder.push(Frame()) + encoder.finish()
+    eecvs.tore([Frame(), events], sensor=(width, height))
     decoder = eecvs.Decoder(events="exact")
     volumes = [window.coefficients() for window in decoder.push(frames) + decoder.finish()]
     written: eecvs.Written = eecvs.write("a.eecvs", recording, coder="quick")

@@ -69,7 +69,13 @@ impl Column {
                 .call_method1("astype", (native,))?
                 .cast_into::<PyUntypedArray>()?;
         }
+        // Durations of microseconds: those of a table of evlib, for one.
         let is_time = name.starts_with('t');
+        if is_time && array.dtype().to_string() == "timedelta64[us]" {
+            array = array
+                .call_method1("view", ("i8",))?
+                .cast_into::<PyUntypedArray>()?;
+        }
         let dtype = array.dtype();
         let kind = match (dtype.kind(), dtype.itemsize()) {
             (b'b' | b'u', 1) => Kind::U8,
@@ -81,6 +87,7 @@ impl Column {
             (b'i', 4) => Kind::I32,
             (b'i', 8) => Kind::I64,
             _ => {
+                refuse_missing(values, name)?;
                 return Err(PyTypeError::new_err(format!(
                     "{name} is {dtype}: whole numbers are needed{}",
                     if is_time {
@@ -140,6 +147,26 @@ pub fn refuse_mask(values: &Bound<'_, PyAny>, name: &str) -> PyResult<()> {
         return Err(PyTypeError::new_err(format!(
             "{name} is a masked array: give {name}.compressed(), without what is masked"
         )));
+    }
+    Ok(())
+}
+
+/// Refuses a column of pandas, Polars or pyarrow in which values are missing: as numbers they would be something else.
+fn refuse_missing(values: &Bound<'_, PyAny>, name: &str) -> PyResult<()> {
+    for count in ["null_count", "hasnans"] {
+        let Some(count) = values.getattr_opt(count)? else {
+            continue;
+        };
+        let count = if count.is_callable() {
+            count.call0()?
+        } else {
+            count
+        };
+        if count.is_truthy()? {
+            return Err(PyValueError::new_err(format!(
+                "{name} has missing values: leave these rows out"
+            )));
+        }
     }
     Ok(())
 }

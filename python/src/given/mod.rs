@@ -116,7 +116,8 @@ fn is_table(events: &Bound<'_, PyAny>) -> PyResult<bool> {
     Ok(events.is_instance_of::<PyDict>()
         || events.is_instance_of::<Window>()
         || events.is_instance_of::<Columns>()
-        || events.hasattr("dtype")?)
+        || events.hasattr("dtype")?
+        || table::column_names(events)?.is_some())
 }
 
 /// Returns the size of the sensor that events come with: a window's, columns', a recording's, or that of the first of a list.

@@ -63,6 +63,9 @@ impl Table {
                 Column::new(p.bind(events.py()), "p")?,
             ]);
         }
+        if let Some(names) = column_names(events)? {
+            return Self::by_names(events, &names, "columns");
+        }
         let names: Vec<String> = if let Ok(dictionary) = events.cast::<PyDict>() {
             dictionary.keys().extract()?
         } else {
@@ -209,6 +212,36 @@ impl Table {
             polarity,
         })
     }
+}
+
+/// Returns the names of the columns of a table of pandas, Polars or pyarrow, which gives a column by its name; `None` for
+/// anything else.
+///
+/// # Errors
+/// A table that is not computed yet.
+pub fn column_names(events: &Bound<'_, PyAny>) -> PyResult<Option<Vec<String>>> {
+    // What has a data type is an array.
+    if events.is_instance_of::<PyDict>() || events.hasattr("dtype")? {
+        return Ok(None);
+    }
+    let kind = events.get_type();
+    if kind.hasattr("columns")? && kind.hasattr("collect")? {
+        return Err(PyTypeError::new_err(format!(
+            "events are a {kind}: give events.collect()"
+        )));
+    }
+    // pyarrow's tables have both, and their columns are no names.
+    for attribute in ["column_names", "columns"] {
+        let Some(names) = events.getattr_opt(attribute)? else {
+            continue;
+        };
+        if names.is_callable() {
+            continue;
+        }
+        let names = names.try_iter()?.map(|name| Ok(name?.str()?.to_string()));
+        return names.collect::<PyResult<_>>().map(Some);
+    }
+    Ok(None)
 }
 
 /// A reader of a table's events.
