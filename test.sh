@@ -17,7 +17,9 @@
 #             of its own with their packages: only when it is named (the unit stage compares them where the system's
 #             Python has some)
 #   python    the Python package: its tests and stubs, by the unit stage's build; when it is named, its wheel, built and
-#             installed in a Python of its own, with the packages of others that its tests compare it with
+#             installed in a Python of its own, with the packages of others that its tests compare it with, and in clean
+#             ones of the oldest and the newest version that is here, without Rust
+#   torch     the Python package beside torch, in a Python of its own: only when it is named
 #   page      the pages of `eecvs report` and of a hub in a browser, at the width of a desk and of a telephone: only
 #             when it is named (the unit stage opens them where there is a browser)
 #   ros       the nodes of ROS 2 against genuine ROS 2, Fast DDS in C++ and Cyclone DDS in C, which it makes: only
@@ -238,18 +240,51 @@ package_home() {
     }
 }
 
-# The module of the tests' build, which checks arithmetic too, beside the package's sources: a wheel takes minutes.
-python_module() {
-    local home=$PWD/target/python-package
-    package_home numpy pytest mypy numcodecs || return 0
+# The module of the tests' build, which checks arithmetic too, beside the package's sources in a folder: a wheel takes
+# minutes. Then runs pytest of a Python with it: `with_module FOLDER PYTHON ARGUMENT...`.
+with_module() {
+    local module=$PWD/$1 python=$2
+    shift 2
     cargo build --workspace "${FEATURES[@]}" --lib --tests --quiet
-    rm -rf "$home/module"
-    mkdir -p "$home/module"
-    cp -r python/eecvs "$home/module/"
-    rm -f "$home/module/eecvs/"_eecvs.*so
-    cp "$(program lib_eecvs.so)" "$home/module/eecvs/_eecvs.abi3.so" 2>/dev/null ||
-        cp "$(program lib_eecvs.dylib)" "$home/module/eecvs/_eecvs.abi3.so"
-    EECVS_COMMAND=$PWD/$(program eecvs) PYTHONPATH=$home/module MYPYPATH=$home/module "$home/bin/python" -m pytest -q -rs -p no:cacheprovider python/tests
+    rm -rf "$module"
+    mkdir -p "$module"
+    cp -r python/eecvs "$module/"
+    rm -f "$module/eecvs/"_eecvs.*so
+    cp "$(program lib_eecvs.so)" "$module/eecvs/_eecvs.abi3.so" 2>/dev/null ||
+        cp "$(program lib_eecvs.dylib)" "$module/eecvs/_eecvs.abi3.so"
+    EECVS_COMMAND=$PWD/$(program eecvs) PYTHONPATH=$module MYPYPATH=$module "$python" -m pytest -q -rs -p no:cacheprovider "$@"
+}
+
+python_module() {
+    package_home numpy pytest mypy numcodecs || return 0
+    with_module target/python-package/module target/python-package/bin/python python/tests
+}
+
+# The package beside torch, which Debian has for the system's own Python.
+torch() {
+    local folder=target/python-torch python=
+    for python in "${EECVS_PYTHON3:-python3}" /usr/bin/python3; do
+        ! "$python" -c "import torch" 2>/dev/null || break
+        python=
+    done
+    if [ -z "$python" ]; then
+        echo "installing python3-torch"
+        python=/usr/bin/python3
+        if ! packages python3-torch || ! "$python" -c "import torch"; then
+            skip "torch: there is no Python with torch and apt-get cannot install python3-torch"
+            return
+        fi
+    fi
+    [ -x "$folder/bin/pip" ] || "$python" -m venv --system-site-packages "$folder" >/dev/null 2>&1 ||
+        { packages python3-venv && "$python" -m venv --system-site-packages "$folder"; } || {
+        skip "torch: $python cannot create a virtual environment"
+        return
+    }
+    "$folder/bin/pip" install -q pytest || {
+        skip "torch: pip cannot install pytest"
+        return
+    }
+    with_module "$folder/module" "$folder/bin/python" python/tests/test_{torch,data,examples,readme}.py
 }
 
 # The package's wheel. What its tests need is a must; each other package is wanted, and what is left out without it the
@@ -278,6 +313,35 @@ python() {
     "$folder/bin/pip" install -q --force-reinstall --no-deps "$wheels"/*.whl
     # The installed package, not the sources beside the tests: from a folder without either.
     "$folder/bin/python" -m pytest -q -rs python/tests
+    clean_installs "$wheels"/*.whl
+}
+
+# The Pythons of this machine that the wheel is for: version and path, the oldest first.
+pythons() {
+    local python
+    for python in ${EECVS_PYTHON3:-} python3.{9..20} "${PYENV_ROOT:-$HOME/.pyenv}"/versions/*/bin/python3; do
+        "$python" -c 'import sys; v = sys.version_info[:2]; v < (3, 9) or print("%d.%d" % v, sys.executable)' 2>/dev/null || true
+    done | sort -t . -k 2n -u
+}
+
+# The wheel in clean environments of the oldest Python and of the newest, with what it depends on alone, and without Rust.
+clean_installs() {
+    local wheel=$1 found version python folder
+    found=$(pythons)
+    if [ "$(wc -l <<<"$found")" -lt 2 ]; then
+        skip "python: the wheel in a second version: there is only ${found:-none}"
+    fi
+    while read -r version python; do
+        folder=target/python-clean/$version
+        rm -rf "$folder"
+        if ! "$python" -m venv "$folder"; then
+            skip "python: the wheel in Python $version: it cannot create a virtual environment"
+            continue
+        fi
+        "$folder/bin/pip" install -q "$wheel"
+        echo "the wheel in Python $version"
+        env -i PATH="$PWD/$folder/bin" "$folder/bin/python" python/tests/installed.py
+    done < <(sed -n '1p;1!{$p}' <<<"$found")
 }
 
 # The name of a browser that pages are opened in, as host-harness/tests/browser/mod.rs has them.
@@ -493,7 +557,7 @@ if [ ${#stages[@]} = 0 ]; then
 fi
 for stage in "${stages[@]}"; do
     case $stage in
-        lint | unit | links | metrics | peers | python | page | ros | nostd | neon | firmware | usb | usb-recordings | fuzz | demo) ;;
+        lint | unit | links | metrics | peers | python | torch | page | ros | nostd | neon | firmware | usb | usb-recordings | fuzz | demo) ;;
         *) echo "test.sh: unknown stage '$stage'; the head of this file lists the stages" >&2; exit 2 ;;
     esac
 done
