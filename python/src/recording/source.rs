@@ -136,7 +136,10 @@ impl Source {
     }
 
     /// Opens a reader of the file as it was opened before; else what was read and what is read now would be of two files.
-    fn unchanged(
+    ///
+    /// # Errors
+    /// Those of opening; the source is no longer what it was.
+    pub fn unchanged(
         &self,
         open: impl FnOnce() -> Result<Box<dyn EventReader>>,
     ) -> Result<Box<dyn EventReader>> {
