@@ -297,7 +297,7 @@ python() {
     fi
     package_home 'maturin>=1.7,<2' numpy pytest || return 0
     for package in mypy 'pyright[nodejs]' pyarrow polars pandas faery expelliarmus dv-processing evlib h5py scipy tqdm requests \
-        numcodecs zarr; do
+        numcodecs zarr ray; do
         "$folder/bin/pip" install -q "$package" || skip "python: pip cannot install $package"
     done
     # What its data sets need is left out.

@@ -26,7 +26,9 @@ class Windows:
     """The windows of a recording as a sequence of arrays: a map-style data set.
 
     Window ``i`` has the events with ``i us <= t - start_us < (i + 1) us``. Each item is read by itself, by any thread or
-    process: from ``.eecvs`` files, and others with an index, without what is before it. It can be pickled.
+    process: from ``.eecvs`` files, and others with an index, without what is before it. Of an ``.eecvs`` file that was written
+    with ``window_us=us`` and the first event's time as ``origin_us``, one window of the codec is decoded for each item. It can
+    be pickled.
 
     Args:
         path: The recording.
