@@ -2,6 +2,7 @@
 
 pub mod baseline;
 pub mod cmd;
+pub mod digest;
 pub mod downstream;
 pub mod npy;
 pub mod rate;

@@ -1,6 +1,6 @@
 //! `eecvs compare`: measures the distortion between two recordings.
 
-use std::iter;
+use std::io::Read;
 use std::path::PathBuf;
 
 use anyhow::{Context, Result, ensure};
@@ -17,6 +17,8 @@ use event_files::output::is_dash;
 use event_metrics::denoising::{Denoising, denoising};
 use event_metrics::{Comparison, clock};
 use serde::Serialize;
+
+use crate::digest::{self, Digested, EventsDigest};
 
 /// Compare recording B with recording A: frames, event times and events
 ///
@@ -68,6 +70,7 @@ impl Compare {
             };
             recording.open(reading)
         };
+        let truth = self.truth.map(Truth::open).transpose()?;
         for recording in [&a, &b] {
             look_for(open(recording, 0)?.sensor(), recording.name())?;
         }
@@ -88,17 +91,20 @@ impl Compare {
         );
         drop(progress);
         let comparison = comparison.with_context(context)?;
-        let denoising = match &self.truth {
-            Some(truth) => {
-                let mut causes = ByteList::open(truth, "cause")?;
+        let denoising = match truth {
+            Some(mut truth) => {
                 let progress = Progress::new("events");
+                let mut recording = Digested::new(open(&a, ahead_us)?);
                 let denoising = denoising(
-                    &mut *open(&a, ahead_us)?,
-                    &mut causes,
+                    &mut recording,
+                    &mut truth.causes,
                     &mut *open(&b, ahead_us.saturating_neg())?,
                     &mut |events| progress.set(events),
                 );
-                Some(denoising.with_context(|| format!("{}: {}", truth.display(), context()))?)
+                let denoising = denoising
+                    .with_context(|| format!("{}: {}", truth.path.display(), context()))?;
+                truth.check(&denoising, &recording.digest, a.name())?;
+                Some(denoising)
             }
             None => None,
         };
@@ -154,6 +160,46 @@ impl Report {
     }
 }
 
+/// The truth about recording A.
+struct Truth {
+    path: PathBuf,
+    causes: ByteList,
+    /// Digest of the events that it is about.
+    digest: Vec<u8>,
+}
+
+impl Truth {
+    fn open(path: PathBuf) -> Result<Self> {
+        let causes = ByteList::open(&path, "cause")?;
+        let list = ByteList::open(&path, digest::ARRAY)?;
+        let mut digest = Vec::new();
+        // One byte more than it has tells a longer one.
+        list.take(33).read_to_end(&mut digest)?;
+        Ok(Self {
+            path,
+            causes,
+            digest,
+        })
+    }
+
+    /// Checks that the truth is about the events that were read of recording A, and has no other causes than there are.
+    fn check(&self, found: &Denoising, digest: &EventsDigest, recording: &str) -> Result<()> {
+        let name = self.path.display();
+        ensure!(
+            self.digest == digest.finish(),
+            "{name}: is the truth about other events than those of {recording}, or of these in another order: give the \
+             recording that eecvs emulate wrote beside it (--keep-order keeps the order in .eecvs)"
+        );
+        let causes = Cause::ALL.len();
+        ensure!(
+            found.by_cause.len() <= causes,
+            "{name}/cause: has a cause of number {}, and there are {causes} from 0 on",
+            found.by_cause.len() - 1
+        );
+        Ok(())
+    }
+}
+
 /// A metric: its name, its value, its unit.
 type Row = (&'static str, String, &'static str);
 
@@ -191,7 +237,7 @@ fn denoising_rows(d: &Denoising) -> Vec<Row> {
         ("noise_removed", share(d.noise_removed), ""),
     ];
     let names = Cause::ALL.into_iter().map(Cause::name);
-    for (name, count) in names.chain(iter::repeat("other")).zip(&d.by_cause) {
+    for (name, count) in names.zip(&d.by_cause) {
         rows.push((name, format!("{} of {}", count.kept, count.events), ""));
     }
     rows

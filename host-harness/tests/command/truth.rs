@@ -231,7 +231,7 @@ try:
 except ImportError:
     sys.exit(77)
 a = np.load('a.npz')
-assert a.files == ['t_us', 'object', 'object_names', 'flow', 'depth', 'cause', 'cause_names'], a.files
+assert a.files == ['t_us', 'object', 'object_names', 'flow', 'depth', 'cause', 'cause_names', 'events_sha256'], a.files
 assert a['t_us'].tolist() == [0, 33333, 66667] and a['t_us'].dtype == np.int64
 assert a['object_names'].tolist() == ['background', 'box', 'lamp']
 assert a['cause_names'].tolist() == ['signal', 'leak', 'shot-noise', 'hot', 'stuck']
@@ -285,6 +285,7 @@ fn a_video_has_causes_and_mistakes_are_refused_before_anything_is_done() {
         (format!("{scene} -o b.raw --truth -"), ".npz"),
         (format!("{scene} -o b.raw --truth none/b.npz"), "no folder"),
         (format!("{scene} -o b.npz --truth b.npz"), "same file"),
+        (format!("{scene} -o ./b.npz --truth b.npz"), "same file"),
         (
             format!("{scene} -o old.npz --truth same.npz --overwrite"),
             "same file",
@@ -389,11 +390,36 @@ fn a_filter_is_judged_by_the_truth() {
         table.contains("precision") && table.contains(&line),
         "{table}"
     );
+    // As many events, but others, or in another order.
+    let table = |folder: &Folder, name: &str, swap: bool| {
+        folder
+            .eecvs(&format!("convert a.raw {name} --overwrite"))
+            .ok();
+        let text = String::from_utf8(folder.bytes(name)).expect("text");
+        let mut lines: Vec<&str> = text.lines().collect();
+        let last = lines.len() - 1;
+        let time = |line: &str| line.split(',').next().map(str::to_owned);
+        if swap {
+            let same = (1..last).find(|i| time(lines[*i]) == time(lines[i + 1]));
+            let same = same.expect("two events of one time");
+            lines.swap(same, same + 1);
+        } else {
+            lines[last] = lines[last - 1];
+        }
+        folder.write(name, lines.join("\n") + "\n");
+    };
+    table(&folder, "swapped.csv", true);
+    table(&folder, "other.csv", false);
     for (line, reason) in [
         (
             "compare signal.raw a.raw --truth a.npz",
             "another recording",
         ),
+        (
+            "compare swapped.csv a.raw --truth a.npz",
+            "in another order",
+        ),
+        ("compare other.csv a.raw --truth a.npz", "other events"),
         (
             "compare a.raw a.raw --truth none.npz",
             "none.npz: cannot be opened",

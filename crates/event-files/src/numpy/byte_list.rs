@@ -84,6 +84,13 @@ impl Read for ByteList {
             return Ok(0);
         };
         let read = self.reader.read(bytes)?;
+        if read == 0 {
+            let what = format!(
+                "{}: ends {} bytes early: damaged data",
+                self.name, self.left
+            );
+            return Err(io::Error::new(io::ErrorKind::InvalidData, what));
+        }
         self.left -= read as u64;
         if self.left == 0 && self.reader.is_damaged() {
             let what = format!("{}: the array's CRC-32 is wrong: damaged data", self.name);

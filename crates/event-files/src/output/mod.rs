@@ -21,7 +21,7 @@ pub use ending::Kind;
 pub use file::{OutputFile, write, write_private};
 use part::{PRIVATE, Part, READABLE};
 pub use part::{final_path, remove_parts};
-pub use same::is_same;
+pub use same::{is_one_output, is_same};
 pub use sync::{sync, sync_folder};
 
 /// Prefix of the names of files that are still filled by a live source, or that end at damage in their input.

@@ -32,6 +32,18 @@ pub fn is_same(input: &Path, output: &Path) -> bool {
     is_file && Identity::of(output) == Some(of_input)
 }
 
+/// Returns whether two outputs, which need not exist, would be one file: the same name in the same folder, however it is
+/// spelled and through whatever links.
+#[must_use]
+pub fn is_one_output(a: &Path, b: &Path) -> bool {
+    let place = |path: &Path| {
+        let target = super::target(path).ok()?;
+        let folder = super::folder(&target).canonicalize().ok()?;
+        Some(folder.join(target.file_name()?))
+    };
+    a == b || is_same(a, b) || place(a).is_some_and(|of_a| place(b) == Some(of_a))
+}
+
 /// The identity of a file, which does not depend on its names.
 #[derive(PartialEq, Eq)]
 struct Identity(
@@ -93,5 +105,29 @@ mod tests {
             assert!(is_same(&at("a.raw"), Path::new(&name)));
         }
         drop(open);
+    }
+
+    #[test]
+    fn outputs_that_are_not_there_are_found_under_every_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        std::fs::create_dir(at("in")).unwrap();
+        #[cfg(unix)]
+        for link in ["one", "two"] {
+            std::os::unix::fs::symlink("c.npz", at(link)).unwrap();
+        }
+        for (a, b, same) in [
+            ("c.npz", "c.npz", true),
+            ("c.npz", "./c.npz", true),
+            ("c.npz", "in/../c.npz", true),
+            ("c.npz", "in/c.npz", false),
+            ("c.npz", "d.npz", false),
+            #[cfg(unix)]
+            ("one", "two", true),
+            #[cfg(unix)]
+            ("c.npz", "in/../two", true),
+        ] {
+            assert_eq!(is_one_output(&at(a), &at(b)), same, "{a} {b}");
+        }
     }
 }

@@ -8,12 +8,14 @@ use anyhow::{Context, Result, ensure};
 use clap::Args;
 use eecvs_cli::options::OutputOptions;
 use eecvs_cli::progress::Progress;
+use eecvs_nostd::Event;
 use event_emulator::{Cause, SceneConfig, SceneTruth};
-use event_files::output::{Kind, OutputFile, is_same};
+use event_files::output::{Kind, OutputFile, is_one_output};
 use event_files::video::Fps;
 use zip::CompressionMethod;
 use zip::write::SimpleFileOptions;
 
+use crate::digest::{self, EventsDigest};
 use crate::npy::{header, write_array};
 
 /// Heading of the flags in the help.
@@ -68,7 +70,7 @@ impl TruthOptions {
             "{name}: the truth is written as .npz: give a name with this ending"
         );
         ensure!(
-            path != recording && !is_same(path, recording),
+            !is_one_output(path, recording),
             "{name}: -o and --truth write the same file: give one of them another name"
         );
         ensure!(
@@ -154,6 +156,7 @@ pub struct TruthFile {
     path: PathBuf,
     causes: Option<BufWriter<File>>,
     counts: [u64; Cause::ALL.len()],
+    digest: EventsDigest,
     scene: Option<(SceneTruth, Frames)>,
 }
 
@@ -185,6 +188,7 @@ impl TruthFile {
             out: OutputFile::create(path)?,
             path: path.to_owned(),
             counts: Default::default(),
+            digest: EventsDigest::default(),
             scene,
         })
     }
@@ -194,11 +198,12 @@ impl TruthFile {
         self.causes.is_some()
     }
 
-    /// Appends the causes of the recording's next events.
+    /// Appends the recording's next events, and their causes.
     ///
     /// # Errors
     /// They cannot be written.
-    pub fn push(&mut self, causes: &[Cause]) -> Result<()> {
+    pub fn push(&mut self, events: &[Event], causes: &[Cause]) -> Result<()> {
+        self.digest.push(events);
         for cause in causes {
             if let Some(count) = self.counts.get_mut(*cause as usize) {
                 *count += 1;
@@ -223,18 +228,26 @@ impl TruthFile {
     pub fn pack(&mut self) -> Result<()> {
         let failed = || format!("{}: cannot be written", self.path.display());
         let mut arrays = Arrays(zip::ZipWriter::new_stream(&mut self.out));
-        if let Some((truth, frames)) = &self.scene {
-            arrays.scene(truth, *frames).with_context(failed)?;
-        }
-        if let Some(causes) = &mut self.causes {
-            let events = self.counts.iter().sum();
-            causes.flush().with_context(failed)?;
-            let file = causes.get_mut();
-            file.rewind().with_context(failed)?;
-            arrays
-                .stream("cause", "|u1", &[events], BufReader::new(file))
-                .and_then(|()| arrays.names("cause_names", &Cause::ALL.map(Cause::name)))
-                .with_context(failed)?;
+        let mut put = || {
+            if let Some((truth, frames)) = &self.scene {
+                arrays.scene(truth, *frames)?;
+            }
+            if let Some(causes) = &mut self.causes {
+                let events = self.counts.iter().sum();
+                causes.flush()?;
+                let file = causes.get_mut();
+                file.rewind()?;
+                arrays.stream("cause", "|u1", &[events], BufReader::new(file))?;
+                arrays.names("cause_names", &Cause::ALL.map(Cause::name))?;
+                let digest = self.digest.finish();
+                arrays.stream(digest::ARRAY, "|u1", &[digest.len() as u64], &digest[..])?;
+            }
+            anyhow::Ok(())
+        };
+        if let Err(error) = put() {
+            // Dropped, it would try to end the archive, and print a second message about that.
+            std::mem::forget(arrays);
+            return Err(error).with_context(failed);
         }
         let out = arrays.0.finish().with_context(failed)?.into_inner();
         out.flush().with_context(failed)

@@ -128,7 +128,7 @@ pub fn write_events(
         }
         writer.write(&got.events)?;
         if let (Some(truth), Some(causes)) = (&mut truth, &got.causes) {
-            truth.push(causes)?;
+            truth.push(&got.events, causes)?;
         }
         written.events += got.events.len() as u64;
         let on = got.events.iter().filter(|e| e.polarity == Polarity::On);
