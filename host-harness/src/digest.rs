@@ -7,6 +7,8 @@ use sha2::{Digest, Sha256};
 
 /// Name of the array of a file of truth that holds the digest.
 pub const ARRAY: &str = "events_sha256";
+/// Its length.
+pub const BYTES: usize = 32;
 
 /// SHA-256 over the events in their order: 13 bytes each, the time since the first event (8 bytes), x and y (2 each), all
 /// least significant byte first, and 1 for ON or 0 for OFF. A clock that is ahead by a constant changes nothing.
@@ -37,7 +39,7 @@ impl EventsDigest {
 
     /// Returns the digest of the events so far.
     #[must_use]
-    pub fn finish(&self) -> [u8; 32] {
+    pub fn finish(&self) -> [u8; BYTES] {
         self.sha.clone().finalize().into()
     }
 }

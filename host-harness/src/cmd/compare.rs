@@ -173,8 +173,9 @@ impl Truth {
         let causes = ByteList::open(&path, "cause")?;
         let list = ByteList::open(&path, digest::ARRAY)?;
         let mut digest = Vec::new();
-        // One byte more than it has tells a longer one.
-        list.take(33).read_to_end(&mut digest)?;
+        // One byte more than it has shows that a list is longer.
+        list.take(digest::BYTES as u64 + 1)
+            .read_to_end(&mut digest)?;
         Ok(Self {
             path,
             causes,

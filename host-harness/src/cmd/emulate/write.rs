@@ -22,11 +22,11 @@ pub trait Emulation: EventReader + Send {
     /// Returns how much has been emulated, in us.
     fn elapsed_us(&self) -> u64;
 
-    /// Reads events, and their causes if they are asked for.
-    fn read_some(
+    /// Reads events and their causes.
+    fn read_both(
         &mut self,
         events: &mut Vec<Event>,
-        causes: Option<&mut Vec<Cause>>,
+        causes: &mut Vec<Cause>,
     ) -> event_types::stream::Result<usize>;
 }
 
@@ -35,15 +35,12 @@ impl Emulation for Emulator {
         self.elapsed_us()
     }
 
-    fn read_some(
+    fn read_both(
         &mut self,
         events: &mut Vec<Event>,
-        causes: Option<&mut Vec<Cause>>,
+        causes: &mut Vec<Cause>,
     ) -> event_types::stream::Result<usize> {
-        match causes {
-            Some(causes) => self.read_with_causes(events, causes),
-            None => self.read(events),
-        }
+        self.read_with_causes(events, causes)
     }
 }
 
@@ -52,15 +49,12 @@ impl Emulation for VideoEmulator {
         self.elapsed_us()
     }
 
-    fn read_some(
+    fn read_both(
         &mut self,
         events: &mut Vec<Event>,
-        causes: Option<&mut Vec<Cause>>,
+        causes: &mut Vec<Cause>,
     ) -> event_types::stream::Result<usize> {
-        match causes {
-            Some(causes) => self.read_with_causes(events, causes),
-            None => self.read(events),
-        }
+        self.read_with_causes(events, causes)
     }
 }
 
@@ -105,7 +99,10 @@ pub fn write_events(
     let (mut fired, mut got) = (Batch::new(has_causes), Batch::new(has_causes));
     loop {
         let Batch { events, causes } = &mut fired;
-        let mut read = || emulation.read_some(events, causes.as_mut());
+        let mut read = || match causes {
+            Some(causes) => emulation.read_both(events, causes),
+            None => emulation.read(events),
+        };
         let read = match pool {
             Some(pool) => pool.install(read)?,
             None => read()?,

@@ -56,7 +56,7 @@ const X_Y_T_P: Four = Four {
 /// Number of all other orders, after those two.
 const OTHERS: u8 = 2;
 
-/// Parses lines whose columns have the order of this number: where the code knows it, it takes a third fewer instructions.
+/// Parses lines whose columns have the order of this number: where the code knows it, it takes fewer instructions.
 #[target_feature(enable = "avx2,bmi1")]
 fn parse<const ORDER: u8>(text: &[u8], form: Form, sensor: Sensor, events: &mut [Event]) -> Run {
     let form = Form {
