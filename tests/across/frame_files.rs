@@ -12,8 +12,8 @@ use eecvs::frame_file::mark::{self, BEGIN, End, Mark, MarkError, Segment, Stretc
 use eecvs::frame_file::{FrameFileWriter, FrameReader, FrameSink, LinkReport};
 use eecvs::reconstruct::events::{EventDecoder, Finder};
 use eecvs_nostd::{
-    Coder, Config, Density, Event, Fidelity, Header, Hybrid, Mode, Scan, Sensor, Thresholds,
-    WindowConfig, scan,
+    Coder, Config, Density, Effort, Event, Fidelity, Header, Hybrid, Mode, Scan, Sensor,
+    Thresholds, WindowConfig, scan,
 };
 use event_emulator::{Preset, SceneConfig, emulate};
 use event_files::{EventReader, Skipped};
@@ -456,7 +456,7 @@ fn any_times_are_found() {
         t_us: event.t_us + 100_000,
         ..*event
     }));
-    for coder in [Coder::Fast, Coder::Dense] {
+    for coder in [Coder::Fast, Coder::Dense, Coder::Tree(Effort::One)] {
         let one = file(&events, coder);
         for (file, copies) in [(one.clone(), 1), ([one.clone(), one].concat(), 2)] {
             let all = sorted(between(&file, 0..u64::MAX).0);
@@ -470,6 +470,37 @@ fn any_times_are_found() {
                 }
             }
         }
+    }
+}
+
+/// Windows before those of the times, in the same stretch of the file, are decoded only if these depend on them.
+#[test]
+fn only_the_windows_of_the_times_are_decoded() {
+    let events = events(3_000_000);
+    let tree = Coder::Tree(Effort::One);
+    for (coder, key_windows) in [(Coder::Fast, 8), (Coder::Keys, 8), (tree, 1), (tree, 8)] {
+        let mut out = FrameFileWriter::new(Vec::new());
+        encoded(events.clone(), coder, key_windows, &mut out);
+        let file = out.finish().expect("memory");
+        let stands_alone = coder != tree || key_windows == 1;
+        let mut most_before = 0;
+        for from in (100_000..3_000_000).step_by(300_007) {
+            let times = from..from + 1000;
+            let mut reader = WindowReader::new(FrameReader::new(Cursor::new(&file)));
+            assert!(reader.seek(times.clone()).expect("memory"));
+            let mut wanted = 0;
+            while let Some(window) = reader.next_window().expect("memory") {
+                wanted += u64::from(window.header.window_events);
+            }
+            assert!(wanted > 0, "{from}: no events");
+            let before = reader.counts().events_exact - wanted;
+            assert!(!stands_alone || before == 0, "{coder:?}, {from}: {before}");
+            most_before = most_before.max(before);
+        }
+        assert!(
+            stands_alone || most_before > 0,
+            "no window has one before it"
+        );
     }
 }
 

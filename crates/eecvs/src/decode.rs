@@ -25,6 +25,9 @@ pub struct WindowReader<R> {
     ready: VecDeque<DecodedWindow>,
     /// Windows outside of these times are left out.
     times: Times,
+    /// Frames of windows that are left out; they are not even decoded unless a later frame depends on them. `None`
+    /// before [`WindowReader::seek`].
+    held: Option<Held>,
     /// Time spent on decoding payloads.
     busy: Duration,
 }
@@ -73,6 +76,7 @@ impl<R: Read> WindowReader<R> {
             windows: Windows::default(),
             ready: VecDeque::new(),
             times: 0..u64::MAX,
+            held: None,
             busy: Duration::ZERO,
         }
     }
@@ -139,15 +143,78 @@ impl<R: Read> WindowReader<R> {
                 let last = self.windows.end();
                 return Ok(last.filter(|window| overlaps(&self.times, &window.header)));
             };
+            let frame = located.frame;
+            let mut due = None;
+            if let Some(held) = &mut self.held {
+                if frame.header.is_key {
+                    held.clear();
+                }
+                if !overlaps(&self.times, &frame.header) && held.hold(&frame) {
+                    continue;
+                }
+                due = Some(held);
+            }
             let started = Instant::now();
-            let taken = self
-                .windows
-                .take(&located.frame, |window| self.ready.push_back(window));
+            let before = due.iter().flat_map(|held| held.frames());
+            let mut refused = Vec::new();
+            for frame in before.chain([frame]) {
+                let ready = |window| self.ready.push_back(window);
+                refused.extend(self.windows.take(&frame, ready).err());
+            }
+            if let Some(held) = due {
+                held.clear();
+            }
             self.busy += started.elapsed();
-            if let Err(refused) = taken {
+            for refused in refused {
                 self.frames.count_refused(refused);
             }
         }
+    }
+}
+
+/// Frames that are decoded only if a later one depends on them.
+#[derive(Debug, Default)]
+struct Held {
+    /// Headers, and the lengths of payloads and of whole frames.
+    frames: Vec<(Header, usize, usize)>,
+    /// The payloads, one after the other.
+    payloads: Vec<u8>,
+}
+
+impl Held {
+    /// Largest number of bytes of payloads, and of frames: more than any encoder writes between two key frames.
+    const BYTES_MAX: usize = 1 << 24;
+    const FRAMES_MAX: usize = 1 << 12;
+
+    fn clear(&mut self) {
+        self.frames.clear();
+        self.payloads.clear();
+    }
+
+    /// Keeps a copy of a frame; returns false, and keeps none, if there is no room.
+    fn hold(&mut self, frame: &Frame<'_>) -> bool {
+        let length = frame.payload.len();
+        let has_room = self.frames.len() < Self::FRAMES_MAX
+            && length <= Self::BYTES_MAX.saturating_sub(self.payloads.len());
+        if has_room {
+            self.frames.push((frame.header, length, frame.bytes));
+            self.payloads.extend_from_slice(frame.payload);
+        }
+        has_room
+    }
+
+    /// Returns the frames in their order.
+    fn frames(&self) -> impl Iterator<Item = Frame<'_>> {
+        let mut rest = self.payloads.as_slice();
+        self.frames.iter().map(move |(header, length, bytes)| {
+            let (payload, after) = rest.split_at_checked(*length).unwrap_or_default();
+            rest = after;
+            Frame {
+                header: *header,
+                payload,
+                bytes: *bytes,
+            }
+        })
     }
 }
 
@@ -158,8 +225,9 @@ fn overlaps(times: &Times, header: &Header) -> bool {
 }
 
 impl<R: Read + Seek> WindowReader<R> {
-    /// Continues with the windows between two times, if the source has an index, and leaves out all others, whose
-    /// frames are not even read. Returns false, and changes nothing, without an index.
+    /// Continues with the windows between two times, if the source has an index, and leaves out all others: their frames
+    /// are not read where the index says so, and otherwise neither decoded nor counted, unless a frame of these times
+    /// depends on them. Returns false, and changes nothing, without an index.
     ///
     /// # Errors
     /// I/O.
@@ -168,6 +236,7 @@ impl<R: Read + Seek> WindowReader<R> {
         if sought {
             self.windows = Windows::new(self.windows.limit);
             self.ready.clear();
+            self.held = Some(Held::default());
             self.times = times;
         }
         Ok(sought)
