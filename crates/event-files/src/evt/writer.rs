@@ -101,8 +101,9 @@ impl RawWriter {
         goes_on
     }
 
-    /// Writes the words of the events at the start of `events` that lie on the sensor and whose upper bits of time are the
-    /// current ones: the first `count` bytes of what `word` returns. Returns how many events these are.
+    /// Writes the words of the events at the start of `events` that lie on the sensor and whose times lie in the half
+    /// period of the time before, each after the word of its upper bits of time where these have changed. Returns how many
+    /// events these are; none of a writer that is [`walking`](Self::walking) or [`confirming`](Self::confirming).
     ///
     /// # Errors
     /// I/O.
@@ -110,27 +111,37 @@ impl RawWriter {
     pub fn put_while(
         &mut self,
         events: &[Event],
-        word: impl Fn(&Event) -> [u8; ROOM],
-        count: usize,
+        time: impl Fn(u64) -> u32,
+        word: impl Fn(&Event) -> u32,
     ) -> Result<usize> {
-        let Some(high) = self.high.as_ref().and_then(Wrapping::last) else {
+        let Some((counter, start)) = self
+            .high
+            .as_mut()
+            .and_then(|high| high.last().map(|last| (high, last)))
+            .filter(|_| self.walk_max == 0 && self.jump == u64::MAX)
+        else {
             return Ok(0);
         };
-        let (sensor, low_bits) = (self.sensor, self.low_bits);
-        let mut rest = events;
+        let (sensor, low_bits, half_bits) = (self.sensor, self.low_bits, self.high_bits - 1);
+        let (mut rest, mut last) = (events, start);
         self.file.fill(|room| {
             let mut at = 0;
             while let Some((event, later)) = rest.split_first()
                 && let Some(room) = room.get_mut(at..).and_then(<[u8]>::first_chunk_mut)
-                && event.t_us >> low_bits == high
+                && let high = event.t_us >> low_bits
+                && (high ^ start) >> half_bits == 0
                 && sensor.contains(event.x, event.y)
             {
-                *room = word(event);
-                at += count.min(ROOM);
-                rest = later;
+                // Where the upper bits change is hard to predict, so nothing here branches on it.
+                let is_new = high != last;
+                let both = u64::from(time(counter.low(high))) | u64::from(word(event)) << 32;
+                *room = (both >> (32 * u32::from(!is_new))).to_le_bytes();
+                at += 4 + 4 * usize::from(is_new);
+                (last, rest) = (high, later);
             }
             at
         })?;
+        counter.extend(counter.low(last));
         let written = events.len() - rest.len();
         self.events += written as u64;
         Ok(written)

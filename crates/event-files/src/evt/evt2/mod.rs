@@ -328,25 +328,27 @@ impl Evt2Writer {
 
 impl EventWriter for Evt2Writer {
     fn write(&mut self, events: &[Event]) -> Result<()> {
+        // `high` is below 2^28.
+        let time = |high: u64| TIME_HIGH << 28 | high as u32;
+        let word = |event: &Event| {
+            u32::from(event.polarity == Polarity::On) << 28
+                | ((event.t_us & 0x3f) as u32) << 22
+                | u32::from(event.x) << 11
+                | u32::from(event.y)
+        };
         let mut rest = events;
         while let Some((first, later)) = rest.split_first() {
-            let word = |event: &Event| {
-                let word = u32::from(event.polarity == Polarity::On) << 28
-                    | ((event.t_us & 0x3f) as u32) << 22
-                    | u32::from(event.x) << 11
-                    | u32::from(event.y);
-                u64::from(word).to_le_bytes()
-            };
             // The most frequent case.
-            let count = self.0.put_while(rest, word, 4)?;
+            let count = self.0.put_while(rest, time, word)?;
             if count > 0 {
                 (_, rest) = rest.split_at(count);
                 continue;
             }
-            // `high` is below 2^28.
-            let time = |high: u64| (TIME_HIGH << 28 | high as u32).to_le_bytes();
-            self.0.begin(std::slice::from_ref(first), time)?;
-            self.0.put_first(word(first), 4)?;
+            let first = std::slice::from_ref(first);
+            self.0.begin(first, |high| time(high).to_le_bytes())?;
+            for event in first {
+                self.0.put(&word(event).to_le_bytes())?;
+            }
             rest = later;
         }
         Ok(())

@@ -28,11 +28,13 @@ pub(super) fn word(event: &Event) -> u16 {
     ADDR_X << 12 | u16::from(event.polarity == Polarity::On) << 11 | event.x
 }
 
-/// Returns whether no event follows `event` with its time, row and polarity, so that it is written as a word.
+/// Returns whether `event` is written as a word of its own: its time, row and polarity are not those of the event with
+/// which it would take a vector, the last of the fewest that one is for.
 #[inline]
-pub(super) fn is_alone(event: &Event, later: &[Event]) -> bool {
+pub(super) fn is_single(event: &Event, later: &[Event]) -> bool {
     let group = |event: &Event| (event.t_us, event.y, event.polarity);
-    later.first().is_none_or(|next| group(next) != group(event))
+    let last = later.get(VECTOR_WORDS - 1);
+    last.is_none_or(|last| group(last) != group(event))
 }
 
 impl Group {

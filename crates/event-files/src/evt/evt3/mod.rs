@@ -589,7 +589,7 @@ impl EventWriter for Evt3Writer {
         let width = self.raw.sensor().width;
         while let Some((first, later)) = rest.split_first() {
             // The most frequent case.
-            if group::is_alone(first, later) && self.raw.goes_on(first) {
+            if group::is_single(first, later) && self.raw.goes_on(first) {
                 self.put(first, false, group::word(first))?;
                 rest = later;
                 continue;
