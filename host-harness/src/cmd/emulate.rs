@@ -38,7 +38,7 @@ use write::{Written, finish, write_events};
 pub struct Emulate {
     /// Scene type, or a video: a Y4M file, a folder of PNG files, .npy or .npz of frames x rows x columns, a recording
     /// with frames (AEDAT 4, a ROS bag), or - for Y4M or .npy on stdin, and gray pixels with --size
-    #[arg(value_parser = InputParser, value_name = "SCENE|VIDEO", required_unless_present_any = ["list", "print_pixel"])]
+    #[arg(value_parser = InputParser, value_name = "SCENE|VIDEO", required_unless_present_any = ["list", "print_pixel", "print_readout"])]
     input: Option<Input>,
 
     /// List the scenes, one per line with a description, and exit; with --json, as an array of objects
@@ -49,8 +49,12 @@ pub struct Emulate {
     #[arg(long, conflicts_with_all = ["input", "output", "list", "json"])]
     print_pixel: bool,
 
+    /// Print the readout as the flags make it, as a file for --readout, and exit
+    #[arg(long, conflicts_with_all = ["input", "output", "list", "print_pixel", "json"])]
+    print_readout: bool,
+
     /// Recording to write; the extension names the format
-    #[arg(short, long, value_name = "FILE", required_unless_present_any = ["list", "print_pixel"])]
+    #[arg(short, long, value_name = "FILE", required_unless_present_any = ["list", "print_pixel", "print_readout"])]
     output: Option<PathBuf>,
 
     #[command(flatten)]
@@ -135,6 +139,9 @@ impl Emulate {
         let pixel = self.pixel.parameters()?;
         if self.print_pixel {
             return print(&pixel::file(&pixel));
+        }
+        if self.print_readout {
+            return print(&readout::file(self.readout.readout()?));
         }
         let (input, output) = self
             .input

@@ -6,6 +6,9 @@ use std::net::TcpListener;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use event_emulator::{Camera, Model, Preset, Readout, SceneConfig, emulate};
+use event_files::EventReader;
+
 use crate::support::{
     CAMERA, EVENTS, Folder, SENSOR, events, frames, free_port, json, listening, read, shifted,
     sorted,
@@ -44,6 +47,39 @@ fn every_kind_of_file_has_every_event() {
             };
             assert_eq!(shifted(found), sorted(events()), "{name}");
         }
+    }
+}
+
+/// What an emulated sensor's readout gives is what the virtual camera of that name sends.
+#[test]
+fn an_emulated_readout_feeds_its_virtual_camera() {
+    let folder = Folder::new();
+    for name in ["davis346", "davis240", "dvs128", "dvxplorer"] {
+        let camera = Camera::from_name(name).unwrap();
+        let scene = SceneConfig {
+            sensor: camera.sensor,
+            duration_us: 30_000,
+            model: Model::Physical,
+            ..SceneConfig::new(Preset::Motorcycle, 1)
+        };
+        let mut pixels = emulate(scene).unwrap();
+        let mut readout = Readout::new(camera.sensor, &camera.readout).unwrap();
+        let (mut fired, mut events) = (Vec::new(), Vec::new());
+        while pixels.read(&mut fired).unwrap() > 0 {}
+        readout.push(&fired, None, &mut events, None);
+        readout.finish(&mut events, None);
+        assert!(events.len() > 500, "{name}: {} events", events.len());
+        let recording = format!("{name}.aedat4");
+        let mut writer = event_files::create(&folder.path(&recording), camera.sensor).unwrap();
+        writer.write(&events).unwrap();
+        writer.finish().unwrap();
+        let (device, output) = (format!("sim:{name}:{recording}"), format!("{name}.raw"));
+        let said = folder.json(&[
+            "capture", "--device", &device, "--rate", "max", "--json", "-o", &output,
+        ]);
+        assert_eq!(said["events"], events.len(), "{name}");
+        let got = read(&folder.path(&output));
+        assert_eq!(shifted(got), shifted(sorted(events)), "{name}");
     }
 }
 

@@ -1,5 +1,6 @@
 //! A sensor's readout on the command line: a camera by its name, a flag for each parameter, and a file of them.
 
+use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
@@ -61,6 +62,24 @@ impl ReadoutOptions {
         parameters.check()?;
         Ok(Some((camera, parameters)))
     }
+}
+
+/// Returns a camera and the parameters as a file for `--readout`.
+pub fn file(readout: Option<(Option<&Camera>, ReadoutParameters)>) -> String {
+    let (camera, parameters) = readout.unwrap_or_default();
+    let camera =
+        camera.map(|camera| format!("# {}\n{CAMERA} = \"{}\"\n\n", camera.about, camera.name));
+    let mut text = camera.unwrap_or_default();
+    for parameter in READOUT_PARAMETERS {
+        let (value, least, most) = (parameter.of(&parameters), parameter.least, parameter.most);
+        let line = writeln!(
+            text,
+            "# {}\n# {least} to {most} {}.\n{} = {value:?}\n",
+            parameter.about, parameter.unit, parameter.name
+        );
+        line.expect("a string");
+    }
+    text
 }
 
 /// Returns the readout's parameters by their names.
@@ -169,6 +188,25 @@ mod tests {
             "--link-per-us nan",
         ] {
             assert!(parse(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_printed_file_gives_the_same_readout() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("readout.toml");
+        for line in ["", "--camera gen41", "--camera davis346 --row-ns 7.25"] {
+            let words = std::iter::once("readout").chain(line.split_whitespace());
+            let asked = Line::try_parse_from(words).unwrap().readout.readout();
+            let asked = asked.unwrap();
+            std::fs::write(&path, file(asked)).unwrap();
+            let words = ["readout", "--readout", path.to_str().unwrap()];
+            let got = Line::try_parse_from(words).unwrap().readout.readout();
+            let name = |camera: Option<&Camera>| camera.map(|camera| camera.name);
+            let (camera, parameters) = got.unwrap().unwrap();
+            assert_eq!(name(camera), name(asked.and_then(|(camera, _)| camera)));
+            let asked = asked.map_or_else(ReadoutParameters::default, |(_, asked)| asked);
+            assert_eq!(parameters, asked, "{line}");
         }
     }
 

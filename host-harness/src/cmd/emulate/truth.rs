@@ -39,7 +39,7 @@ const FPS: u64 = 30;
 pub struct TruthOptions {
     /// Arrays of the truth to write beside the recording: the cause of each event (model 2), and of a scene frames with
     /// the object, the optical flow and the depth at each pixel
-    #[arg(long, value_name = "FILE.npz", requires = "output", conflicts_with_all = ["list", "print_pixel"])]
+    #[arg(long, value_name = "FILE.npz", requires = "output", conflicts_with_all = ["list", "print_pixel", "print_readout"])]
     truth: Option<PathBuf>,
 
     /// Frames per second of a scene's truth, above 0 and at most 1000000 [default: 30]
