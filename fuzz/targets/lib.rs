@@ -11,3 +11,4 @@ pub mod ingest;
 pub mod read;
 pub mod sealed;
 pub mod unpack;
+pub mod video;

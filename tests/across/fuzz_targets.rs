@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use event_files::FORMATS;
 use proptest::collection::vec;
 use proptest::prelude::{ProptestConfig, any, proptest};
-use targets::{encode, event_link, frames, hdf5_chunk, ingest, read, sealed, unpack};
+use targets::{encode, event_link, frames, hdf5_chunk, ingest, read, sealed, unpack, video};
 
 /// Longest input, as `cargo xtask fuzz` has it.
 const BYTES_MAX: usize = 8192;
@@ -83,6 +83,7 @@ proptest! {
             ingest::run,
             sealed::run,
             unpack::run,
+            video::run,
         ] {
             target(&data);
         }
