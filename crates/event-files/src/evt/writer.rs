@@ -1,5 +1,6 @@
 //! What all writers of Prophesee RAW files share: the header, the upper bits of time, checks.
 
+use std::hint::select_unpredictable;
 use std::path::Path;
 
 use event_types::stream::Result;
@@ -91,14 +92,40 @@ impl RawWriter {
         self.file.put_first(bytes, count)
     }
 
-    /// Counts an event, and returns true, if it lies on the sensor and the upper bits of its time are the current ones.
+    /// Writes the words of the events at the start of `events` that lie on the sensor and whose upper bits of time are the
+    /// current ones: the first bytes of what `words` returns of an event and those after it, with their number, up to the
+    /// first `None`. Returns how many events these are.
+    ///
+    /// # Errors
+    /// I/O.
     #[inline]
-    pub fn goes_on(&mut self, event: &Event) -> bool {
-        let last = self.high.as_ref().and_then(Wrapping::last);
-        let goes_on =
-            last == Some(event.t_us >> self.low_bits) && self.sensor.contains(event.x, event.y);
-        self.events += u64::from(goes_on);
-        goes_on
+    pub fn put_run(
+        &mut self,
+        events: &[Event],
+        mut words: impl FnMut(&Event, &[Event]) -> Option<(u64, usize)>,
+    ) -> Result<usize> {
+        let Some(high) = self.high.as_ref().and_then(Wrapping::last) else {
+            return Ok(0);
+        };
+        let (sensor, low_bits) = (self.sensor, self.low_bits);
+        let mut rest = events;
+        self.file.fill(|room| {
+            let mut at = 0;
+            while let Some((event, later)) = rest.split_first()
+                && let Some(room) = room.get_mut(at..).and_then(<[u8]>::first_chunk_mut)
+                && event.t_us >> low_bits == high
+                && sensor.contains(event.x, event.y)
+                && let Some((words, count)) = words(event, later)
+            {
+                *room = words.to_le_bytes();
+                at += count.min(ROOM);
+                rest = later;
+            }
+            at
+        })?;
+        let written = events.len() - rest.len();
+        self.events += written as u64;
+        Ok(written)
     }
 
     /// Writes the words of the events at the start of `events` that lie on the sensor and whose times lie in the half
@@ -123,6 +150,7 @@ impl RawWriter {
             return Ok(0);
         };
         let (sensor, low_bits, half_bits) = (self.sensor, self.low_bits, self.high_bits - 1);
+        let mask = counter.low(u64::MAX);
         let (mut rest, mut last) = (events, start);
         self.file.fill(|room| {
             let mut at = 0;
@@ -133,9 +161,9 @@ impl RawWriter {
                 && sensor.contains(event.x, event.y)
             {
                 // Where the upper bits change is hard to predict, so nothing here branches on it.
-                let is_new = high != last;
-                let both = u64::from(time(counter.low(high))) | u64::from(word(event)) << 32;
-                *room = (both >> (32 * u32::from(!is_new))).to_le_bytes();
+                let (is_new, word) = (high != last, u64::from(word(event)));
+                let both = u64::from(time(high & mask)) | word << 32;
+                *room = select_unpredictable(is_new, both, word).to_le_bytes();
                 at += 4 + 4 * usize::from(is_new);
                 (last, rest) = (high, later);
             }

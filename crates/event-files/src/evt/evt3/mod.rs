@@ -544,8 +544,7 @@ impl Plain {
 /// bits, and readers that do not know it lose only that.
 pub struct Evt3Writer {
     raw: RawWriter,
-    low: u16,
-    y: Option<u16>,
+    stated: Stated,
 }
 
 impl Evt3Writer {
@@ -557,29 +556,42 @@ impl Evt3Writer {
         let bits = (TIME_BITS, TIME_BITS);
         Ok(Self {
             raw: RawWriter::create(path, sensor, raw_header::Words::Evt3, bits)?.walking(WALK_MAX),
-            low: 0,
-            y: None,
+            stated: Stated {
+                low: 0,
+                y: u16::MAX,
+            },
         })
     }
 }
 
-impl Evt3Writer {
-    /// Writes the lower bits of an event's time and its row, where they have changed, and then `word`.
+/// What the words so far have stated: the lower bits of the time, and the row.
+#[derive(Debug, Clone, Copy)]
+struct Stated {
+    low: u16,
+    /// Above all rows before the first.
+    y: u16,
+}
+
+impl Stated {
+    /// Returns the words of an event, one after the other, and the number of their bytes: the lower bits of its time and
+    /// its row, where they have changed, and `word`. Decoders differ in the low bits that they assume after a new
+    /// `TIME_HIGH`, so these are always written then.
     #[inline]
-    fn put(&mut self, event: &Event, new_high: bool, word: u16) -> Result<()> {
+    fn words(&mut self, event: &Event, new_high: bool, word: u16) -> (u64, usize) {
         let low = (event.t_us & 0xfff) as u16;
-        // Decoders differ in the low bits that they assume after a new `TIME_HIGH`, so they are always written.
-        let is_low_due = new_high || low != self.low;
-        let is_row_due = self.y != Some(event.y);
-        (self.low, self.y) = (low, Some(event.y));
-        let low_bits = 16 * u32::from(is_low_due);
-        let bits = low_bits + 16 * u32::from(is_row_due);
-        // What is not due is overwritten by what follows.
-        let words = u64::from(TIME_LOW << 12 | low) & ((1 << low_bits) - 1)
-            | (u64::from(ADDR_Y << 12 | event.y) << low_bits) & ((1 << bits) - 1)
-            | u64::from(word) << bits;
-        self.raw
-            .put_first(words.to_le_bytes(), bits as usize / 8 + 2)
+        let (is_low_due, is_row_due) = (new_high | (low != self.low), event.y != self.y);
+        (self.low, self.y) = (low, event.y);
+        // What is due is hard to predict, so nothing here branches on it.
+        let with = |before: u16, is_due: bool, after: u64| {
+            let both = u64::from(before) | after << 16;
+            select_unpredictable(is_due, both, after)
+        };
+        let words = with(ADDR_Y << 12 | event.y, is_row_due, word.into());
+        let words = with(TIME_LOW << 12 | low, is_low_due, words);
+        (
+            words,
+            2 * (1 + usize::from(is_low_due) + usize::from(is_row_due)),
+        )
     }
 }
 
@@ -587,11 +599,16 @@ impl EventWriter for Evt3Writer {
     fn write(&mut self, events: &[Event]) -> Result<()> {
         let mut rest = events;
         let width = self.raw.sensor().width;
-        while let Some((first, later)) = rest.split_first() {
+        while let Some(first) = rest.first() {
             // The most frequent case.
-            if group::is_single(first, later) && self.raw.goes_on(first) {
-                self.put(first, false, group::word(first))?;
-                rest = later;
+            let mut stated = self.stated;
+            let count = self.raw.put_run(rest, |event, later| {
+                group::is_single(event, later)
+                    .then(|| stated.words(event, false, group::word(event)))
+            })?;
+            self.stated = stated;
+            if count > 0 {
+                (_, rest) = rest.split_at(count);
                 continue;
             }
             let Some(group) = Group::of(rest, width) else {
@@ -602,7 +619,8 @@ impl EventWriter for Evt3Writer {
             let time = |high: u64| (TIME_HIGH << 12 | high as u16).to_le_bytes();
             let new_high = self.raw.begin(now, time)?;
             if let Some((word, more)) = group.words().split_first() {
-                self.put(first, new_high, *word)?;
+                let (words, bytes) = self.stated.words(first, new_high, *word);
+                self.raw.put_first(words.to_le_bytes(), bytes)?;
                 for word in more {
                     self.raw.put(&word.to_le_bytes())?;
                 }
