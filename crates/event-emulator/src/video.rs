@@ -10,6 +10,13 @@ use crate::light::video::motion::Motion;
 use crate::noise::Cause;
 use crate::parameters::PixelParameters;
 
+/// Frames that are known at a time end when there are so many, or when they take as long.
+const FRAMES_MAX: usize = 16;
+const FRAMES_US: u64 = 20_000;
+
+/// Largest change over which a tile leaves out frames, in largest changes between two samples.
+const SKIPPED: f64 = 0.1;
+
 /// What of a video is emulated, and how.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VideoConfig {
@@ -25,8 +32,10 @@ pub struct VideoConfig {
 
 /// A running emulation of a video, in model 2; its events are read through [`EventReader`].
 ///
-/// From frame to frame, the light of a pixel is a line of ln E; the last frame is the end. Two frames and one that is
-/// read are in memory at a time. Events are ordered by time, then y, then x, then OFF before ON.
+/// From frame to frame, the light of a pixel is a line of ln E; the last frame is the end. Where the pixels of a tile change
+/// by at most a tenth of what [`PixelParameters::sample_change`] allows in sum over several frames, one line stands for
+/// theirs. Frames of 20 ms and 16 of them at most are in memory at a time, two if they are longer apart, and one that is
+/// read. Events are ordered by time, then y, then x, then OFF before ON.
 pub struct VideoEmulator {
     reader: Box<dyn VideoReader>,
     config: VideoConfig,
@@ -62,7 +71,9 @@ pub fn emulate_video(
         bail!(Refused, "the video has no frames: give two or more");
     };
     config.exposure.expose(&mut frame);
-    let mut light = VideoLight::new(sensor, frame);
+    let threshold = parameters.threshold_on.min(parameters.threshold_off);
+    let skipped = SKIPPED * parameters.sample_change * threshold;
+    let mut light = VideoLight::new(sensor, frame, skipped as f32);
     let mut frame = Vec::new();
     let Some(second_us) = reader.read(&mut frame)? else {
         bail!(
@@ -75,7 +86,7 @@ pub fn emulate_video(
     let known_us = since(first_us, second_us, start_us)?;
     config.exposure.expose(&mut frame);
     light.push(&mut frame, known_us * 1_000);
-    let (before, after) = light.frames();
+    let (before, after) = light.latest();
     motion.add(sensor, before, after);
     Ok(VideoEmulator {
         reader,
@@ -169,8 +180,21 @@ impl VideoEmulator {
             if read > 0 || self.end_us.is_some() {
                 return Ok(read);
             }
+            self.next_frames()?;
+        }
+    }
+
+    /// Reads further frames, or notes that there are none.
+    fn next_frames(&mut self) -> Result<()> {
+        let from_us = self.known_us;
+        self.array.light_mut().forget();
+        while self.array.light().known() < FRAMES_MAX
+            && self.known_us - from_us < FRAMES_US
+            && self.end_us.is_none()
+        {
             self.next_frame()?;
         }
+        Ok(())
     }
 
     /// Reads a further frame, or notes that there is none.
@@ -183,7 +207,7 @@ impl VideoEmulator {
         self.config.exposure.expose(&mut self.frame);
         let light = self.array.light_mut();
         light.push(&mut self.frame, self.known_us * 1_000);
-        let (before, after) = light.frames();
+        let (before, after) = light.latest();
         self.motion.add(self.reader.sensor(), before, after);
         self.frames += 1;
         let duration_us = self.config.duration_us;
@@ -334,6 +358,45 @@ mod tests {
             assert_eq!((a.0, a.1), (b.0, b.1));
             assert!(a.2.abs_diff(b.2) <= 10, "{a:?} {b:?}");
         }
+    }
+
+    /// Light of 3 Hz with a ripple of 40 Hz, in a frame each millisecond: a smaller `sample_change` leaves out none.
+    #[test]
+    fn frames_that_are_left_out_hardly_change_events() {
+        let ripple = |i: u64| {
+            let cycles = i as f32 * core::f32::consts::TAU * 1e-3;
+            (
+                1_000 * i,
+                0.5 * (3.0 * cycles).sin() + 0.02 * (40.0 * cycles).sin() - 2.0,
+            )
+        };
+        let frames: Vec<(u64, f32)> = (0..=1_000).map(ripple).collect();
+        let run = |sample_change: f64| {
+            let reader = Box::new(Frames(frames.clone(), 0));
+            let mut ideal = PixelParameters::ideal();
+            ideal.set("sample_change", sample_change).unwrap();
+            let mut emulator = emulate_video(reader, CONFIG, &ideal).unwrap();
+            let mut events = Vec::new();
+            while emulator.read(&mut events).unwrap() > 0 {}
+            events.sort_unstable_by_key(|event| (event.y, event.x, event.t_us));
+            (events, emulator.samples())
+        };
+        let ((all, samples), (some, fewer)) = (run(0.01), run(1.0));
+        assert!(fewer * 2 < samples, "{fewer} of {samples}");
+        // Less than a tenth of a threshold may be missing where the light turns.
+        let share = some.len() as f64 / all.len() as f64;
+        assert!((0.98..=1.0).contains(&share), "{share}");
+        let same_pixel = |a: &Event, b: &Event| (a.x, a.y) == (b.x, b.y);
+        let pixels = (all.chunk_by(same_pixel)).zip(some.chunk_by(same_pixel));
+        let mut differences_us: Vec<u64> = pixels
+            .filter(|(a, b)| a.len() == b.len())
+            .flat_map(|(a, b)| a.iter().zip(b))
+            .map(|(a, b)| a.t_us.abs_diff(b.t_us))
+            .collect();
+        assert!(differences_us.len() * 2 > all.len());
+        differences_us.sort_unstable();
+        let most = differences_us.len() * 9 / 10;
+        assert!(differences_us[most] <= 500, "{}", differences_us[most]);
     }
 
     #[test]
