@@ -50,15 +50,15 @@ from comparison import events, np, package
 
 RATE = 1000
 # Frames that each emulation of a fit has, at most.
-FIT_FRAMES = 250
+FIT_FRAMES = 125
 # Emulations of each fit, and how many times smaller or larger its parameters at random are than at the start.
-BUDGET = 80
+BUDGET = 40
 REACH = 6
 # Fits of each emulator, whose random numbers begin with these.
 SEEDS = (1, 2, 3)
 # Fits at a time, and runs whose least time counts.
 WORKERS = 2
-RUNS = 2
+RUNS = 1
 # Side of the blocks of pixels whose rates are compared.
 BLOCK = 4
 NEIGHBOUR_US = 5_000
