@@ -22,6 +22,9 @@ const BLOCKS_MAX: usize = 32;
 /// Least mean change of a block that is searched for, in natural log units: less gives no events.
 const CHANGE_MIN: f32 = 0.05;
 
+/// Differences up to so many times the least are alike.
+const ALIKE: f32 = 1.1;
+
 /// Motion between the frames of a video so far.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Motion {
@@ -68,8 +71,8 @@ impl<'f> Level<'f> {
     }
 
     /// Returns the difference between the block at `(x, y)` of the earlier frame and that displaced by `(dx, dy)` of the
-    /// later one; infinite where that is beyond the picture.
-    fn difference(&self, (x, y): (usize, usize), (dx, dy): (isize, isize)) -> f32 {
+    /// later one; infinite where that is beyond the picture, or where it is above `most`.
+    fn difference(&self, (x, y): (usize, usize), (dx, dy): (isize, isize), most: f32) -> f32 {
         let moved = |at: usize, by: isize, most: usize| {
             let to = at.checked_add_signed(by)?;
             (to + SIDE <= most).then_some(to)
@@ -86,33 +89,38 @@ impl<'f> Level<'f> {
             for ((sum, b), a) in sums.iter_mut().zip(before).zip(after) {
                 *sum += (a - b).abs();
             }
+            // Sums only grow: what is too much already is known early.
+            if row % 4 == 3 && sums.iter().sum::<f32>() > most {
+                return f32::INFINITY;
+            }
         }
         sums.iter().sum()
     }
 
     /// Returns where a block has gone, if it has moved by two pixels or more.
     fn way(&self, block: (usize, usize), reach: isize) -> Option<(isize, isize)> {
-        let in_place = self.difference(block, (0, 0));
-        let mut near = in_place;
-        let mut found = Vec::new();
-        for dy in -reach..=reach {
-            for dx in -reach..=reach {
-                let difference = self.difference(block, (dx, dy));
-                if dx.abs().max(dy.abs()) <= 1 {
-                    near = near.min(difference);
-                } else {
-                    found.push((difference, (dx, dy)));
-                }
-            }
-        }
+        let in_place = self.difference(block, (0, 0), f32::INFINITY);
+        let is_near = |dx: isize, dy: isize| dx.abs().max(dy.abs()) <= 1;
+        let ways = |reach: isize| {
+            (-reach..=reach).flat_map(move |dy| (-reach..=reach).map(move |dx| (dx, dy)))
+        };
+        let near = ways(1).fold(in_place, |near, way| {
+            near.min(self.difference(block, way, near))
+        });
+        let limit = (0.5 * in_place).min(near / 1.5);
+        let most = ALIKE * limit;
+        let found: Vec<(f32, (isize, isize))> = ways(reach)
+            .filter(|(dx, dy)| !is_near(*dx, *dy))
+            .map(|way| (self.difference(block, way, most), way))
+            .collect();
         let best = found
             .iter()
             .fold(f32::INFINITY, |best, (d, _)| best.min(*d));
-        if best >= 0.5 * in_place || best >= near / 1.5 {
+        if best >= limit {
             return None;
         }
         // Along an edge, many places are alike: the nearest of them.
-        let alike = found.into_iter().filter(|(d, _)| *d <= 1.1 * best);
+        let alike = found.into_iter().filter(|(d, _)| *d <= ALIKE * best);
         let ways = alike.map(|(_, way)| way);
         ways.min_by_key(|(dx, dy)| dx * dx + dy * dy)
     }
@@ -123,7 +131,7 @@ fn farthest(fine: &Level<'_>) -> Option<f32> {
     let mut blocks = Vec::new();
     for y in (0..fine.height.saturating_sub(SIDE - 1)).step_by(SIDE) {
         for x in (0..fine.width.saturating_sub(SIDE - 1)).step_by(SIDE) {
-            let change = fine.difference((x, y), (0, 0)) / (SIDE * SIDE) as f32;
+            let change = fine.difference((x, y), (0, 0), f32::INFINITY) / (SIDE * SIDE) as f32;
             if change >= CHANGE_MIN {
                 blocks.push((change, (x, y)));
             }
