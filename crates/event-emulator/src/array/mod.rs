@@ -6,6 +6,7 @@
 
 mod block;
 mod fire;
+mod past;
 mod tile;
 
 use event_types::stream::Result;
@@ -108,7 +109,7 @@ pub struct PixelArray<L> {
 }
 
 impl<L: Light> PixelArray<L> {
-    /// Creates pixels that have long seen the light of time 0.
+    /// Creates pixels that have seen before what [`Light::rate_before`] says.
     ///
     /// # Errors
     /// A sensor side of 0 or above [`Sensor::SIDE_MAX`]; parameters that [`PixelParameters::check`] refuses.

@@ -4,6 +4,7 @@ use event_types::Polarity;
 
 use super::Physics;
 use super::block::{BLOCK, Before, Lanes, Span};
+use super::past::Past;
 use crate::light::{Light, Tile};
 use crate::noise::defects::{Defect, defect};
 use crate::noise::{Cause, Draws};
@@ -128,6 +129,7 @@ impl TilePixels {
             next: none(),
         };
         let leak = parameters.leak_hz * parameters.warmth() * parameters.threshold_on;
+        let rate_before = light.rate_before(tile);
         for index in 0..count {
             let (x, y) = pixels.place(index);
             let number = u64::from(y) * u64::from(physics.width) + u64::from(x);
@@ -141,9 +143,8 @@ impl TilePixels {
             let (mean_on, mean_off) = (on as f32, off as f32);
             let factor = physics.noise.factor(mean_on, mean_off);
             pixels.patience[index] = (1.0 / factor) as f32;
-            // As long after the last event as may be: what leaks rises from the reference to the ON threshold.
-            // Without leakage the output is anywhere between the thresholds.
-            let share = draws.unit() as f32;
+            let share = draws.unit();
+            let cause = rate_before.map_or(1.0, |_| draws.unit());
             pixels.own.push(Own {
                 since_ns: 0,
                 draws,
@@ -153,11 +154,16 @@ impl TilePixels {
             let pole = physics.photoreceptor.first_pole(pixels.current[index]);
             pixels.arm(index, pole, physics);
             let (on, off) = (pixels.on[index], pixels.off[index]);
-            let change = if leak > 0.0 || physics.leak_per_lux > 0.0 {
-                share * on
-            } else {
-                share * (on + off) - off
+            let leaks = pixels.leak[index] + physics.leak_per_lux * pixels.current[index];
+            let noise = physics.noise.rate(pole) / pixels.patience[index];
+            // At rest, noise is left out: scenes keep the events that their seeds have had.
+            let past = Past {
+                signal_hz: rate_before
+                    .map_or(0.0, |rate| rate / f64::from(0.5 * (mean_on + mean_off))),
+                noise_hz: rate_before.map_or(0.0, |_| f64::from(noise)),
+                leak_hz: f64::from(leaks / mean_on),
             };
+            let change = past.distance((on, off), cause, share);
             pixels.reference[index] = pixels.v2[index] - change;
             pixels.hazard[index] = if parameters.shot_noise > 0.0 || parameters.hot_share > 0.0 {
                 pixels.draw_hazard(index) as f32

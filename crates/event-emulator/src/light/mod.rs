@@ -59,4 +59,11 @@ pub trait Light: Sync {
         let _ = (tile, after_ns);
         u64::MAX
     }
+
+    /// Returns the mean |d ln E / dt| in 1/s that the pixels of a tile have seen before the beginning, in light that rose
+    /// and fell; `None` says that they have long seen the light of time 0.
+    fn rate_before(&self, tile: Tile) -> Option<f64> {
+        let _ = tile;
+        None
+    }
 }
