@@ -1,10 +1,10 @@
 """Emulated against real events: `eecvs emulate` and v2e on the frames of DAVIS recordings.
 
-    python tests/peers/emulators.py EECVS V2E RECORDING.aedat4 [...] [--write docs/emulator.md]
+    python tests/peers/emulators.py EECVS V2E RECORDING.aedat4 [...] [--write docs/emulator.md] [--fits FITS.json]
 
 EECVS is the command and V2E a folder with the source of v2e (https://github.com/SensorsINI/v2e). numpy, torch, OpenCV
 with its optical flow, and the package aedat, which reads the frames, have to be installed, and h5py, tqdm, numba,
-argcomplete, dv_processing and engineering_notation, which v2e imports; of what v2e shows on a screen nothing is
+Pillow, argcomplete, dv_processing and engineering_notation, which v2e imports; of what v2e shows on a screen nothing is
 loaded. Without them, the script exits with 77. docs/emulator.md has the columns' formulas.
 
 Both emulators get the same frames, as 16-bit numbers at the middle of their exposure: those of the recording, and
@@ -30,6 +30,7 @@ without output; and of both commands from a folder of PNG to a file of HDF5.
 
 import argparse
 import concurrent.futures
+import json
 import logging
 import multiprocessing
 import os
@@ -399,8 +400,9 @@ def fitted(job):
     return least, best
 
 
-def all_fits(recordings):
-    """The fits by recording, rate and emulator, the best first. The longest ones are begun first."""
+def all_fits(recordings, path):
+    """The fits by recording, rate and emulator, the best first. The longest ones are begun first. A file `path` keeps
+    them, and gives them back where it is there: they do not depend on the machine."""
     jobs = [
         (recording, rate, emulator, seed)
         for rate in (RATE, None)
@@ -408,9 +410,18 @@ def all_fits(recordings):
         for recording in sorted(recordings, key=lambda recording: -len(recording.times))
         for seed in SEEDS
     ]
+    if path is not None and path.exists():
+        results = json.loads(path.read_text())
+        return grouped(jobs, results)
     fork = multiprocessing.get_context("fork")
     with concurrent.futures.ProcessPoolExecutor(WORKERS, mp_context=fork) as pool:
         results = list(pool.map(fitted, jobs))
+    if path is not None:
+        path.write_text(json.dumps(results))
+    return grouped(jobs, results)
+
+
+def grouped(jobs, results):
     fits = {}
     for (recording, rate, emulator, _), result in zip(jobs, results):
         fits.setdefault((recording.name, rate, emulator), []).append(result)
@@ -550,9 +561,10 @@ def main():
     parser.add_argument("v2e", type=pathlib.Path)
     parser.add_argument("recordings", type=pathlib.Path, nargs="+")
     parser.add_argument("--write", type=pathlib.Path)
+    parser.add_argument("--fits", type=pathlib.Path)
     options = parser.parse_args()
     comparison.eecvs = options.eecvs
-    if None in [package(name) for name in ("aedat", "cv2", "h5py", "torch", "tqdm", "numba", "dv_processing")]:
+    if None in [package(name) for name in ("aedat", "cv2", "h5py", "torch", "PIL", "tqdm", "numba", "dv_processing")]:
         sys.exit(77)
     global EventEmulator
     EventEmulator = emulator_class(options.v2e)
@@ -560,7 +572,7 @@ def main():
 
     version = re.search(r'version="(.*)"', (options.v2e / "setup.py").read_text()).group(1)
     recordings = [Recording(path) for path in options.recordings]
-    fits = all_fits(recordings)
+    fits = all_fits(recordings, options.fits)
     tables = []
     verdicts = ["| " + " | ".join(VERDICTS) + " |", "|---" * len(VERDICTS) + "|"]
     with tempfile.TemporaryDirectory() as folder:
