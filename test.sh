@@ -284,7 +284,7 @@ torch() {
         skip "torch: pip cannot install pytest"
         return
     }
-    with_module "$folder/module" "$folder/bin/python" python/tests/test_{torch,data,examples,readme}.py
+    with_module "$folder/module" "$folder/bin/python" python/tests/test_{torch,data,examples,readme,train}.py
 }
 
 # The package's wheel. What its tests need is a must; each other package is wanted, and what is left out without it the

@@ -1,0 +1,355 @@
+"""The record as tables and sentences. Needs nothing but Python.
+
+    python python/examples/train/report.py RECORD.json [--save README.md] [--chart iou.svg]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, Union
+
+Record = dict[str, Any]
+
+LABELS = {
+    "dct": "DCT",
+    "dtft": "DTFT",
+    "dwt": "Haar",
+    "auto": "by density",
+    "best": "best (DCT, few events as times)",
+    "bins": "hybrid, bins",
+    "voxel": "voxel grid",
+    "tore": "TORE",
+    "ces": "CES",
+    "counts": "counts, without times",
+}
+FIXED = ("dct", "dtft", "dwt")
+SENT = (*FIXED, "auto", "best")
+OTHERS = ("voxel", "tore", "ces")
+#: Bits per event at which inputs are compared.
+BUDGETS = (4, 6, 8, 12, 16)
+BEGIN = "<!-- train: python python/examples/train/study.py -o python/examples/train/record --overwrite --save python/examples/train/README.md -->"
+END = "<!-- train end -->"
+
+
+def short(name: str) -> str:
+    """Returns an input's label without what is in brackets."""
+    return LABELS[name].split(" (")[0]
+
+
+class Figure(NamedTuple):
+    """A figure of each seed's network."""
+
+    by_seed: tuple[float, ...]
+
+    @property
+    def mean(self) -> float:
+        return statistics.fmean(self.by_seed)
+
+    @property
+    def spread(self) -> float:
+        """The standard deviation over the seeds; 0 of one."""
+        return statistics.stdev(self.by_seed) if len(self.by_seed) > 1 else 0.0
+
+    def __str__(self) -> str:
+        return f"{self.mean:.3f} ± {self.spread:.3f}"
+
+
+def text_of(record: Record) -> str:
+    """Returns the record as JSON, a row in each line."""
+    rows = ",\n".join(json.dumps(row) for row in record["rows"])
+    rest = json.dumps({key: value for key, value in record.items() if key != "rows"})
+    return f'{rest[:-1]}, "rows": [\n{rows}\n]}}\n'
+
+
+def _rows(record: Record, name: str, m: int, setting: Union[str, None], of: str) -> list[dict[str, Any]]:
+    # What has no times has no M either.
+    m = 2 if name == "counts" else m
+    return [
+        row
+        for row in record["rows"]
+        if (row["input"], row["m"], row["setting"], row["set"]) == (name, m, setting, of)
+    ]
+
+
+def _over_sources(rows: Sequence[dict[str, Any]], key: str) -> Union[Figure, None]:
+    """Returns the mean over the sources that have a value, of each seed."""
+    chosen = [row[key] for row in rows]
+    by_seed = []
+    for values in zip(*chosen):
+        values = tuple(value for value in values if value is not None)
+        if not values:
+            return None
+        by_seed.append(statistics.fmean(values))
+    return Figure(tuple(by_seed)) if by_seed else None
+
+
+def iou(record: Record, name: str, m: int, setting: Union[str, None] = None, of: str = "unseen") -> Union[Figure, None]:
+    """Returns the mean IoU over the scenes with moving objects, or over recordings."""
+    return _over_sources(_rows(record, name, m, setting, of), "iou")
+
+
+def falsely_marked(record: Record, name: str, m: int) -> Union[Figure, None]:
+    """Returns the share of pixels that are marked in the unseen scenes where nothing moves by itself."""
+    still = {source["source"] for source in record["sources"] if source["moving"] == 0 and source["set"] == "unseen"}
+    rows = [row for row in _rows(record, name, m, None, "unseen") if row["source"] in still]
+    return _over_sources(rows, "marked")
+
+
+def points(record: Record, name: str, m: int, of: str) -> list[tuple[float, Figure]]:
+    """Returns bits per event, the mean over the sources, and IoU of each setting, by ascending bits."""
+    settings = {row["setting"] for row in record["rows"] if row["input"] == name and row["setting"] is not None}
+    found = []
+    for setting in settings:
+        figure = iou(record, name, m, setting, of)
+        if figure is not None:
+            bits = statistics.fmean(row["bits"] for row in _rows(record, name, m, setting, of))
+            found.append((bits, figure))
+    return sorted(found, key=lambda point: point[0])
+
+
+def at_bits(record: Record, name: str, m: int, bits: float, of: str) -> Union[Figure, None]:
+    """Returns the IoU at a number of bits per event: on the straight line between the two settings around it, or that of the
+    most bits if these are fewer; None if all settings take more."""
+    found = points(record, name, m, of)
+    below = [point for point in found if point[0] <= bits]
+    above = [point for point in found if point[0] > bits]
+    if not below:
+        return None
+    if not above:
+        return below[-1][1]
+    (b0, f0), (b1, f1) = below[-1], above[0]
+    share = (bits - b0) / (b1 - b0)
+    return Figure(tuple(a + share * (b - a) for a, b in zip(f0.by_seed, f1.by_seed)))
+
+
+def _cell(figure: Union[Figure, None]) -> str:
+    return "-" if figure is None else str(figure)
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return ["| " + " | ".join(head) + " |", "|" + "---|" * len(head), *("| " + " | ".join(row) + " |" for row in rows)]
+
+
+def _names(record: Record) -> list[str]:
+    there = {row["input"] for row in record["rows"]}
+    return [name for name in LABELS if name in there]
+
+
+def _ms(record: Record) -> list[int]:
+    return sorted(record["protocol"]["m"])
+
+
+def _middle(record: Record) -> int:
+    """Returns the M of the tables that have one: 16 if it was measured."""
+    ms = _ms(record)
+    return 16 if 16 in ms else ms[0]
+
+
+def _as_they_are(record: Record) -> list[str]:
+    ms, m = _ms(record), _middle(record)
+    rows = []
+    for name in _names(record):
+        if name == "best":
+            continue
+        cells = [_cell(iou(record, name, of_m)) for of_m in ms]
+        if name == "counts":
+            cells = [cells[0]] + [""] * (len(ms) - 1)
+        false = falsely_marked(record, name, m)
+        cells += [_cell(iou(record, name, m, of="seen")), "-" if false is None else f"{100 * false.mean:.2f} %"]
+        rows.append([LABELS[name], *cells])
+    head = ["input", *(f"M = {of_m}" for of_m in ms), f"seen types, M = {m}", f"marked where nothing moves, M = {m}"]
+    return _table(head, rows)
+
+
+def _by_scene(record: Record) -> list[str]:
+    m = _middle(record)
+    scenes = [s["source"] for s in record["sources"] if s["set"] == "unseen" and s["moving"]]
+    rows = []
+    for name in _names(record):
+        if name == "best":
+            continue
+        of_input = _rows(record, name, m, None, "unseen")
+        cells = []
+        for scene in scenes:
+            values = [row["iou"] for row in of_input if row["source"] == scene]
+            cells.append(_cell(Figure(tuple(0.0 if v is None else v for v in values[0]))) if values else "-")
+        rows.append([LABELS[name], *cells])
+    return _table(["input", *scenes], rows)
+
+
+def _equal_bits(record: Record, of: str) -> list[str]:
+    m = _middle(record)
+    rows = [
+        [LABELS[name], *(_cell(at_bits(record, name, m, bits, of)) for bits in BUDGETS)] for name in _names(record)
+    ]
+    return _table(["input", *(f"{bits} bits per event" for bits in BUDGETS)], rows)
+
+
+def _against(a: Union[Figure, None], b: Union[Figure, None]) -> str:
+    """Returns whether a mean is "above" or "below" another by more than either's spread, or "level" with it."""
+    if a is None or b is None:
+        return "not measured"
+    spread = max(a.spread, b.spread)
+    difference = a.mean - b.mean
+    return "above" if difference > spread else "below" if difference < -spread else "level"
+
+
+def _verdict(found: Sequence[str]) -> str:
+    if not found or "not measured" in found:
+        return "is not decided"
+    if all(one == "above" for one in found):
+        return "holds"
+    return "holds in part" if "above" in found else "does not hold"
+
+
+def _best(of: dict[str, Union[Figure, None]]) -> tuple[str, Union[Figure, None]]:
+    measured = [(name, figure) for name, figure in of.items() if figure is not None]
+    return max(measured, key=lambda one: one[1].mean) if measured else ("", None)
+
+
+def _listed(of: dict[str, Union[Figure, None]]) -> str:
+    return ", ".join(f"{LABELS[name]} {_cell(figure)}" for name, figure in of.items())
+
+
+def _density_against_arrays(record: Record) -> str:
+    ms = [m for m in _ms(record) if m != 8] or _ms(record)
+    found, figures = [], []
+    for m in ms:
+        of = {name: iou(record, name, m) for name in ("auto", "voxel", "ces", "tore")}
+        found += [_against(of["auto"], of[name]) for name in ("voxel", "ces")]
+        figures.append(f"M = {m}: {_listed(of)}")
+    return (
+        f"The claim that coefficients by density are better for segmentation than voxel grids and CES (Tables IV and V) "
+        f"{_verdict(found)}. Unseen scene types, {'; '.join(figures)}."
+    )
+
+
+def _kept(record: Record, name: str, m: int) -> Union[Figure, None]:
+    """Returns the share of the IoU of seen scene types that is left on unseen ones."""
+    unseen, seen = iou(record, name, m), iou(record, name, m, of="seen")
+    if unseen is None or seen is None or not all(seen.by_seed):
+        return None
+    return Figure(tuple(a / b for a, b in zip(unseen.by_seed, seen.by_seed)))
+
+
+def _generalisation(record: Record) -> str:
+    m = _middle(record)
+    of = {name: _kept(record, name, m) for name in ("auto", *FIXED, *OTHERS)}
+    verdict = _verdict([_against(of["auto"], of[name]) for name in OTHERS])
+    return (
+        f"The claim that they generalise better than voxel grids, TORE and CES {verdict}. Share of the IoU of seen scene types "
+        f"that is left on unseen ones, M = {m}: {_listed(of)}."
+    )
+
+
+def _density_against_fixed(record: Record) -> str:
+    found, figures = [], []
+    for m in _ms(record):
+        density = iou(record, "auto", m)
+        name, best = _best({fixed: iou(record, fixed, m) for fixed in FIXED})
+        found.append(_against(density, best))
+        figures.append(f"M = {m}: {_cell(density)} against {_cell(best)} ({LABELS.get(name, '-')})")
+    return (
+        f"The claim that choosing by density is better than any fixed transform {_verdict(found)}. Unseen scene types, by "
+        f"density against the best fixed one, {'; '.join(figures)}."
+    )
+
+
+def _coefficients_against_events(record: Record, of: str, what: str) -> Union[str, None]:
+    m, found, figures = _middle(record), [], []
+    for bits in BUDGETS:
+        (name, coefficients), (other, events) = (
+            _best({name: at_bits(record, name, m, bits, of) for name in names}) for names in (SENT, ("bins", *OTHERS))
+        )
+        if coefficients is not None and events is not None:
+            found.append(_against(coefficients, events))
+            figures.append(f"{bits} bits: {coefficients} ({short(name)}) against {events} ({short(other)})")
+    if not found:
+        return None
+    return (
+        f"At equal bits, that coefficients are better than arrays of decoded events {_verdict(found)}. The best of each, "
+        f"M = {m}, {what}, {'; '.join(figures)}."
+    )
+
+
+def claims(record: Record) -> list[str]:
+    """Returns a sentence for each of the paper's claims: whether it holds here, and by which figures."""
+    sentences = [
+        _density_against_arrays(record),
+        _generalisation(record),
+        _density_against_fixed(record),
+        _coefficients_against_events(record, "unseen", "unseen scene types"),
+        _coefficients_against_events(record, "recordings", "recordings against the masks of the original events"),
+    ]
+    return [sentence for sentence in sentences if sentence is not None]
+
+
+def lines(record: Record) -> list[str]:
+    """Returns the tables and sentences as Markdown."""
+    protocol, m = record["protocol"], _middle(record)
+    seeds = len(protocol["seeds"])
+    return [
+        f"Measured on {record['date']} in {record['seconds'] / 60:.0f} minutes, {record['machine']}, torch "
+        f"{record['torch']}; {seeds} seeds, mean ± standard deviation.",
+        "",
+        *(f"* {sentence}" for sentence in claims(record)),
+        "",
+        "IoU on unseen scene types, of events as they are, and on other textures of the scene types that were learnt from:",
+        "",
+        *_as_they_are(record),
+        "",
+        f"Scene by scene, M = {m}:",
+        "",
+        *_by_scene(record),
+        "",
+        f"IoU on unseen scene types at equal bits, through `encode` and `decode`, M = {m}:",
+        "",
+        *_equal_bits(record, "unseen"),
+        "",
+        f"The same on real recordings: IoU with the masks that the same network makes of the original events, M = {m}:",
+        "",
+        *_equal_bits(record, "recordings"),
+    ]
+
+
+def check_marks(path: Path) -> str:
+    """Returns the document's text.
+
+    Raises:
+        SystemExit: It does not have the marks once each, in their order.
+    """
+    text = path.read_text(encoding="utf-8")
+    if text.count(BEGIN) != 1 or text.count(END) != 1 or text.index(BEGIN) > text.index(END):
+        raise SystemExit(f"{path}: it does not have the lines {BEGIN!r} and {END!r} once each")
+    return text
+
+
+def put(made: Sequence[str], path: Path) -> None:
+    """Puts lines into a document between its marks."""
+    before, rest = check_marks(path).split(BEGIN)
+    path.write_text("\n".join([before + BEGIN, *made, END]) + rest.split(END)[1], encoding="utf-8")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("record", type=Path)
+    parser.add_argument("--save", type=Path, metavar="FILE.md")
+    parser.add_argument("--chart", type=Path, metavar="FILE.svg")
+    arguments = parser.parse_args()
+    record = json.loads(arguments.record.read_text(encoding="utf-8"))
+    made = lines(record)
+    print("\n".join(made))
+    if arguments.save is not None:
+        put(made, arguments.save)
+    if arguments.chart is not None:
+        import chart
+
+        arguments.chart.write_text(chart.chart(record), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
