@@ -90,6 +90,7 @@ def test_figures_of_a_record() -> None:
             row(None, None, [0.5, 0.7]),
             row(None, None, [None, None], "b"),
             row("2^-6", 10.0, [0.4, 0.6]),
+            row("2^0", 10.0, [0.2, 0.4]),
             row("2^1", 4.0, [0.1, 0.3]),
         ],
     }
@@ -118,7 +119,7 @@ def test_a_quick_run(tmp_path: Path) -> None:
     )
     for row in record["rows"]:
         assert len(row["iou"]) == 2 and all(iou is None or 0 <= iou <= 1 for iou in row["iou"])
-        # Exact events give the masks that the events give as they are.
+        # Exact events give the masks that events give as they are.
         if row["setting"] in ("lossless", "bins") and row["set"] == "recordings":
             assert all(iou in (None, 1) for iou in row["iou"])
     assert "| DCT |" in ended.stdout

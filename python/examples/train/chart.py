@@ -13,8 +13,9 @@ from xml.sax.saxutils import escape
 
 import report
 
-WIDTH, HEIGHT, HEAD = 1200, 560, 84
-PANEL = (70, 40)
+WIDTH, HEIGHT, HEAD = 1380, 520, 84
+PANEL = (60, 40)
+PANELS = 3
 INK, GRID = "#323232", "#E1E1E1"
 #: Colour and whether it is an array of events.
 SERIES = {
@@ -46,7 +47,7 @@ def _mark(x: float, y: float, colour: str, is_square: bool) -> str:
 
 
 def _panel(left: float, title: str, series: Sequence[tuple[str, list[tuple[float, Any]]]]) -> list[str]:
-    width, height = WIDTH / 2 - PANEL[0] - 30, HEIGHT - HEAD - PANEL[1] - 40
+    width, height = WIDTH / PANELS - PANEL[0] - 15, HEIGHT - HEAD - PANEL[1] - 40
     top = HEAD + 30
     every = [(bits, figure) for _, points in series for bits, figure in points]
     made = [_text(left, top - 10, title, size=13)]
@@ -64,16 +65,17 @@ def _panel(left: float, title: str, series: Sequence[tuple[str, list[tuple[float
         return left + width * (math.log(bits) - low) / (high - low)
 
     def y(value: float) -> float:
-        return top + height * (1 - (max(value, least) - least) / (most - least))
+        share: float = (max(value, least) - least) / (most - least)
+        return top + height * (1 - share)
 
     for number in range(round((most - least) / step) + 1):
         value = least + number * step
         made.append(f'<path d="M{left} {y(value):.1f}H{left + width:.1f}" stroke="{GRID}"/>')
         made.append(_text(left - 8, y(value) + 4, f"{value:.2f}", "end"))
-    for bits in BITS:
+    for bits in map(float, BITS):
         if low <= math.log(bits) <= high:
             made.append(f'<path d="M{x(bits):.1f} {top}V{top + height:.1f}" stroke="{GRID}"/>')
-            made.append(_text(x(bits), top + height + 18, str(bits), "middle"))
+            made.append(_text(x(bits), top + height + 18, f"{bits:.0f}", "middle"))
     made.append(_text(left + width / 2, top + height + 38, "bits per event", "middle"))
     for name, points in series:
         colour, is_square = SERIES[name]
@@ -87,9 +89,8 @@ def _panel(left: float, title: str, series: Sequence[tuple[str, list[tuple[float
 
 
 def chart(record: report.Record) -> str:
-    """Draws IoU against bits per event: on unseen scenes, and on recordings against the masks of the original events."""
-    ms = record["protocol"]["m"]
-    m = 16 if 16 in ms else ms[0]
+    """Draws IoU against bits per event: on scenes of both kinds, and on recordings with the masks of the original events."""
+    m = report.middle(record)
     names = [name for name in SERIES if any(row["input"] == name for row in record["rows"])]
     made = [
         f'<svg width="{WIDTH}" height="{HEIGHT}" viewBox="0 0 {WIDTH} {HEIGHT}" xmlns="http://www.w3.org/2000/svg">',
@@ -101,8 +102,8 @@ def chart(record: report.Record) -> str:
         label = report.short(name)
         made += [_mark(at, 50, *SERIES[name]), _text(at + 10, 54, label)]
         at += 30 + 6.6 * len(label)
-    titles = {"unseen": "unseen scene types, against the truth", "recordings": "recordings, against the original events' masks"}
+    titles = {"seen": "seen scene types, other textures", "unseen": "unseen scene types", "recordings": "recordings, with own masks"}
     for number, (of, title) in enumerate(titles.items()):
         series = [(name, report.points(record, name, m, of)) for name in names]
-        made += _panel(PANEL[0] + number * WIDTH / 2, title, [one for one in series if one[1]])
+        made += _panel(PANEL[0] + number * WIDTH / PANELS, title, [one for one in series if one[1]])
     return "\n".join([*made, "</svg>", ""])

@@ -109,7 +109,7 @@ def of_recording(path: Path, windows_max: int = WINDOWS_MAX) -> Clip:
         if sums.max() <= EVENTS_MAX or count == 1:
             break
     start_us = first_us + WINDOW_US * int(sums.argmax())
-    clip = Clip(path.parent.name, tuple(recording.sensor), start_us, count, events)
+    clip = Clip(path.parent.name, recording.sensor, start_us, count, events)
     inside = (events["t"] >= start_us) & (events["t"] < clip.times(count)[0])
     return Clip(clip.name, clip.sensor, start_us, count, events[inside])
 

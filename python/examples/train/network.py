@@ -46,7 +46,7 @@ class Active(NamedTuple):
 class Batch(NamedTuple):
     """Pictures of one size as their active pixels: all others are 0, and would take most of the time."""
 
-    count: int
+    pictures: int
     #: Rows and columns of patches.
     sides: tuple[int, int]
     active: dict[str, Active]
@@ -80,11 +80,11 @@ class Net(nn.Module):
     def forward(self, batch: Batch) -> torch.Tensor:
         """Returns logits (N, H, W)."""
         height, width = batch.sides
-        made = self.bias.expand(batch.count * height * width, WIDTH)
+        made = self.bias.expand(batch.pictures * height * width, WIDTH)
         for kind, active in batch.active.items():
             parts = zip(active.values.split(active.counts), self.first[kind])
             made = made.index_add(0, active.patches, torch.cat([values @ weights for values, weights in parts]))
-        top = self.top(made.reshape(batch.count, height, width, WIDTH).permute(0, 3, 1, 2).contiguous())
+        top = self.top(made.reshape(batch.pictures, height, width, WIDTH).permute(0, 3, 1, 2).contiguous())
         middle = self.middle(top)
         bottom = functional.interpolate(self.bottom(middle), scale_factor=2.0)
         up = functional.interpolate(self.up(torch.cat([bottom, middle], 1)), scale_factor=2.0)
@@ -207,10 +207,10 @@ def train(
         masks = torch.stack([_square_mask(clips[cut.clip].masks[cut.window], cut) for cut in batch])
         loss = loss_of(net(batch_of(squares, (CROP, CROP), scale)), masks)
         optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
+        torch.autograd.backward(loss)
         optimizer.step()
         schedule.step()
-    return net.eval()
+    return net
 
 
 def masks(nets: Sequence[Net], samples: Sequence[Sparse], sensor: tuple[int, int], scale: Scale) -> Any:

@@ -29,9 +29,18 @@ LABELS = {
 FIXED = ("dct", "dtft", "dwt")
 SENT = (*FIXED, "auto", "best")
 OTHERS = ("voxel", "tore", "ces")
+SCENES = ("seen", "unseen")
+SETS = {
+    "seen": "other textures of the seen scene types",
+    "unseen": "unseen scene types",
+    "recordings": "recordings, against the masks of the original events",
+}
 #: Bits per event at which inputs are compared.
 BUDGETS = (4, 6, 8, 12, 16)
-BEGIN = "<!-- train: python python/examples/train/study.py -o python/examples/train/record --overwrite --save python/examples/train/README.md -->"
+BEGIN = (
+    "<!-- train: python python/examples/train/study.py --coded-m 16 -o python/examples/train/record --overwrite "
+    "--save python/examples/train/README.md -->"
+)
 END = "<!-- train end -->"
 
 
@@ -100,15 +109,19 @@ def falsely_marked(record: Record, name: str, m: int) -> Union[Figure, None]:
 
 
 def points(record: Record, name: str, m: int, of: str) -> list[tuple[float, Figure]]:
-    """Returns bits per event, the mean over the sources, and IoU of each setting, by ascending bits."""
-    settings = {row["setting"] for row in record["rows"] if row["input"] == name and row["setting"] is not None}
-    found = []
+    """Returns bits per event, the mean over the sources, and IoU of each setting, by ascending bits.
+
+    The record has finer settings first; a coarser one that does not take fewer bits is left out.
+    """
+    settings = dict.fromkeys(row["setting"] for row in record["rows"] if row["input"] == name)
+    found: list[tuple[float, Figure]] = []
     for setting in settings:
-        figure = iou(record, name, m, setting, of)
+        figure = None if setting is None else iou(record, name, m, setting, of)
         if figure is not None:
             bits = statistics.fmean(row["bits"] for row in _rows(record, name, m, setting, of))
-            found.append((bits, figure))
-    return sorted(found, key=lambda point: point[0])
+            if not found or bits < 0.995 * found[0][0]:
+                found.insert(0, (bits, figure))
+    return found
 
 
 def at_bits(record: Record, name: str, m: int, bits: float, of: str) -> Union[Figure, None]:
@@ -140,49 +153,50 @@ def _names(record: Record) -> list[str]:
 
 
 def _ms(record: Record) -> list[int]:
-    return sorted(record["protocol"]["m"])
+    """Returns the M at which every input was measured."""
+    left = {m for _, m in record.get("left", ())}
+    return sorted(set(record["protocol"]["m"]) - left)
 
 
-def _middle(record: Record) -> int:
+def middle(record: Record) -> int:
     """Returns the M of the tables that have one: 16 if it was measured."""
     ms = _ms(record)
     return 16 if 16 in ms else ms[0]
 
 
 def _as_they_are(record: Record) -> list[str]:
-    ms, m = _ms(record), _middle(record)
+    ms, m = _ms(record), middle(record)
     rows = []
     for name in _names(record):
         if name == "best":
             continue
-        cells = [_cell(iou(record, name, of_m)) for of_m in ms]
-        if name == "counts":
-            cells = [cells[0]] + [""] * (len(ms) - 1)
+        cells = []
+        for of in SCENES:
+            of_ms = [_cell(iou(record, name, of_m, of=of)) for of_m in ms]
+            cells += of_ms[:1] + [""] * (len(ms) - 1) if name == "counts" else of_ms
         false = falsely_marked(record, name, m)
-        cells += [_cell(iou(record, name, m, of="seen")), "-" if false is None else f"{100 * false.mean:.2f} %"]
-        rows.append([LABELS[name], *cells])
-    head = ["input", *(f"M = {of_m}" for of_m in ms), f"seen types, M = {m}", f"marked where nothing moves, M = {m}"]
+        rows.append([LABELS[name], *cells, "-" if false is None else f"{100 * false.mean:.2f} %"])
+    head = ["input", *(f"{of}, M = {of_m}" for of in SCENES for of_m in ms), f"marked where nothing moves, M = {m}"]
     return _table(head, rows)
 
 
 def _by_scene(record: Record) -> list[str]:
-    m = _middle(record)
-    scenes = [s["source"] for s in record["sources"] if s["set"] == "unseen" and s["moving"]]
+    m = middle(record)
+    scenes = [(s["set"], s["source"]) for s in record["sources"] if s["set"] in SCENES and s["moving"]]
     rows = []
     for name in _names(record):
         if name == "best":
             continue
-        of_input = _rows(record, name, m, None, "unseen")
-        cells = []
-        for scene in scenes:
-            values = [row["iou"] for row in of_input if row["source"] == scene]
-            cells.append(_cell(Figure(tuple(0.0 if v is None else v for v in values[0]))) if values else "-")
-        rows.append([LABELS[name], *cells])
-    return _table(["input", *scenes], rows)
+        of_scenes = [
+            _over_sources([row for row in _rows(record, name, m, None, of) if row["source"] == scene], "iou")
+            for of, scene in scenes
+        ]
+        rows.append([LABELS[name], *map(_cell, of_scenes)])
+    return _table(["input", *(f"{of}: {scene}" for of, scene in scenes)], rows)
 
 
 def _equal_bits(record: Record, of: str) -> list[str]:
-    m = _middle(record)
+    m = middle(record)
     rows = [
         [LABELS[name], *(_cell(at_bits(record, name, m, bits, of)) for bits in BUDGETS)] for name in _names(record)
     ]
@@ -217,14 +231,17 @@ def _listed(of: dict[str, Union[Figure, None]]) -> str:
 
 def _density_against_arrays(record: Record) -> str:
     ms = [m for m in _ms(record) if m != 8] or _ms(record)
-    found, figures = [], []
-    for m in ms:
-        of = {name: iou(record, name, m) for name in ("auto", "voxel", "ces", "tore")}
-        found += [_against(of["auto"], of[name]) for name in ("voxel", "ces")]
-        figures.append(f"M = {m}: {_listed(of)}")
+    verdicts, figures = [], []
+    for of in SCENES:
+        found = []
+        for m in ms:
+            values = {name: iou(record, name, m, of=of) for name in ("auto", "voxel", "ces", "tore")}
+            found += [_against(values["auto"], values[name]) for name in ("voxel", "ces")]
+            figures.append(f"{of}, M = {m}: {_listed(values)}")
+        verdicts.append(f"{_verdict(found)} on {of} scene types")
     return (
         f"The claim that coefficients by density are better for segmentation than voxel grids and CES (Tables IV and V) "
-        f"{_verdict(found)}. Unseen scene types, {'; '.join(figures)}."
+        f"{' and '.join(verdicts)}: {'; '.join(figures)}."
     )
 
 
@@ -237,7 +254,7 @@ def _kept(record: Record, name: str, m: int) -> Union[Figure, None]:
 
 
 def _generalisation(record: Record) -> str:
-    m = _middle(record)
+    m = middle(record)
     of = {name: _kept(record, name, m) for name in ("auto", *FIXED, *OTHERS)}
     verdict = _verdict([_against(of["auto"], of[name]) for name in OTHERS])
     return (
@@ -247,20 +264,23 @@ def _generalisation(record: Record) -> str:
 
 
 def _density_against_fixed(record: Record) -> str:
-    found, figures = [], []
-    for m in _ms(record):
-        density = iou(record, "auto", m)
-        name, best = _best({fixed: iou(record, fixed, m) for fixed in FIXED})
-        found.append(_against(density, best))
-        figures.append(f"M = {m}: {_cell(density)} against {_cell(best)} ({LABELS.get(name, '-')})")
+    verdicts, figures = [], []
+    for of in SCENES:
+        found = []
+        for m in _ms(record):
+            density = iou(record, "auto", m, of=of)
+            name, best = _best({fixed: iou(record, fixed, m, of=of) for fixed in FIXED})
+            found.append(_against(density, best))
+            figures.append(f"{of}, M = {m}: {_cell(density)} against {_cell(best)} ({LABELS.get(name, '-')})")
+        verdicts.append(f"{_verdict(found)} on {of} scene types")
     return (
-        f"The claim that choosing by density is better than any fixed transform {_verdict(found)}. Unseen scene types, by "
-        f"density against the best fixed one, {'; '.join(figures)}."
+        f"The claim that choosing by density is better than any fixed transform {' and '.join(verdicts)}. By density "
+        f"against the best fixed one, {'; '.join(figures)}."
     )
 
 
-def _coefficients_against_events(record: Record, of: str, what: str) -> Union[str, None]:
-    m, found, figures = _middle(record), [], []
+def _coefficients_against_events(record: Record, of: str) -> Union[str, None]:
+    m, found, figures = middle(record), [], []
     for bits in BUDGETS:
         (name, coefficients), (other, events) = (
             _best({name: at_bits(record, name, m, bits, of) for name in names}) for names in (SENT, ("bins", *OTHERS))
@@ -271,8 +291,8 @@ def _coefficients_against_events(record: Record, of: str, what: str) -> Union[st
     if not found:
         return None
     return (
-        f"At equal bits, that coefficients are better than arrays of decoded events {_verdict(found)}. The best of each, "
-        f"M = {m}, {what}, {'; '.join(figures)}."
+        f"At equal bits, that coefficients are better than arrays of decoded events {_verdict(found)} on {SETS[of]}. The best "
+        f"of each, M = {m}, {'; '.join(figures)}."
     )
 
 
@@ -282,37 +302,35 @@ def claims(record: Record) -> list[str]:
         _density_against_arrays(record),
         _generalisation(record),
         _density_against_fixed(record),
-        _coefficients_against_events(record, "unseen", "unseen scene types"),
-        _coefficients_against_events(record, "recordings", "recordings against the masks of the original events"),
+        *(_coefficients_against_events(record, of) for of in SETS),
     ]
     return [sentence for sentence in sentences if sentence is not None]
 
 
 def lines(record: Record) -> list[str]:
     """Returns the tables and sentences as Markdown."""
-    protocol, m = record["protocol"], _middle(record)
-    seeds = len(protocol["seeds"])
+    m, seeds = middle(record), len(record["protocol"]["seeds"])
+    minutes = "" if record["seconds"] is None else f" in {record['seconds'] / 60:.0f} minutes"
+    left = ", ".join(f"{short(name)} at M = {m}" for name, m in record.get("left", ()))
     return [
-        f"Measured on {record['date']} in {record['seconds'] / 60:.0f} minutes, {record['machine']}, torch "
-        f"{record['torch']}; {seeds} seeds, mean ± standard deviation.",
+        f"Measured on {record['date']}{minutes}, {record['machine']}, torch {record['torch']}; {seeds} seeds, mean ± standard "
+        f"deviation.{' Not measured, as the run was not finished: ' + left + '.' if left else ''}",
         "",
         *(f"* {sentence}" for sentence in claims(record)),
         "",
-        "IoU on unseen scene types, of events as they are, and on other textures of the scene types that were learnt from:",
+        "IoU of events as they are, on other textures of the seen scene types and on unseen ones, and the share of pixels "
+        "that is marked in unseen scenes where nothing moves by itself:",
         "",
         *_as_they_are(record),
         "",
         f"Scene by scene, M = {m}:",
         "",
         *_by_scene(record),
-        "",
-        f"IoU on unseen scene types at equal bits, through `encode` and `decode`, M = {m}:",
-        "",
-        *_equal_bits(record, "unseen"),
-        "",
-        f"The same on real recordings: IoU with the masks that the same network makes of the original events, M = {m}:",
-        "",
-        *_equal_bits(record, "recordings"),
+        *(
+            line
+            for of, what in SETS.items()
+            for line in ("", f"IoU at equal bits, through `encode` and `decode`, M = {m}, {what}:", "", *_equal_bits(record, of))
+        ),
     ]
 
 

@@ -26,7 +26,7 @@ import tempfile  # noqa: E402
 import time  # noqa: E402
 from collections.abc import Sequence  # noqa: E402
 from concurrent.futures import ProcessPoolExecutor, as_completed  # noqa: E402
-from dataclasses import asdict, dataclass  # noqa: E402
+from dataclasses import asdict, dataclass, replace  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any, Union  # noqa: E402
 
@@ -50,7 +50,11 @@ parser.add_argument(
     metavar="FOLDER",
     help="real recordings; those that are not there are left out, with a notice",
 )
+parser.add_argument(
+    "--coded-m", type=int, nargs="+", choices=(8, 16, 24), metavar="M", help="measure encoded events at these M alone (8 16 24)"
+)
 parser.add_argument("--processes", type=int, default=2, help="processes of one core each (2)")
+parser.add_argument("--so-far", action="store_true", help="train nothing: the record is of what an unfinished run has done")
 parser.add_argument("--overwrite", action="store_true", help="replace a record that is there")
 parser.add_argument("--save", type=Path, metavar="FILE.md", help="also put the tables into this document, between its marks")
 
@@ -77,6 +81,8 @@ class Protocol:
     learning_rate: float = network.LEARNING_RATE
     #: The one of the tables first.
     m: tuple[int, ...] = (16, 24, 8)
+    #: Those of which encoded events are measured.
+    m_coded: tuple[int, ...] = (16, 24, 8)
     steps_log2: tuple[str, ...] = ("2^-6", "2^-2", "2^1", "2^3")
     events: tuple[str, ...] = ("lossless", "128 us", "1024 us", "8192 us")
     #: Bins are exact by a coder of their own; coarser events take fewer bits.
@@ -105,6 +111,7 @@ QUICK = Protocol(
     seeds=(1, 2),
     steps=12,
     m=(8,),
+    m_coded=(8,),
     steps_log2=("2^-3", "2^1"),
     events=("lossless", "512 us"),
     events_bins=("bins", "2048 us"),
@@ -201,13 +208,14 @@ def measured(protocol: Protocol, data: Clips, thresholds: Path, name: str, m: in
             }
         )
 
-    for of, found in (("seen", data.seen), ("unseen", data.unseen), ("recordings", data.recordings)):
+    everything = (("seen", data.seen), ("unseen", data.unseen), ("recordings", data.recordings))
+    for of, found in everything:
         for clip in found:
             row(of, name, None, clip)
     # Its coefficients are those of the DCT, sent otherwise: the networks are the same.
     for coded in (name, "best") if name == "dct" else (name,):
-        for setting in protocol.settings(coded):
-            for of, found in (("unseen", data.unseen), ("recordings", data.recordings)):
+        for setting in protocol.settings(coded) if m in (*protocol.m_coded, 2) else ():
+            for of, found in everything:
                 for clip in found:
                     row(of, coded, setting, clip)
     return rows
@@ -283,23 +291,33 @@ def main() -> int:
     if arguments.save is not None:
         report.check_marks(arguments.save)
     protocol = QUICK if arguments.quick else Protocol()
+    if arguments.coded_m is not None:
+        protocol = replace(protocol, m_coded=tuple(arguments.coded_m))
     folder.mkdir(parents=True, exist_ok=True)
     begin = time.perf_counter()
     data = Clips.of(protocol, arguments.recordings)
-    rows = all_rows(protocol, data, folder, max(1, arguments.processes))
+    left = []
+    if arguments.so_far:
+        done = [(job, _part(protocol, folder, *job)[1]) for job in protocol.jobs()]
+        left = [job for job, rows in done if rows is None]
+        rows = [row for _, rows in done for row in rows or ()]
+    else:
+        rows = all_rows(protocol, data, folder, max(1, arguments.processes))
     record = {
         "date": datetime.datetime.now(datetime.timezone.utc).date().isoformat(),
         "machine": f"{cpu()}, {os.cpu_count()} cores, {arguments.processes} processes",
         "torch": torch.__version__,
-        "seconds": round(time.perf_counter() - begin),
+        "seconds": None if arguments.so_far else round(time.perf_counter() - begin),
+        "left": left,
         "protocol": json.loads(json.dumps(asdict(protocol))),
         "thresholds": [round(tau, 3) for tau in clips.thresholds_of(data.train)],
         "sources": data.sources(),
         "rows": rows,
     }
+    record = json.loads(json.dumps(record))
     _write(target, report.text_of(record))
     _write(folder / "iou.svg", chart.chart(record))
-    for job in protocol.jobs():
+    for job in protocol.jobs() if not left else ():
         _part(protocol, folder, *job)[0].unlink()
     lines = report.lines(record)
     print("\n".join(lines))
