@@ -296,9 +296,28 @@ def _coefficients_against_events(record: Record, of: str) -> Union[str, None]:
     )
 
 
+def _whether_it_learns(record: Record) -> str:
+    m = middle(record)
+    (name, seen), (other, unseen) = (
+        _best({name: iou(record, name, m, of=of) for name in _names(record) if name != "counts"}) for of in SCENES
+    )
+    if seen is None or unseen is None:
+        return "Nothing was measured."
+    carries = (
+        "Little of what was learnt carries over, and differences between inputs on unseen types say little."
+        if unseen.mean < seen.mean / 2
+        else "Most of what was learnt carries over."
+    )
+    return (
+        f"At M = {m}, the best input reaches {seen} ({short(name)}) on other textures of the seen scene types and {unseen} "
+        f"({short(other)}) on unseen types, where counts without any times reach {_cell(iou(record, 'counts', m))}. {carries}"
+    )
+
+
 def claims(record: Record) -> list[str]:
     """Returns a sentence for each of the paper's claims: whether it holds here, and by which figures."""
     sentences = [
+        _whether_it_learns(record),
         _density_against_arrays(record),
         _generalisation(record),
         _density_against_fixed(record),
