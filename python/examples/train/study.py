@@ -51,7 +51,7 @@ parser.add_argument(
     help="real recordings; those that are not there are left out, with a notice",
 )
 parser.add_argument(
-    "--coded-m", type=int, nargs="+", choices=(8, 16, 24), metavar="M", help="measure encoded events at these M alone (8 16 24)"
+    "--coded-m", type=int, nargs="+", choices=(8, 16, 24), metavar="M", help="the M at which encoded events are measured (16)"
 )
 parser.add_argument("--processes", type=int, default=2, help="processes of one core each (2)")
 parser.add_argument("--so-far", action="store_true", help="train nothing: the record is of what an unfinished run has done")
@@ -82,7 +82,7 @@ class Protocol:
     #: The one of the tables first.
     m: tuple[int, ...] = (16, 24, 8)
     #: Those of which encoded events are measured.
-    m_coded: tuple[int, ...] = (16, 24, 8)
+    m_coded: tuple[int, ...] = (16,)
     steps_log2: tuple[str, ...] = ("2^-6", "2^-2", "2^1", "2^3")
     events: tuple[str, ...] = ("lossless", "128 us", "1024 us", "8192 us")
     #: Bins are exact by a coder of their own; coarser events take fewer bits.
