@@ -107,6 +107,8 @@ def test_figures_of_a_record() -> None:
 
 def test_a_quick_run(tmp_path: Path) -> None:
     pytest.importorskip("torch", reason="there is no torch: a network is not trained")
+    import inputs
+
     command = [sys.executable, str(EXAMPLE / "study.py"), "--quick", "-o", str(tmp_path)]
     begin = time.monotonic()
     ended = subprocess.run(command, capture_output=True, text=True, timeout=180)
@@ -114,9 +116,7 @@ def test_a_quick_run(tmp_path: Path) -> None:
     assert ended.returncode == 0, ended.stdout + ended.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == ["iou.svg", "record.json"]
     record = json.loads((tmp_path / "record.json").read_text(encoding="utf-8"))
-    assert {row["input"] for row in record["rows"]} == set(
-        "dct dtft dwt auto best bins voxel tore ces counts".split()
-    )
+    assert {row["input"] for row in record["rows"]} == {*inputs.TRANSFORMS, *inputs.ARRAYS}
     for row in record["rows"]:
         assert len(row["iou"]) == 2 and all(iou is None or 0 <= iou <= 1 for iou in row["iou"])
         # Exact events give the masks that events give as they are.

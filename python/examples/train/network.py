@@ -82,14 +82,14 @@ class Net(nn.Module):
         height, width = batch.sides
         made = self.bias.expand(batch.pictures * height * width, WIDTH)
         for kind, active in batch.active.items():
-            parts = zip(active.values.split(active.counts), self.first[kind])
+            parts = zip(torch.split(active.values, active.counts), self.first[kind])
             made = made.index_add(0, active.patches, torch.cat([values @ weights for values, weights in parts]))
         top = self.top(made.reshape(batch.pictures, height, width, WIDTH).permute(0, 3, 1, 2).contiguous())
         middle = self.middle(top)
         bottom = functional.interpolate(self.bottom(middle), scale_factor=2.0)
         up = functional.interpolate(self.up(torch.cat([bottom, middle], 1)), scale_factor=2.0)
-        logits: torch.Tensor = self.out(torch.cat([up, top], 1))
-        return logits[:, 0]
+        logits: torch.Tensor = self.out(torch.cat([up, top], 1)).squeeze(1)
+        return logits
 
 
 def scale_of(samples: Sequence[Sparse], channels: dict[str, int]) -> Scale:
@@ -189,7 +189,8 @@ def loss_of(logits: torch.Tensor, masks: torch.Tensor) -> torch.Tensor:
     """Returns the mean cross entropy plus one minus the soft Dice coefficient of the batch."""
     shares = torch.sigmoid(logits)
     dice = (2 * (shares * masks).sum() + 1) / (shares.sum() + masks.sum() + 1)
-    return functional.binary_cross_entropy_with_logits(logits, masks) + 1 - dice
+    loss: torch.Tensor = functional.binary_cross_entropy_with_logits(logits, masks) + 1 - dice
+    return loss
 
 
 def train(
