@@ -182,7 +182,7 @@ struct Held {
 }
 
 impl Held {
-    /// Largest number of bytes of payloads, and of frames: more than any encoder writes between two key frames.
+    /// Largest number of bytes of payloads, and of frames; where more lie between two key frames, all are decoded.
     const BYTES_MAX: usize = 1 << 24;
     const FRAMES_MAX: usize = 1 << 12;
 
