@@ -349,7 +349,7 @@ fn scenes(options: Options, stop: &Stop) -> Result<Vec<Arc<Played>>> {
     let mut scenes = Vec::new();
     for preset in PRESETS {
         ensure!(!stop.is_asked(), "stopped before the scenes were made");
-        let mut scene = SceneConfig::new(preset, options.seed);
+        let mut scene = SceneConfig::model_1(preset, options.seed);
         scene.sensor = options.sensor;
         scene.duration_us = SCENE_US;
         let mut frames = Pieces::default();

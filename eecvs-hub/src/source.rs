@@ -285,7 +285,7 @@ mod tests {
     use super::*;
 
     fn scene() -> Box<dyn EventReader> {
-        let mut config = SceneConfig::new(Preset::IndoorFlying, 1);
+        let mut config = SceneConfig::model_1(Preset::IndoorFlying, 1);
         config.sensor = Sensor::new(32, 32).unwrap();
         config.duration_us = 100_000;
         Box::new(emulate(config).unwrap())

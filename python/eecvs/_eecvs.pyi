@@ -315,7 +315,7 @@ def emulate(
     sensor: Union[_Size, None] = None,
     duration_us: Union[int, None] = None,
     start_us: int = 0,
-    model: Literal[1, 2] = 1,
+    model: Literal[1, 2] = 2,
     pixel: Union[dict[str, float], None] = None,
     without: Union[Sequence[str], None] = None,
     dtype: Union[_Dtype, None] = None,

@@ -22,7 +22,8 @@ use crate::window::not_one_of;
 ///     sensor: (width, height) in pixels; by default the scene's, 346 x 260.
 ///     duration_us: Duration in microseconds; by default the scene's, 1,000,000.
 ///     start_us: Time of the start in microseconds.
-///     model: 1, or 2: light sampled as finely as it changes, and a parameter for each effect of the pixel.
+///     model: 2: light sampled as finely as it changes, and a parameter for each effect of the pixel; or 1: light in
+///         steps of 1 ms, and events that no version changes.
 ///     pixel: Parameters of model 2 by their names, as in the file that ``eecvs emulate --print-pixel`` prints.
 ///     without: Effects of model 2 that are switched off: ``"shot-noise"``, ``"leak"``, ``"refractory"``, ...
 ///     dtype: Layout of the arrays, as for ``open``.
@@ -35,7 +36,7 @@ use crate::window::not_one_of;
 ///     RefusedError: A scene that cannot exist; a parameter that is out of range.
 #[pyfunction]
 #[pyo3(signature = (
-    scene, *, seed=1, sensor=None, duration_us=None, start_us=0, model=1, pixel=None, without=None, dtype=None
+    scene, *, seed=1, sensor=None, duration_us=None, start_us=0, model=2, pixel=None, without=None, dtype=None
 ))]
 #[allow(clippy::too_many_arguments)]
 pub fn emulate(
@@ -72,7 +73,9 @@ pub fn emulate(
         Model::Physical
     };
     if config.model == Model::Steps && (pixel.is_some() || without.is_some()) {
-        return Err(PyValueError::new_err("pixel= and without= need model=2"));
+        return Err(PyValueError::new_err(
+            "model=1 has no pixel= and no without=",
+        ));
     }
     let options = PyDict::new(py);
     options.set_item("seed", seed)?;

@@ -40,15 +40,15 @@ def test_a_scene_is_taken_where_events_are(tmp_path: Path) -> None:
 
 
 def test_causes_are_those_of_the_events() -> None:
-    scene = eecvs.emulate("indoor-dark-blur", model=2, **SMALL)
+    scene = eecvs.emulate("indoor-dark-blur", **SMALL)
     causes = scene.causes()
     assert causes.dtype == np.uint8 and len(causes) == len(scene.read())
     assert causes.max() < len(eecvs.CAUSES)
     noise = ["shot-noise", "leak", "jitter", "defects"]
-    quiet = eecvs.emulate("indoor-dark-blur", model=2, without=noise, **SMALL)
+    quiet = eecvs.emulate("indoor-dark-blur", without=noise, **SMALL)
     assert not quiet.causes().any()
     with pytest.raises(eecvs.UnsupportedError, match="model=2"):
-        eecvs.emulate("motorcycle", **SMALL).causes()
+        eecvs.emulate("motorcycle", model=1, **SMALL).causes()
 
 
 def test_truth_is_that_of_the_scene(tmp_path: Path) -> None:
@@ -69,7 +69,7 @@ def test_truth_is_that_of_the_scene(tmp_path: Path) -> None:
     assert np.allclose(pace, pace[0]) and pace[0] < 0
     assert eecvs.emulate("indoor-dark-blur", **SMALL).truth(0).depth is None
     # Model and seed do not change it.
-    other = eecvs.emulate("motorcycle", model=2, seed=9, **SMALL).truth(60_000)
+    other = eecvs.emulate("motorcycle", model=1, seed=9, **SMALL).truth(60_000)
     assert np.array_equal(other.object, truth.object) and np.array_equal(other.flow, truth.flow)
     with pytest.raises(eecvs.RefusedError, match="before the scene's beginning"):
         scene.truth(4)
@@ -82,7 +82,7 @@ def test_truth_is_that_of_the_scene(tmp_path: Path) -> None:
 
 def test_parameters_of_the_pixel() -> None:
     def count(**pixel: float) -> int:
-        return len(eecvs.emulate("motorcycle", model=2, pixel=pixel, **SMALL).read())
+        return len(eecvs.emulate("motorcycle", pixel=pixel, **SMALL).read())
 
     assert count(threshold_on=0.5, threshold_off=0.5) < count(threshold_on=0.15, threshold_off=0.15)
     with pytest.raises(eecvs.RefusedError, match="there is no parameter gain"):
@@ -92,8 +92,9 @@ def test_parameters_of_the_pixel() -> None:
     for wrong in (
         {"scene": "mars"},
         {"model": 3},
-        {"without": ["rain"], "model": 2},
-        {"pixel": {"threshold_on": 0.2}},
+        {"without": ["rain"]},
+        {"without": ["leak"], "model": 1},
+        {"pixel": {"threshold_on": 0.2}, "model": 1},
         {"sensor": (0, 4)},
         {"dtype": "none"},
     ):

@@ -256,7 +256,7 @@ fn scenes_come_back_with_the_documented_exactness() {
                     height: 65,
                 },
                 duration_us: 3 * u64::from(WINDOW_US),
-                ..SceneConfig::new(preset, 1)
+                ..SceneConfig::model_1(preset, 1)
             };
             let open = || -> Box<dyn EventReader> { Box::new(emulate(config).expect("a scene")) };
             let outcome = measure(&open, step_log2, preset.name());

@@ -51,7 +51,7 @@ fn events(duration_us: u64) -> Vec<Event> {
     let scene = SceneConfig {
         sensor: SENSOR,
         duration_us,
-        ..SceneConfig::new(Preset::OutdoorWellLitBlur, 7)
+        ..SceneConfig::model_1(Preset::OutdoorWellLitBlur, 7)
     };
     let mut reader = emulate(scene).expect("a scene");
     let mut events = Vec::new();

@@ -397,7 +397,7 @@ fn scenes_come_back_in_order() {
     for preset in [Preset::IndoorDarkHdr, Preset::Motorcycle] {
         let config = SceneConfig {
             duration_us: 60_000,
-            ..SceneConfig::new(preset, 1)
+            ..SceneConfig::model_1(preset, 1)
         };
         for coder in CODERS {
             there_and_back(|| Box::new(emulate(config).expect("a scene")), coder);

@@ -199,7 +199,7 @@ fn scene(duration_us: u64) -> Vec<Event> {
     let mut emulator = emulate(SceneConfig {
         sensor: SENSOR,
         duration_us,
-        ..SceneConfig::new(Preset::OutdoorWellLitBlur, 3)
+        ..SceneConfig::model_1(Preset::OutdoorWellLitBlur, 3)
     })
     .expect("a scene");
     let mut events = Vec::new();

@@ -37,7 +37,7 @@ fn sources() -> Vec<(&'static str, Box<dyn EventReader>)> {
                 height: 240,
             },
             duration_us: 200_000,
-            ..SceneConfig::new(Preset::Motorcycle, 1)
+            ..SceneConfig::model_1(Preset::Motorcycle, 1)
         };
         sources.push(("scene", Box::new(emulate(scene).expect("a scene"))));
     }

@@ -55,7 +55,7 @@ fn sources() -> Vec<(&'static str, Vec<Event>)> {
                 height: 240,
             },
             duration_us: 200_000,
-            ..SceneConfig::new(Preset::Motorcycle, 1)
+            ..SceneConfig::model_1(Preset::Motorcycle, 1)
         };
         sources.push(("scene", read(Box::new(emulate(scene).expect("a scene")))));
     }

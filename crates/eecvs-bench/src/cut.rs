@@ -114,7 +114,7 @@ pub fn of_scenes() -> Result<Vec<Cut>> {
             let sensor = Sensor { width, height };
             let mut scene = event_emulator::emulate(SceneConfig {
                 sensor,
-                ..SceneConfig::new(preset, 1)
+                ..SceneConfig::model_1(preset, 1)
             })?;
             cut(name, &mut scene, sensor, take).context(preset.name())
         })

@@ -25,7 +25,7 @@ const START_US: u64 = 100_000;
 /// # Errors
 /// Passes on the emulator's errors, which this fixed scene does not cause.
 pub fn scene() -> Result<Vec<Event>> {
-    let mut emulator = emulate(SceneConfig::new(PRESET, 1))?;
+    let mut emulator = emulate(SceneConfig::model_1(PRESET, 1))?;
     let mut events = Vec::new();
     while emulator.read(&mut events)? > 0 {}
     Ok(events)

@@ -138,7 +138,7 @@ fn events(sensor: Sensor, count: usize) -> Result<Vec<Event>> {
     let mut scene = emulate(SceneConfig {
         sensor,
         duration_us: u64::from(u32::MAX),
-        ..SceneConfig::new(PRESET, SEED)
+        ..SceneConfig::model_1(PRESET, SEED)
     })?;
     let mut events = Vec::new();
     while events.len() < count && scene.read(&mut events)? > 0 {}

@@ -48,16 +48,25 @@ impl Source {
         })
     }
 
-    /// Emulates a scene of `duration_us`, which is named after its preset.
+    /// Emulates a scene of `duration_us` in model 1, whose events never change, named after its preset.
+    ///
+    /// # Errors
+    /// As [`Self::emulated`].
+    pub fn scene(preset: Preset, seed: u64, duration_us: u64) -> Result<Self> {
+        Self::emulated(SceneConfig {
+            duration_us,
+            ..SceneConfig::model_1(preset, seed)
+        })
+    }
+
+    /// Emulates a scene, which is named after its preset.
     ///
     /// # Errors
     /// Fails if the scene cannot be emulated or has no events.
-    pub fn scene(preset: Preset, seed: u64, duration_us: u64) -> Result<Self> {
-        let mut scene = event_emulator::emulate(SceneConfig {
-            duration_us,
-            ..SceneConfig::new(preset, seed)
-        })?;
-        Self::new(preset.name(), &mut scene).with_context(|| format!("the scene {}", preset.name()))
+    pub fn emulated(config: SceneConfig) -> Result<Self> {
+        let name = config.preset.name();
+        let mut scene = event_emulator::emulate(config)?;
+        Self::new(name, &mut scene).with_context(|| format!("the scene {name}"))
     }
 
     /// Returns the time of the first event, at which the first window begins.

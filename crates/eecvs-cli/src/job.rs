@@ -27,7 +27,7 @@ const SCENE: SceneConfig = SceneConfig {
         height: 96,
     },
     duration_us: 130_000,
-    ..SceneConfig::new(Preset::OutdoorWellLitBlur, 3)
+    ..SceneConfig::model_1(Preset::OutdoorWellLitBlur, 3)
 };
 
 /// The recording and how it is encoded.

@@ -7,7 +7,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let name = words.next().unwrap_or("motorcycle".to_owned());
     let t_us = words.next().unwrap_or("500000".to_owned()).parse()?;
     let preset = Preset::from_name(&name).ok_or("unknown scene")?;
-    let truth = SceneTruth::new(&SceneConfig::new(preset, 1))?;
+    let truth = SceneTruth::new(&SceneConfig::model_1(preset, 1))?;
     let pixels = truth.sensor().pixels() as usize;
     let (mut object, mut flow) = (vec![0; pixels], vec![[0.0; 2]; pixels]);
     truth.objects_at(t_us, &mut object)?;

@@ -70,7 +70,7 @@ fn small(preset: Preset, seed: u64) -> SceneConfig {
             height: 70,
         },
         duration_us: 100_000,
-        ..SceneConfig::new(preset, seed)
+        ..SceneConfig::model_1(preset, seed)
     }
 }
 
@@ -179,7 +179,7 @@ fn chunking_does_not_change_the_stream() {
 
 #[test]
 fn batches_are_bounded() {
-    let mut config = SceneConfig::new(Preset::Motorcycle, 1);
+    let mut config = SceneConfig::model_1(Preset::Motorcycle, 1);
     config.sensor = Sensor {
         width: 2_048,
         height: 1_024,
@@ -218,7 +218,7 @@ fn sensors_of_any_size_work() {
             let config = SceneConfig {
                 sensor: Sensor { width, height },
                 duration_us,
-                ..SceneConfig::new(preset, 8)
+                ..SceneConfig::model_1(preset, 8)
             };
             let events = all(config);
             assert!(events.iter().all(|e| config.sensor.contains(e.x, e.y)));
@@ -260,7 +260,7 @@ fn durations_of_zero_and_without_end() {
 
 #[test]
 fn impossible_scenes_are_errors() {
-    let good = SceneConfig::new(Preset::OutdoorDark, 1);
+    let good = SceneConfig::model_1(Preset::OutdoorDark, 1);
     for (width, height) in [(0, 10), (10, 0), (2_049, 10), (10, u16::MAX)] {
         let sensor = Sensor { width, height };
         let error = emulate(SceneConfig { sensor, ..good }).unwrap_err();
@@ -299,7 +299,7 @@ fn densities_span_those_of_recordings() {
     ];
     for (preset, least, most) in expected {
         for seed in [1, 2] {
-            let seen = look(SceneConfig::new(preset, seed));
+            let seen = look(SceneConfig::model_1(preset, seed));
             let about = format!("{preset:?} seed {seed}: {} ev/px/s", seen.density);
             assert!(seen.density >= least && seen.density <= most, "{about}");
             let on = seen.on as f64 / seen.events as f64;
@@ -326,7 +326,7 @@ fn measure_presets() {
          Mev/s  sim s/s"
     );
     for preset in PRESETS {
-        let config = SceneConfig::new(preset, 1);
+        let config = SceneConfig::model_1(preset, 1);
         let mut seen = look(config);
         for _ in 0..4 {
             seen.seconds = seen.seconds.min(look(config).seconds);

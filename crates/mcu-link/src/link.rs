@@ -262,7 +262,7 @@ mod tests {
             height: 20,
         },
         duration_us: 50_000,
-        ..SceneConfig::new(Preset::Motorcycle, 1)
+        ..SceneConfig::model_1(Preset::Motorcycle, 1)
     };
 
     static FRAMES: LazyLock<Vec<Message>> = LazyLock::new(|| {

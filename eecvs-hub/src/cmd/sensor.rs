@@ -160,7 +160,8 @@ impl Sensor {
                 self.file(event_files::open(path, self.reading.reading())?, stop)?
             }
             (None, None, scene) => {
-                let mut config = SceneConfig::new(scene.unwrap_or(Preset::IndoorFlying), self.seed);
+                let mut config =
+                    SceneConfig::model_1(scene.unwrap_or(Preset::IndoorFlying), self.seed);
                 config.sensor = self.reading.sensor().unwrap_or(config.sensor);
                 config.duration_us = self.duration_us.unwrap_or(config.duration_us);
                 self.file(Box::new(emulate(config)?), stop)?

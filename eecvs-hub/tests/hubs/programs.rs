@@ -57,7 +57,7 @@ impl Drop for Program {
 }
 
 fn scene(seed: u64) -> Vec<Event> {
-    let mut config = SceneConfig::new(Preset::Motorcycle, seed);
+    let mut config = SceneConfig::model_1(Preset::Motorcycle, seed);
     config.sensor = fleet::SENSOR;
     config.duration_us = 8_000_000;
     let mut reader = emulate(config).unwrap();

@@ -155,7 +155,7 @@ impl Emulate {
         match &self.recording {
             Some(path) => Ok(event_files::open(path, self.reading.reading())?),
             None => {
-                let mut config = SceneConfig::new(self.scene, self.seed);
+                let mut config = SceneConfig::model_1(self.scene, self.seed);
                 config.sensor = self.reading.sensor().unwrap_or(config.sensor);
                 config.duration_us = self.duration_us.unwrap_or(config.duration_us);
                 Ok(Box::new(emulate(config)?))

@@ -20,7 +20,7 @@ use crate::program::{PATIENCE, Program, QOS};
 const DURATION_US: u64 = 300_000;
 
 fn scene() -> Vec<Event> {
-    let mut config = SceneConfig::new(Preset::IndoorFlying, 1);
+    let mut config = SceneConfig::model_1(Preset::IndoorFlying, 1);
     config.duration_us = DURATION_US;
     config.sensor = Sensor::new(120, 90).unwrap();
     rest(&mut emulate(config).unwrap())

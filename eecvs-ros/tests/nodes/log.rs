@@ -40,7 +40,7 @@ struct CodecLine {
 }
 
 fn scene() -> Box<dyn EventReader> {
-    let mut config = SceneConfig::new(Preset::IndoorFlying, 1);
+    let mut config = SceneConfig::model_1(Preset::IndoorFlying, 1);
     config.duration_us = 200_000;
     config.sensor = Sensor::new(120, 90).unwrap();
     Box::new(emulate(config).unwrap())

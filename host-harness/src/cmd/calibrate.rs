@@ -78,7 +78,7 @@ impl Calibrate {
         }
         if self.scenes {
             for preset in PRESETS {
-                add(&mut emulate(SceneConfig::new(preset, SCENE_SEED))?)?;
+                add(&mut emulate(SceneConfig::model_1(preset, SCENE_SEED))?)?;
             }
         }
         drop(progress);

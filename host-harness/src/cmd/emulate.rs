@@ -80,7 +80,7 @@ pub struct Emulate {
     #[arg(long, value_name = "T")]
     start_us: Option<u64>,
 
-    /// Model of the pixel [default: 1 for scenes, 2 for videos, which have no other]
+    /// Model of the pixel; videos have 2 alone [default: 2]
     #[arg(long, value_parser = model())]
     model: Option<Model>,
 
@@ -183,11 +183,11 @@ impl Emulate {
         let mut readout = Stage::new(config.sensor, camera)?;
         config.duration_us = self.duration_us.unwrap_or(config.duration_us);
         config.start_us = self.start_us.unwrap_or(0);
-        config.model = self.model.unwrap_or(Model::Steps);
+        config.model = self.model.unwrap_or_default();
         if config.model == Model::Steps {
             ensure!(
                 self.pixel.is_default() && self.threads.is_none(),
-                "the pixel's flags and --threads are of model 2: give --model 2"
+                "the pixel's flags and --threads are of model 2: leave out --model 1"
             );
         }
         let mut emulator = event_emulator::emulate_with(config, pixel)?;
@@ -228,7 +228,7 @@ impl Emulate {
         let format = self.format.of(output)?;
         let name = name_of(path);
         if self.model == Some(Model::Steps) {
-            bail!("{name}: model 1 has scenes only: give --model 2 for a video");
+            bail!("{name}: model 1 has scenes only: leave out --model 1 for a video");
         }
         ensure!(
             self.width.is_none(),

@@ -18,7 +18,7 @@ pub const MARKS: Marks = Marks {
 type Of = fn(&Row) -> Option<&Cheapest>;
 
 /// Columns of the document's table: heading, what is compared, and with what.
-const COMPARED: [(&str, Of, Of); 6] = [
+const COMPARED: [(&str, Of, Of); 8] = [
     (
         "fast, against transforms",
         |row| row.best_keys.as_ref(),
@@ -30,6 +30,11 @@ const COMPARED: [(&str, Of, Of); 6] = [
         |row| row.dense.as_ref(),
     ),
     (
+        "effort 3, against transforms",
+        |row| row.best_tree.as_ref(),
+        |row| row.dense.as_ref(),
+    ),
+    (
         "fast, against a tolerance",
         |row| row.best_keys.as_ref(),
         |row| row.tolerance_keys.as_ref(),
@@ -38,6 +43,11 @@ const COMPARED: [(&str, Of, Of); 6] = [
         "dense, against a tolerance",
         |row| row.best_dense.as_ref(),
         |row| row.tolerance_dense.as_ref(),
+    ),
+    (
+        "effort 3, against a tolerance",
+        |row| row.best_tree.as_ref(),
+        |row| row.tolerance_tree.as_ref(),
     ),
     (
         "eq. 3 against transforms, fast or plain",
@@ -52,7 +62,7 @@ const COMPARED: [(&str, Of, Of); 6] = [
 ];
 
 /// Columns of the terminal's tables.
-const FAMILIES: [(&str, Of); 9] = [
+const FAMILIES: [(&str, Of); 11] = [
     ("transforms, plain", |row| row.plain.as_ref()),
     ("transforms, fast or plain", |row| row.fast.as_ref()),
     ("transforms, dense", |row| row.dense.as_ref()),
@@ -60,8 +70,10 @@ const FAMILIES: [(&str, Of); 9] = [
     ("eq. 3, dense", |row| row.eq3_dense.as_ref()),
     ("tolerance, fast", |row| row.tolerance_keys.as_ref()),
     ("tolerance, dense", |row| row.tolerance_dense.as_ref()),
+    ("tolerance, effort 3", |row| row.tolerance_tree.as_ref()),
     ("mean error, fast", |row| row.best_keys.as_ref()),
     ("mean error, dense", |row| row.best_dense.as_ref()),
+    ("mean error, effort 3", |row| row.best_tree.as_ref()),
 ];
 
 /// Formats the document's table, one line per error asked for; `None` if nothing was measured.
@@ -211,8 +223,10 @@ mod tests {
             eq3_dense: None,
             tolerance_keys: cheapest(4.0),
             tolerance_dense: cheapest(4.0),
+            tolerance_tree: cheapest(3.0),
             best_keys: cheapest(best),
             best_dense: cheapest(best),
+            best_tree: cheapest(best / 2.0),
         }
     }
 
@@ -226,9 +240,11 @@ mod tests {
         ];
         let text = document(&rows).unwrap();
         for line in [
-            "| times | 32 us | 60.0, 50.0, 0 of 2 | 50.0, 37.5, 0 of 2 | 0.0, -25.0, 1 of 2 | 0.0, -25.0, 1 of 2 | \
+            "| times | 32 us | 60.0, 50.0, 0 of 2 | 50.0, 37.5, 0 of 2 | 75.0, 68.8, 0 of 2 | \
+             0.0, -25.0, 1 of 2 | 0.0, -25.0, 1 of 2 | 33.3, 16.7, 0 of 2 | \
              -100.0, -100.0, 2 of 2 | none |",
-            "| the volume V4 | 0.5 | 70.0, 60.0, 0 of 2 | 62.5, 50.0, 0 of 2 | 25.0, 0.0, 0 of 2 | 25.0, 0.0, 0 of 2 | \
+            "| the volume V4 | 0.5 | 70.0, 60.0, 0 of 2 | 62.5, 50.0, 0 of 2 | 81.3, 75.0, 0 of 2 | \
+             25.0, 0.0, 0 of 2 | 25.0, 0.0, 0 of 2 | 50.0, 33.3, 0 of 2 | \
              -100.0, -100.0, 2 of 2 | none |",
         ] {
             assert!(text.lines().any(|found| found == line), "{line}\n{text}");

@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use eecvs_bench::source::{Source, WINDOW_US};
-use event_emulator::PRESETS;
+use event_emulator::{PRESETS, SceneConfig};
 
 use super::Effort;
 
@@ -15,7 +15,10 @@ const SEED: u64 = 1;
 /// Fails if a scene has no events.
 pub fn scenes(effort: Effort) -> Result<Vec<Source>> {
     let scene = |preset| -> Result<Source> {
-        let scene = Source::scene(preset, SEED, effort.scene_us)?;
+        let scene = Source::emulated(SceneConfig {
+            duration_us: effort.scene_us,
+            ..SceneConfig::new(preset, SEED)
+        })?;
         Ok(crop(scene, effort.events))
     };
     PRESETS.into_iter().map(scene).collect()

@@ -89,6 +89,10 @@ impl Effort {
     }
 }
 
+/// Coder of events that takes the fewest bits. It has no counterpart for coefficients: these are by the dense coder,
+/// which takes the fewest of theirs.
+pub const FEWEST: Coder = Coder::Tree(eecvs_nostd::Effort::Three);
+
 /// [`Row::error`] of `emd_pixel`, in us.
 pub const TIMES: Name = "times";
 /// [`Row::error`] of the volume of [`errors`].
@@ -121,10 +125,14 @@ pub struct Row {
     pub tolerance_keys: Option<Cheapest>,
     /// Events with a fixed tolerance by the dense coder.
     pub tolerance_dense: Option<Cheapest>,
+    /// Events with a fixed tolerance by [`FEWEST`].
+    pub tolerance_tree: Option<Cheapest>,
     /// Events with a largest mean error by the keys coder.
     pub best_keys: Option<Cheapest>,
     /// Events with a largest mean error by the dense coder.
     pub best_dense: Option<Cheapest>,
+    /// Events with a largest mean error by [`FEWEST`].
+    pub best_tree: Option<Cheapest>,
 }
 
 /// The setting with the fewest bits.
@@ -219,6 +227,7 @@ impl<'s> Subject<'s> {
         let eq3 = self.coefficients(&settings::by_density(&effort))?;
         let keys = self.events(Coder::Keys, &effort)?;
         let dense = self.events(Coder::Dense, &effort)?;
+        let tree = self.events(FEWEST, &effort)?;
         let row = |error_name, error: fn(&Errors) -> f64, most: f64| {
             let of = |points: &[Point]| cheapest(points.iter(), error, most);
             let fast = |of: &Coefficients| cheapest(of.plain.iter().chain(&of.fast), error, most);
@@ -240,8 +249,10 @@ impl<'s> Subject<'s> {
                 eq3_dense: of(&eq3.dense),
                 tolerance_keys: of(&keys.tolerances),
                 tolerance_dense: of(&dense.tolerances),
+                tolerance_tree: of(&tree.tolerances),
                 best_keys: best(&keys),
                 best_dense: best(&dense),
+                best_tree: best(&tree),
             }
         };
         let times = effort.times_us.iter();

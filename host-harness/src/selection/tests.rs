@@ -156,8 +156,10 @@ fn a_scene_has_every_row_and_no_family_misses_what_was_asked() {
             &row.eq3_dense,
             &row.tolerance_keys,
             &row.tolerance_dense,
+            &row.tolerance_tree,
             &row.best_keys,
             &row.best_dense,
+            &row.best_tree,
         ];
         for found in all.into_iter().flatten() {
             assert!(
@@ -170,10 +172,14 @@ fn a_scene_has_every_row_and_no_family_misses_what_was_asked() {
         assert!(bits(&row.fast) <= bits(&row.plain), "{row:?}");
         if row.error == TIMES {
             let asked = format!("{} us on average", row.most);
-            for best in [&row.best_keys, &row.best_dense] {
+            for best in [&row.best_keys, &row.best_dense, &row.best_tree] {
                 assert_eq!(best.as_ref().unwrap().setting, asked);
             }
-            for tolerance in [&row.tolerance_keys, &row.tolerance_dense] {
+            for tolerance in [
+                &row.tolerance_keys,
+                &row.tolerance_dense,
+                &row.tolerance_tree,
+            ] {
                 assert!(tolerance.is_some(), "{row:?}");
             }
         }

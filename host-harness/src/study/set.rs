@@ -9,7 +9,7 @@ use eecvs::calibrate::Calibration;
 use eecvs::thresholds_file::ThresholdsFile;
 use eecvs_bench::source::{Source, WINDOW_US};
 use eecvs_nostd::Thresholds;
-use event_emulator::PRESETS;
+use event_emulator::{PRESETS, SceneConfig};
 
 use super::effort::Effort;
 use crate::recordings::{self, LeftOut};
@@ -41,7 +41,12 @@ impl Set {
     /// Never fails, since the scenes are fixed.
     pub fn scenes(effort: &Effort) -> Result<Self> {
         let sources = PRESETS.into_iter();
-        let sources = sources.map(|preset| Source::scene(preset, SEED, effort.scene_us));
+        let sources = sources.map(|preset| {
+            Source::emulated(SceneConfig {
+                duration_us: effort.scene_us,
+                ..SceneConfig::new(preset, SEED)
+            })
+        });
         Self::new(SCENES, sources.collect::<Result<_>>()?)
     }
 

@@ -35,7 +35,7 @@ const SCENE: SceneConfig = SceneConfig {
     },
     duration_us: 100_000,
     start_us: 1_700_000_000_000_000,
-    ..SceneConfig::new(Preset::Motorcycle, 3)
+    ..SceneConfig::model_1(Preset::Motorcycle, 3)
 };
 
 const QUICK: Mode = Mode::Hybrid(Hybrid {

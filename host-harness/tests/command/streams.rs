@@ -209,7 +209,7 @@ fn a_pipeline_carries_every_event_and_its_tables_stay_out_of_it() {
     folder.scene("a.raw");
     let (outcome, raw) = piped(
         &folder,
-        "emulate motorcycle -o - --format evt3 --width 40 --height 30 --duration-us 200000 --start-us 7000",
+        "emulate motorcycle -o - --model 1 --format evt3 --width 40 --height 30 --duration-us 200000 --start-us 7000",
         &[],
     );
     assert!(outcome.stderr.contains("motorcycle"), "{outcome}");

@@ -144,7 +144,7 @@ fn frames_are_those_of_the_scene_in_both_models() {
             sensor,
             duration_us: 90_000,
             start_us: 1_234,
-            ..SceneConfig::new(preset, 1)
+            ..SceneConfig::model_1(preset, 1)
         };
         let report = folder
             .eecvs(&format!(
@@ -429,7 +429,7 @@ fn a_filter_is_judged_by_the_truth() {
         folder.eecvs(line).fails(&[reason]);
     }
     folder
-        .eecvs("emulate motorcycle -o c.raw --truth c.npz --duration-us 10000")
+        .eecvs("emulate motorcycle -o c.raw --truth c.npz --model 1 --duration-us 10000")
         .ok();
     folder
         .eecvs("compare c.raw c.raw --truth c.npz")

@@ -84,7 +84,7 @@ pub fn scenes() -> Result<Vec<Source>> {
         .map(|(name, preset)| {
             let mut scene = event_emulator::emulate(SceneConfig {
                 duration_us: SCENE_US,
-                ..SceneConfig::new(preset, 1)
+                ..SceneConfig::model_1(preset, 1)
             })?;
             source(name, &mut scene)
         })

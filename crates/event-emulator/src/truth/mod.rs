@@ -47,7 +47,7 @@ impl ObjectKind {
 /// use event_emulator::{Preset, SceneConfig, SceneTruth};
 ///
 /// # fn main() -> Result<(), event_types::stream::Error> {
-/// let truth = SceneTruth::new(&SceneConfig::new(Preset::OutdoorLowBrightness, 1))?;
+/// let truth = SceneTruth::new(&SceneConfig::model_1(Preset::OutdoorLowBrightness, 1))?;
 /// let pixels = truth.sensor().pixels() as usize;
 /// let (mut object, mut flow) = (vec![0; pixels], vec![[0.0; 2]; pixels]);
 /// truth.objects_at(500_000, &mut object)?;

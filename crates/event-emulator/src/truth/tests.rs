@@ -19,7 +19,7 @@ fn config(preset: Preset) -> SceneConfig {
     SceneConfig {
         sensor: SENSOR,
         start_us: START_US,
-        ..SceneConfig::new(preset, 3)
+        ..SceneConfig::model_1(preset, 3)
     }
 }
 

@@ -197,7 +197,7 @@ pub const SENSOR: Sensor = match Sensor::new(64, 48) {
 
 /// Frames of a scene, in windows of 2 ms.
 pub fn frames(duration_us: u64, coder: Coder) -> Vec<Vec<u8>> {
-    let mut config = SceneConfig::new(Preset::IndoorFlying, 1);
+    let mut config = SceneConfig::model_1(Preset::IndoorFlying, 1);
     config.sensor = SENSOR;
     config.duration_us = duration_us;
     let mut scene = emulate(config).unwrap();

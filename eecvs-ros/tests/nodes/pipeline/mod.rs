@@ -64,7 +64,7 @@ impl Network {
 
 /// The events of a scene as `emulate` publishes it.
 pub fn scene(duration_us: u64) -> Vec<Event> {
-    let mut config = SceneConfig::new(Preset::IndoorFlying, 1);
+    let mut config = SceneConfig::model_1(Preset::IndoorFlying, 1);
     config.duration_us = duration_us;
     config.sensor = Sensor::new(120, 90).unwrap();
     let mut reader = emulate(config).unwrap();

@@ -85,7 +85,7 @@ fn list_has_a_line_about_every_scene() {
 
 #[test]
 fn every_event_is_written_and_counted() {
-    let mut config = SceneConfig::new(Preset::Motorcycle, 4);
+    let mut config = SceneConfig::model_1(Preset::Motorcycle, 4);
     config.duration_us = 30_000;
     let mut writer = Memory {
         events: Vec::new(),
@@ -176,13 +176,15 @@ fn model_2_gives_the_same_file_with_any_number_of_threads() {
     };
     let one = run("1.csv", "--model 2 --threads 1").unwrap();
     assert!(one.len() > 1_000);
-    assert_eq!(run("2.csv", "--model 2 --threads 2").unwrap(), one);
-    assert_eq!(run("3.csv", "--model 2").unwrap(), one);
+    assert_eq!(run("2.csv", "--threads 2").unwrap(), one);
+    assert_eq!(run("3.csv", "").unwrap(), one);
     assert_ne!(run("4.csv", "--model 2 --threshold-on 0.5").unwrap(), one);
     assert_ne!(run("5.csv", "--model 1").unwrap(), one);
-    for flags in ["--threads 2", "--no-noise", "--model 1 --leak-hz 1"] {
-        let error = run("6.csv", flags).unwrap_err().to_string();
-        assert!(error.contains("--model 2"), "{error}");
+    for flags in ["--threads 2", "--no-noise", "--leak-hz 1"] {
+        let error = run("6.csv", &format!("--model 1 {flags}"))
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("leave out --model 1"), "{error}");
         assert!(!dir.path().join("6.csv").exists());
     }
     let error = run("7.csv", "--model 2 --threshold-on 0").unwrap_err();

@@ -92,7 +92,7 @@ impl Folder {
     /// Emulates a scene of three regimes' worth of activity into `name`.
     pub fn scene(&self, name: &str) {
         self.eecvs(&format!(
-            "emulate motorcycle -o {name} --width 40 --height 30 --duration-us 200000 --start-us 7000"
+            "emulate motorcycle -o {name} --model 1 --width 40 --height 30 --duration-us 200000 --start-us 7000"
         ))
         .ok();
     }
