@@ -221,6 +221,22 @@ fn best_takes_no_more_bits() {
                     times <= levels + 2,
                     "{transform:?} {m} {step_log2} {most}: {times} {levels}"
                 );
+                let by_dense = |config: Config| {
+                    let mode = Mode::Coefficients(Coder::Dense);
+                    decoded(Config { mode, ..config }, &events)
+                };
+                let (_, levels_dense) = by_dense(config);
+                let (window, times_dense) = by_dense(best);
+                let most_dense = window.header.timed_max;
+                assert!(
+                    times_dense <= levels_dense + 2
+                        && (most_dense > 0 || times_dense == levels_dense),
+                    "{transform:?} {m} {step_log2} {most_dense}, dense: {times_dense} {levels_dense}"
+                );
+                // Cells of a microsecond have said all.
+                if transform == Transform::Dtft && m >= 24 && step_log2 <= -6 {
+                    assert_eq!(most_dense, 0, "{m} {step_log2}");
+                }
                 // The case that the rule is for.
                 if m >= 8 && step_log2 == -6 {
                     assert!(

@@ -29,6 +29,8 @@ pub enum Part {
     Skips,
     /// METHODOLOGY.md: what transforms and events take at equal error; a quarter of an hour
     Selection,
+    /// METHODOLOGY.md: what few events as times save
+    FewAsTimes,
     /// docs/results.md: a flood on limited links
     RateControl,
     /// docs/results.md: what the order of events costs
@@ -94,6 +96,10 @@ fn measure(part: Part) -> Result<()> {
         Part::Selection => {
             let document = ["--save", "METHODOLOGY.md", "--record", RECORD];
             eecvs(&[&["bench", "--selection"], &document[..]].concat())
+        }
+        Part::FewAsTimes => {
+            let document = ["--save", "METHODOLOGY.md", "--record", RECORD];
+            eecvs(&[&["bench", "--few-as-times"], &document[..]].concat())
         }
         Part::RateControl => bless("rate_control::a_flood_fits_its_link"),
         Part::KeepOrder => bless("keep_order::recordings_come_back_in_order"),

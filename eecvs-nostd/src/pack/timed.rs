@@ -127,8 +127,8 @@ impl Packing {
     /// bits of v. For the Haar DWT, which sends a set of K bits and few levels, it is the smaller of r and K / 2, or none
     /// if the step is above 1. The dense coder describes pixels by coarser cells and what these leave of the levels, at
     /// some 3/4 of a bit each (`is_dense`): n0 is then no n for which the cells of n events have e bits more than that of
-    /// a single one and n e > 3 L / 4, and none for the DWT, whose levels the cells leave nothing of. The test
-    /// `best_takes_no_more_bits` compares the frames.
+    /// a single one and n e > 3 L / 4, and none at all where C(1) cells have as many bits as T microseconds, and for the
+    /// DWT, as its cells then leave nothing of the levels. The test `best_takes_no_more_bits` compares the frames.
     #[must_use]
     pub fn few(&self, duration_us: u32, is_dense: bool) -> Timed {
         let step_log2 = i32::from(self.quantiser.step_log2());
@@ -144,7 +144,9 @@ impl Packing {
             }
         } else if let Some(bits) = bits_in(1) {
             let numbers = r.saturating_sub(1) << u32::from(self.transform.is_complex());
-            for events in 2..=u32::from(TIMED_EVENTS_MAX) {
+            let is_told = is_dense && bits == width_of(duration_us.saturating_sub(1));
+            let most = if is_told { 0 } else { TIMED_EVENTS_MAX };
+            for events in 2..=u32::from(most) {
                 let level = width_of(events - 1) as i32 - step_log2;
                 let Some(finer) = bits_in(events).map(|here| here.saturating_sub(bits)) else {
                     break;

@@ -26,7 +26,7 @@ use super::bench_rate::{self, Rate};
 use super::bench_read;
 use super::bench_selection::Selection;
 use crate::report::{
-    error_chart, kernel_chart, kernel_table, rate_table, selection_table, skip_table,
+    error_chart, few_table, kernel_chart, kernel_table, rate_table, selection_table, skip_table,
 };
 
 /// Folder searched for recordings when none is given.
@@ -121,17 +121,26 @@ pub struct Bench {
     ])]
     selection: bool,
 
+    /// Instead: measure what `--few-as-times` saves with every transform, M = 8, 16 and 32 and a step of 2^-6, by every
+    /// coder, on the nine emulated scenes and on recordings, whole; takes a minute
+    #[arg(long, group = "of_data", conflicts_with_all = [
+        "scaling", "recordings", "skips", "errors", "mcu",
+    ])]
+    few_as_times: bool,
+
     /// Instead: measure events per second when reading each of these recordings on one thread; the fastest of
     /// several runs counts
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = [
-        "scaling", "recordings", "skips", "errors", "rate", "selection", "mcu", "save", "record",
+        "scaling", "recordings", "skips", "errors", "rate", "selection", "few_as_times", "mcu", "save",
+        "record",
     ])]
     read: Vec<PathBuf>,
 
     /// Instead: measure events per second when converting each of these recordings to every format, in a temporary folder
     /// (TMPDIR), as `eecvs convert` does; the fastest of several runs counts
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = [
-        "scaling", "recordings", "skips", "errors", "rate", "selection", "mcu", "save", "record", "read",
+        "scaling", "recordings", "skips", "errors", "rate", "selection", "few_as_times", "mcu", "save",
+        "record", "read",
     ])]
     pipelines: Vec<PathBuf>,
 
@@ -139,14 +148,14 @@ pub struct Bench {
     #[arg(long, value_name = "FORMAT", num_args = 1.., requires = "pipelines")]
     to: Vec<String>,
 
-    /// Recordings for --rate or --selection, or folders of them, searched two levels deep [default: ../shared/data if
+    /// Recordings for --rate, --selection or --few-as-times, or folders of them, searched two levels deep [default: ../shared/data if
     /// it exists, else emulated scenes]
     #[arg(long, value_name = "PATH", num_args = 1.., requires = "of_data")]
     data: Vec<PathBuf>,
 
     /// Also write the table into a document, between the lines that name this command: docs/results.md, METHODOLOGY.md
-    /// with --skips or --selection, README.md or METHODOLOGY.md or both with --rate. Needs recordings, except with
-    /// --rate and --selection
+    /// with --skips, --selection or --few-as-times, README.md or METHODOLOGY.md or both with --rate. Needs recordings,
+    /// except with the last three
     #[arg(long, value_name = "FILE", conflicts_with_all = ["quick", "scaling", "errors"])]
     save: Vec<PathBuf>,
 
@@ -185,6 +194,9 @@ impl Bench {
         }
         if self.selection {
             return self.selection().run();
+        }
+        if self.few_as_times {
+            return self.selection().run_few();
         }
         if self.errors {
             return self.errors();
@@ -290,6 +302,8 @@ impl Bench {
             rate_table::of(document).0
         } else if self.selection {
             selection_table::MARKS
+        } else if self.few_as_times {
+            few_table::MARKS
         } else if self.skips {
             skip_table::MARKS
         } else {

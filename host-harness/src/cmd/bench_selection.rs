@@ -1,4 +1,5 @@
-//! `eecvs bench --selection`: what a largest mean error costs against fixed settings.
+//! `eecvs bench --selection` and `--few-as-times`: what a largest mean error costs against fixed settings, and what few
+//! events as times save where the setting is fixed.
 
 use std::path::{Path, PathBuf};
 
@@ -9,10 +10,10 @@ use eecvs_cli::progress::Progress;
 
 use super::bench_rate;
 use crate::recordings;
-use crate::report::selection_table;
-use crate::selection::{Effort, input, measure};
+use crate::report::{few_table, selection_table};
+use crate::selection::{Effort, few, input, measure};
 
-/// Arguments of `eecvs bench --selection`.
+/// Arguments of `eecvs bench --selection` and `--few-as-times`.
 pub struct Selection<'o> {
     /// Recordings and folders of them. If empty: the recordings of `default_folder`, if there are any.
     pub data: &'o [PathBuf],
@@ -61,5 +62,41 @@ impl Selection<'_> {
             return print_json(&rows);
         }
         print(&selection_table::table(&rows))
+    }
+
+    /// Measures few events as times on whole scenes and recordings, and prints and saves the results.
+    ///
+    /// # Errors
+    /// Fails if a recording cannot be read, an event is in no frame, or a file cannot be written.
+    pub fn run_few(&self) -> Result<()> {
+        let effort = if self.quick {
+            Effort::QUICK
+        } else {
+            Effort {
+                events: usize::MAX,
+                ..Effort::FULL
+            }
+        };
+        let mut inputs = input::scenes(effort)?;
+        for (name, path) in &bench_rate::files(self.data, self.default_folder)? {
+            let recording = recordings::recording(name, path)?;
+            inputs.push(input::crop(recording, effort.events));
+        }
+        let progress = Progress::new("files");
+        let rows = few::measure(&inputs, &|| progress.advance(1));
+        drop(progress);
+        let rows = rows?;
+        let table =
+            few_table::document(&rows).context("nothing was measured: please report this")?;
+        for document in self.save {
+            few_table::MARKS.write(document, &table)?;
+        }
+        if let Some(folder) = self.record {
+            record_file::write(folder, "few-as-times", &rows)?;
+        }
+        if self.json {
+            return print_json(&rows);
+        }
+        print(&table)
     }
 }

@@ -3,6 +3,7 @@
 pub mod chart;
 pub mod demo;
 pub mod error_chart;
+pub mod few_table;
 pub mod hub_load_table;
 pub mod kernel_chart;
 pub mod kernel_table;

@@ -9,7 +9,7 @@ use eecvs_bench::table::{exact_times, keep_order, rate_control};
 
 use super::study::tables;
 use super::{
-    demo, hub_load_table, kernel_table, pipelines_table, rate_table, read_speed_table,
+    demo, few_table, hub_load_table, kernel_table, pipelines_table, rate_table, read_speed_table,
     ros_delay_table, seek_table, selection_table, skip_table, stream_table,
 };
 use crate::cmd::report;
@@ -89,6 +89,14 @@ pub fn of_records(folder: &Path) -> Result<Vec<Section>> {
             whole(
                 selection_table::document(&read(folder, "selection")?.rows),
                 "selection",
+            )?,
+        ),
+        section(
+            methodology,
+            few_table::MARKS,
+            whole(
+                few_table::document(&read(folder, "few-as-times")?.rows),
+                "few-as-times",
             )?,
         ),
         section(

@@ -9,6 +9,7 @@
 //! Windows are of 32,768 us everywhere. Bits are those of the whole file, as in the other studies.
 
 pub mod errors;
+pub mod few;
 pub mod input;
 pub mod settings;
 
