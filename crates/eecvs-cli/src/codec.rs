@@ -100,7 +100,7 @@ pub struct CodecOptions {
     transform: TransformName,
 
     /// transform: send a pixel of few events as the times of these, where they take fewer bits: every coefficient that a
-    /// decoder computes is as close as by levels
+    /// decoder computes and keeps is as close as by levels
     #[arg(long)]
     few_as_times: bool,
 

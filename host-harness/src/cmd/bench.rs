@@ -117,14 +117,14 @@ pub struct Bench {
     /// Instead: measure bits per event of `--max-emd-us` against fixed transforms and tolerances that are no worse,
     /// on the nine emulated scenes and on recordings, all cropped; takes some minutes
     #[arg(long, group = "of_data", conflicts_with_all = [
-        "scaling", "recordings", "skips", "errors", "mcu",
+        "scaling", "recordings", "skips", "errors", "mcu", "output", "overwrite",
     ])]
     selection: bool,
 
     /// Instead: measure what `--few-as-times` saves with every transform, M = 8, 16 and 32 and a step of 2^-6, by every
     /// coder, on the nine emulated scenes and on recordings, whole; takes a minute
     #[arg(long, group = "of_data", conflicts_with_all = [
-        "scaling", "recordings", "skips", "errors", "mcu",
+        "scaling", "recordings", "skips", "errors", "mcu", "output", "overwrite",
     ])]
     few_as_times: bool,
 
@@ -145,11 +145,11 @@ pub struct Bench {
     pipelines: Vec<PathBuf>,
 
     /// Formats to convert to for --pipelines, by their names in `eecvs info` [default: all that are written]
-    #[arg(long, value_name = "FORMAT", num_args = 1.., requires = "pipelines")]
+    #[arg(long, value_name = "FORMAT", num_args = 1.., requires = "pipelines", conflicts_with = "of_data")]
     to: Vec<String>,
 
-    /// Recordings for --rate, --selection or --few-as-times, or folders of them, searched two levels deep [default: ../shared/data if
-    /// it exists, else emulated scenes]
+    /// Recordings for --rate, --selection or --few-as-times, or folders of them, searched two levels deep; the last two
+    /// measure the emulated scenes as well [default: ../shared/data if it exists, else emulated scenes]
     #[arg(long, value_name = "PATH", num_args = 1.., requires = "of_data")]
     data: Vec<PathBuf>,
 
@@ -179,6 +179,11 @@ impl Bench {
         }
         if !self.pipelines.is_empty() {
             return bench_pipelines::run(&self.pipelines, &self.to, self.quick, self.json);
+        }
+        // Before anything is measured, which takes minutes.
+        if let Some(folder) = &self.record {
+            std::fs::create_dir_all(folder)
+                .with_context(|| format!("{}: cannot create the folder", folder.display()))?;
         }
         for document in &self.save {
             self.marks(document).check(document)?;

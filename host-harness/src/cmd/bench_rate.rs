@@ -130,7 +130,7 @@ pub fn files(data: &[PathBuf], default_folder: &Path) -> Result<Vec<(String, Pat
     let files = distinct(data)?;
     ensure!(
         !files.is_empty(),
-        "{}: holds no recording; omit --data to use emulated scenes",
+        "{}: holds no recording: name others, or leave out --data",
         first.display()
     );
     Ok(files)

@@ -410,3 +410,28 @@ fn the_speed_of_reading_is_of_every_recording() {
     let both = folder.eecvs("bench --read a.aedat4 --scaling");
     assert_eq!(both.status, Some(2), "{both}");
 }
+
+#[test]
+fn flags_that_a_study_does_not_look_at_are_refused_before_it_begins() {
+    let folder = Folder::new();
+    folder.write("file", "");
+    for study in ["--selection", "--few-as-times"] {
+        for (flags, reason) in [
+            ("--to csv", "--to"),
+            ("-o out", "--output"),
+            ("--overwrite", "--overwrite"),
+            ("--skips", "--skips"),
+        ] {
+            let line = format!("bench {study} {flags}");
+            let outcome = folder.as_is(&line);
+            assert_eq!(outcome.status, Some(2), "{outcome}");
+            assert!(outcome.stderr.contains("cannot be used with"), "{outcome}");
+            assert!(outcome.stderr.contains(reason), "{outcome}");
+        }
+        let line = format!("bench {study} --record file");
+        folder
+            .as_is(&line)
+            .fails(&["file: cannot create the folder"]);
+    }
+    assert!(!folder.path("out").exists());
+}
