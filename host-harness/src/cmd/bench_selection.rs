@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use eecvs_bench::record_file;
+use eecvs_bench::source::Source;
 use eecvs_cli::output::{print, print_json};
 use eecvs_cli::progress::Progress;
 
@@ -40,12 +41,7 @@ impl Selection<'_> {
         } else {
             Effort::FULL
         };
-        let files = bench_rate::files(self.data, self.default_folder)?;
-        let mut inputs = input::scenes(effort)?;
-        for (name, path) in &files {
-            let recording = recordings::recording(name, path)?;
-            inputs.push(input::crop(recording, effort.events));
-        }
+        let inputs = self.inputs(effort)?;
         let progress = Progress::new("settings");
         let rows = measure(&inputs, effort, &|| progress.advance(1));
         drop(progress);
@@ -64,6 +60,17 @@ impl Selection<'_> {
         print(&selection_table::table(&rows))
     }
 
+    /// Emulates the scenes and reads the recordings, cropped.
+    fn inputs(&self, effort: Effort) -> Result<Vec<Source>> {
+        let files = bench_rate::files(self.data, self.default_folder)?;
+        let mut inputs = input::scenes(effort)?;
+        for (name, path) in &files {
+            let recording = recordings::recording(name, path)?;
+            inputs.push(input::crop(recording, effort.events));
+        }
+        Ok(inputs)
+    }
+
     /// Measures few events as times on whole scenes and recordings, and prints and saves the results.
     ///
     /// # Errors
@@ -77,11 +84,7 @@ impl Selection<'_> {
                 ..Effort::FULL
             }
         };
-        let mut inputs = input::scenes(effort)?;
-        for (name, path) in &bench_rate::files(self.data, self.default_folder)? {
-            let recording = recordings::recording(name, path)?;
-            inputs.push(input::crop(recording, effort.events));
-        }
+        let inputs = self.inputs(effort)?;
         let progress = Progress::new("files");
         let rows = few::measure(&inputs, &|| progress.advance(1));
         drop(progress);

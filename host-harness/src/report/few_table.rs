@@ -4,8 +4,8 @@ use std::fmt::Write as _;
 
 use eecvs_bench::marks::Marks;
 
+use super::selection_table::summary;
 use crate::selection::few::{CODERS, Row};
-use crate::study::claims::median;
 
 /// Markers of the lines in the document between which the table goes.
 pub const MARKS: Marks = Marks {
@@ -37,13 +37,9 @@ pub fn document(rows: &[Row]) -> Option<String> {
             let of = rows
                 .iter()
                 .filter(|row| setting(row) == (transform, m) && row.coder == coder);
-            let saved: Vec<f64> = of
-                .map(|row| 100.0 * (1.0 - row.best_bytes as f64 / row.levels_bytes.max(1) as f64))
-                .collect();
-            let least = saved.iter().copied().min_by(f64::total_cmp)?;
-            let more = saved.iter().filter(|saved| **saved < 0.0).count();
-            let (median, of) = (median(saved.clone())?, saved.len());
-            let _ = write!(text, " {median:.1}, {least:.1}, {more} of {of} |");
+            let saved = of
+                .map(|row| 100.0 * (1.0 - row.best_bytes as f64 / row.levels_bytes.max(1) as f64));
+            let _ = write!(text, " {} |", summary(&saved.collect::<Vec<f64>>()));
         }
         text.push('\n');
     }

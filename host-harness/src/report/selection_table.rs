@@ -178,9 +178,13 @@ fn saved(rows: &[&Row], ours: Of, theirs: Of) -> String {
         let (ours, theirs) = (ours(row)?, theirs(row)?);
         Some(100.0 * (1.0 - ours.bits_per_event / theirs.bits_per_event))
     };
-    let saved: Vec<f64> = rows.iter().filter_map(ratio).collect();
+    summary(&rows.iter().filter_map(ratio).collect::<Vec<f64>>())
+}
+
+/// Formats the median and the least of what is saved on some inputs, per cent, and on how many of them more is taken.
+pub(super) fn summary(saved: &[f64]) -> String {
     let least = saved.iter().copied().min_by(f64::total_cmp);
-    let (Some(least), Some(median)) = (least, median(saved.clone())) else {
+    let (Some(least), Some(median)) = (least, median(saved.to_vec())) else {
         return "none".to_owned();
     };
     let more = saved.iter().filter(|saved| **saved < 0.0).count();

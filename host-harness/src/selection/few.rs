@@ -4,8 +4,8 @@
 //! input, whole -> transform, M, coder -> levels alone | few events as times -> bytes of the file
 //! ```
 //!
-//! In both files every coefficient is within half a step of that of the events, which
-//! `the_link_keeps_the_oracles_coefficients` in `tests/across/few_as_times.rs` checks on the decoder's side.
+//! In both files every kept coefficient is within half a step of that of the events, which
+//! `the_link_keeps_the_oracles_coefficients` in `tests/across/fixed_vs_float.rs` checks on the decoder's side.
 
 use anyhow::{Context, Result};
 use eecvs::thresholds_file::ThresholdsFile;
