@@ -617,7 +617,7 @@ impl<'b> WindowEncoder<'b> {
             timed_max: 0,
         };
         if self.config.few_as_times && mode.is_transform() {
-            let few = header.packing().few(closed.duration_us, mode.is_dense());
+            let few = header.packing().few(closed.duration_us, mode);
             header.timed_max = few.events_max();
         }
         Task {

@@ -18,8 +18,10 @@
 
 use heapless::Vec;
 
+use crate::coder::Coder;
 use crate::coder::cells::Cells;
 use crate::fixed_point::CHUNK_EVENTS;
+use crate::frame::Mode;
 use crate::group::Impulses;
 use crate::pack::bits_lsb_first::{BitWriter, exp_golomb};
 use crate::transform::phase::PhaseScale;
@@ -122,15 +124,31 @@ impl Packing {
 
     /// Returns which pixels take fewer bits as times, in a window of `duration_us`: those of up to n0 events.
     ///
-    /// For the DCT and the DTFT, n0 is the largest n for which n (width(C(1) - 1) + 1) <= L (width(n - 1) + s), with
-    /// L the numbers that a pixel sends (r - 1, or twice as many in the DTFT), s = -log2 of the step, and width(v) the
-    /// bits of v. For the Haar DWT, which sends a set of K bits and few levels, it is the smaller of r and K / 2, or none
-    /// if the step is above 1. The dense coder describes pixels by coarser cells and what these leave of the levels, at
-    /// some 3/4 of a bit each (`is_dense`): n0 is then no n for which the cells of n events have e bits more than that of
-    /// a single one and n e > 3 L / 4, and none at all where C(1) cells have as many bits as T microseconds, and for the
-    /// DWT, as its cells then leave nothing of the levels. The test `best_takes_no_more_bits` compares the frames.
+    /// n0 is the largest n for which n (width(C(1) - 1) + 1) <= L w, with L the numbers that a pixel sends, w the bits of
+    /// their widest, which follow from n and s = -log2 of the step, and width(v) the bits of v:
+    ///
+    /// | transform | L | w |
+    /// |---|---|---|
+    /// | DCT | r - 1 | s + 1 + width(n - 1) / 2, as sums of signs grow |
+    /// | DTFT | 2 (r - 1), of the largest coefficients | s + 1 + 3 width(n - 1) / 4 |
+    ///
+    /// For the Haar DWT, which sends a set of K bits and few levels, it is the smaller of r and K / 2, or none if the
+    /// step is above 1.
+    ///
+    /// The adaptive coders themselves describe pixels by coarser cells and what these leave of the levels: for them n0 is
+    /// no n for which the cells of n events have e bits more than that of a single one and n e > 6 L / 5 (fast) or n e >
+    /// L / 2 (dense). By the dense coder it is none at all where C(1) cells have as many bits as T microseconds, and for
+    /// the DWT, as its cells then leave nothing of the levels. The shares were measured where the events of all pixels
+    /// are spread evenly over the window, where times are the dearest. The tests `best_takes_no_more_bits` and
+    /// `even_pixels_take_hardly_more_bits` compare the frames.
     #[must_use]
-    pub fn few(&self, duration_us: u32, is_dense: bool) -> Timed {
+    pub fn few(&self, duration_us: u32, mode: Mode) -> Timed {
+        let is_dense = mode.is_dense();
+        let left_tenths = match mode {
+            Mode::Coefficients(Coder::Dense) => Some(5),
+            Mode::Coefficients(_) => Some(12),
+            _ => None,
+        };
         let step_log2 = i32::from(self.quantiser.step_log2());
         let r = self.kept() as u32;
         let mut events_max = 0;
@@ -146,13 +164,20 @@ impl Packing {
             let numbers = r.saturating_sub(1) << u32::from(self.transform.is_complex());
             let is_told = is_dense && bits == width_of(duration_us.saturating_sub(1));
             let most = if is_told { 0 } else { TIMED_EVENTS_MAX };
+            // In quarters of a bit for each bit of the number of events.
+            let growth = if self.transform == Transform::Dct {
+                2
+            } else {
+                3
+            };
             for events in 2..=u32::from(most) {
-                let level = width_of(events - 1) as i32 - step_log2;
+                let level_quarters = growth * width_of(events - 1) as i32 + 4 * (1 - step_log2);
                 let Some(finer) = bits_in(events).map(|here| here.saturating_sub(bits)) else {
                     break;
                 };
-                let is_less = events * (bits + 1) <= numbers * level.max(0) as u32;
-                let is_less_than_told = !is_dense || 4 * events * finer <= 3 * numbers;
+                let is_less = 4 * events * (bits + 1) <= numbers * level_quarters.max(0) as u32;
+                let is_less_than_told =
+                    left_tenths.is_none_or(|left| 10 * events * finer <= left * numbers);
                 if is_less && is_less_than_told {
                     events_max = events;
                 }
