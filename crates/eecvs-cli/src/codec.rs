@@ -99,8 +99,8 @@ pub struct CodecOptions {
     #[arg(long, value_enum, default_value = "auto")]
     transform: TransformName,
 
-    /// transform: send a pixel of few events as the times of these, where they take fewer bits: every coefficient that a
-    /// decoder computes and keeps is as close as by levels
+    /// transform: send a pixel of few events as the times of these, where they take fewer bits unless pixels share their
+    /// times: every coefficient that a decoder computes and keeps is as close as by levels
     #[arg(long)]
     few_as_times: bool,
 

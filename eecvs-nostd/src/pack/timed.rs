@@ -124,13 +124,16 @@ impl Packing {
 
     /// Returns which pixels take fewer bits as times, in a window of `duration_us`: those of up to n0 events.
     ///
+    /// The rule looks at no event. It holds for events at times of their own: where pixels share their times, as under a
+    /// flash, or have ON and OFF at the same time, levels may take fewer bits.
+    ///
     /// n0 is the largest n for which n (width(C(1) - 1) + 1) <= L w, with L the numbers that a pixel sends, w the bits of
     /// their widest, which follow from n and s = -log2 of the step, and width(v) the bits of v:
     ///
     /// | transform | L | w |
     /// |---|---|---|
-    /// | DCT | r - 1 | s + 1 + width(n - 1) / 2, as sums of signs grow |
-    /// | DTFT | 2 (r - 1), of the largest coefficients | s + 1 + 3 width(n - 1) / 4 |
+    /// | DCT | r - 1 | s + min(v, 1 + v / 2), v = width(n - 1): as sums of signs grow |
+    /// | DTFT | 2 (r - 1), of the largest coefficients | s + min(v, 1 + 3 v / 4) |
     ///
     /// For the Haar DWT, which sends a set of K bits and few levels, it is the smaller of r and K / 2, or none if the
     /// step is above 1.
@@ -171,7 +174,8 @@ impl Packing {
                 3
             };
             for events in 2..=u32::from(most) {
-                let level_quarters = growth * width_of(events - 1) as i32 + 4 * (1 - step_log2);
+                let count = width_of(events - 1) as i32;
+                let level_quarters = (4 * count).min(4 + growth * count) - 4 * step_log2;
                 let Some(finer) = bits_in(events).map(|here| here.saturating_sub(bits)) else {
                     break;
                 };
