@@ -28,6 +28,7 @@ use crate::fused::{PixelEncoder, has_ways, is_few, is_lanes, is_waves};
 use crate::group::Group;
 use crate::kernel::{Accumulate, WithKernel};
 use crate::pack::bits_lsb_first::BitWriter;
+use crate::pack::timed::LevelCoder;
 use crate::prune::Kept;
 use crate::regime::density::Density;
 use crate::stage::{Stage, Trace};
@@ -617,7 +618,12 @@ impl<'b> WindowEncoder<'b> {
             timed_max: 0,
         };
         if self.config.few_as_times && mode.is_transform() {
-            let few = header.packing().few(closed.duration_us, mode);
+            let coder = match mode {
+                Mode::Coefficients(Coder::Dense) => LevelCoder::Dense,
+                Mode::Coefficients(_) => LevelCoder::Fast,
+                _ => LevelCoder::Plain,
+            };
+            let few = header.packing().few(closed.duration_us, coder);
             header.timed_max = few.events_max();
         }
         Task {

@@ -18,10 +18,8 @@
 
 use heapless::Vec;
 
-use crate::coder::Coder;
 use crate::coder::cells::Cells;
 use crate::fixed_point::CHUNK_EVENTS;
-use crate::frame::Mode;
 use crate::group::Impulses;
 use crate::pack::bits_lsb_first::{BitWriter, exp_golomb};
 use crate::transform::phase::PhaseScale;
@@ -71,6 +69,17 @@ impl FewCells {
         let count = self.per_event.saturating_mul(events);
         Cells::equal(count, self.duration_us)
     }
+}
+
+/// What codes the levels that times are compared with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LevelCoder {
+    /// Plain codes.
+    Plain,
+    /// The fast coder of coefficients.
+    Fast,
+    /// The dense coder of coefficients.
+    Dense,
 }
 
 impl Packing {
@@ -145,12 +154,12 @@ impl Packing {
     /// are spread evenly over the window, where times are the dearest. The tests `best_takes_no_more_bits` and
     /// `even_pixels_take_hardly_more_bits` compare the frames.
     #[must_use]
-    pub fn few(&self, duration_us: u32, mode: Mode) -> Timed {
-        let is_dense = mode.is_dense();
-        let left_tenths = match mode {
-            Mode::Coefficients(Coder::Dense) => Some(5),
-            Mode::Coefficients(_) => Some(12),
-            _ => None,
+    pub fn few(&self, duration_us: u32, coder: LevelCoder) -> Timed {
+        let is_dense = coder == LevelCoder::Dense;
+        let left_tenths = match coder {
+            LevelCoder::Plain => None,
+            LevelCoder::Fast => Some(12),
+            LevelCoder::Dense => Some(5),
         };
         let step_log2 = i32::from(self.quantiser.step_log2());
         let r = self.kept() as u32;

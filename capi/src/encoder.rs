@@ -1,0 +1,414 @@
+//! The encoder.
+
+use core::ffi::c_void;
+use core::num::NonZeroU32;
+
+use eecvs_nostd::evt2::Evt2Decoder;
+use eecvs_nostd::{Event, OUTPUT_BYTES_MIN, Polarity, Push, Window, WindowEncoder};
+
+use crate::config::EecvsConfig;
+use crate::memory::{self, Unit};
+use crate::status::EecvsStatus;
+
+/// An event.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct EecvsEvent {
+    /// Time in microseconds.
+    pub t_us: u64,
+    /// Column.
+    pub x: u16,
+    /// Row.
+    pub y: u16,
+    /// 0 for OFF, any other value for ON.
+    pub polarity: u8,
+}
+
+impl From<EecvsEvent> for Event {
+    fn from(event: EecvsEvent) -> Self {
+        Self {
+            t_us: event.t_us,
+            x: event.x,
+            y: event.y,
+            polarity: Polarity::from_bool(event.polarity != 0),
+        }
+    }
+}
+
+#[cfg(feature = "decoder")]
+impl From<Event> for EecvsEvent {
+    fn from(event: Event) -> Self {
+        Self {
+            t_us: event.t_us,
+            x: event.x,
+            y: event.y,
+            polarity: u8::from(event.polarity == Polarity::On),
+        }
+    }
+}
+
+/// What an encoder has done since it was made.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct EecvsCounts {
+    /// Events taken, including those outside the sensor.
+    pub events: u64,
+    /// Events outside the sensor, which are in no frame.
+    pub outside: u64,
+    /// Events lost before the encoder, by `eecvs_count_dropped`.
+    pub dropped: u64,
+    /// Words that were neither events nor times, and events before the first time.
+    pub ignored: u64,
+    /// Frames made.
+    pub frames: u64,
+    /// Bytes of these.
+    pub bytes: u64,
+}
+
+/// An encoder, in memory of the caller: free that when it is no longer used.
+#[derive(Debug)]
+pub struct EecvsEncoder {
+    window: Window<'static>,
+    encoder: WindowEncoder<'static>,
+    evt2: Evt2Decoder,
+    counts: EecvsCounts,
+}
+
+/// Returns the encoder behind a pointer.
+///
+/// # Safety
+/// The pointer is null, or `eecvs_encoder_new` returned it, its memory has not been used for anything else since, and no
+/// other call has it at the same time.
+unsafe fn encoder<'a>(encoder: *mut EecvsEncoder) -> Result<&'a mut EecvsEncoder, EecvsStatus> {
+    // SAFETY: as the caller promises; an encoder's place is aligned.
+    unsafe { encoder.as_mut() }.ok_or(EecvsStatus::ErrorPointer)
+}
+
+/// Returns what a pointer and a number point to.
+///
+/// # Safety
+/// The pointer is null, not aligned, or `count` values that nobody changes can be read there during the call.
+unsafe fn slice<'a, T>(first: *const T, count: usize) -> Result<&'a [T], EecvsStatus> {
+    if count == 0 {
+        return Ok(&[]);
+    }
+    let is_sized = count
+        .checked_mul(size_of::<T>())
+        .is_some_and(|bytes| bytes <= isize::MAX as usize);
+    if first.is_null() || !first.is_aligned() || !is_sized {
+        return Err(EecvsStatus::ErrorPointer);
+    }
+    // SAFETY: checked, and as the caller promises.
+    Ok(unsafe { core::slice::from_raw_parts(first, count) })
+}
+
+/// Writes a result to where the caller wants it; nowhere if that is null.
+///
+/// # Safety
+/// The pointer is null, not aligned, or can be written.
+unsafe fn put<T>(place: *mut T, value: T) {
+    if !place.is_null() && place.is_aligned() {
+        // SAFETY: checked, and as the caller promises.
+        unsafe { place.write(value) };
+    }
+}
+
+const fn status(result: Result<(), EecvsStatus>) -> EecvsStatus {
+    match result {
+        Ok(()) => EecvsStatus::Ok,
+        Err(status) => status,
+    }
+}
+
+/// Writes the bytes of memory that an encoder of this configuration takes to `*bytes`.
+///
+/// # Safety
+/// `config` and `bytes` are null or point to such values.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn eecvs_encoder_size(
+    config: *const EecvsConfig,
+    bytes: *mut usize,
+) -> EecvsStatus {
+    let size = || {
+        // SAFETY: as the caller promises.
+        let [config] = (unsafe { slice(config, 1) })? else {
+            return Err(EecvsStatus::ErrorPointer);
+        };
+        let parsed = config.parse()?;
+        memory::bytes::<EecvsEncoder>(&parsed, config.window_events, config.hot_pixels)
+    };
+    match size() {
+        Ok(size) if !bytes.is_null() && bytes.is_aligned() => {
+            // SAFETY: it is not null and aligned, and the caller lends what it points to.
+            unsafe { bytes.write(size) };
+            EecvsStatus::Ok
+        }
+        Ok(_) => EecvsStatus::ErrorPointer,
+        Err(status) => status,
+    }
+}
+
+/// Makes an encoder in `memory`, of `bytes` bytes and aligned to `EECVS_ALIGN`, and writes it to `*made`; null if it
+/// fails. The memory stays lent until the encoder is no longer used.
+///
+/// # Safety
+/// `config` and `made` are null or point to such values; `memory` is null, or `bytes` bytes can be read and written there
+/// that nothing else uses.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn eecvs_encoder_new(
+    config: *const EecvsConfig,
+    memory: *mut c_void,
+    bytes: usize,
+    made: *mut *mut EecvsEncoder,
+) -> EecvsStatus {
+    // SAFETY: as the caller promises.
+    unsafe { put(made, core::ptr::null_mut()) };
+    let make = || {
+        // SAFETY: as the caller promises.
+        let [config] = (unsafe { slice(config, 1) })? else {
+            return Err(EecvsStatus::ErrorPointer);
+        };
+        let first: *mut Unit = memory.cast();
+        if first.is_null() || !first.is_aligned() || made.is_null() || !made.is_aligned() {
+            return Err(EecvsStatus::ErrorPointer);
+        }
+        let parsed = config.parse()?;
+        let needed =
+            memory::bytes::<EecvsEncoder>(&parsed, config.window_events, config.hot_pixels)?;
+        if bytes < needed {
+            return Err(EecvsStatus::ErrorMemory);
+        }
+        // SAFETY: the memory is aligned, has these bytes, which need no value, and belongs to the encoder from here on, as
+        // the caller promises.
+        let memory = unsafe { core::slice::from_raw_parts_mut(first, needed / size_of::<Unit>()) };
+        let (state, buffers, scratch) = memory::divide::<EecvsEncoder>(
+            memory,
+            &parsed,
+            config.window_events,
+            config.hot_pixels,
+        )?;
+        let window = Window::new(parsed.windows(), buffers).ok_or(EecvsStatus::ErrorWindow)?;
+        let encoder = WindowEncoder::new(parsed, scratch)?;
+        let place: *mut EecvsEncoder = state.as_mut_ptr().cast();
+        const { assert!(align_of::<EecvsEncoder>() <= align_of::<Unit>()) };
+        // SAFETY: the state's place has the size and the alignment of an encoder, and nothing else refers to it.
+        unsafe {
+            place.write(EecvsEncoder {
+                window,
+                encoder,
+                evt2: Evt2Decoder::new(0),
+                counts: EecvsCounts::default(),
+            });
+            made.write(place);
+        }
+        Ok(())
+    };
+    status(make())
+}
+
+/// Takes events from the front of `count` ones, and writes how many to `*taken`.
+///
+/// `EECVS_STATUS_OK` if it took all. `EECVS_STATUS_CLOSED` if the window is closed, as the next event is not of it: take
+/// its frames by `eecvs_next_frame`, then push the rest. Events outside the sensor are taken and counted.
+///
+/// # Safety
+/// `it` is an encoder that no other call has; `events` points to `count` events; `taken` is null or can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn eecvs_push(
+    it: *mut EecvsEncoder,
+    events: *const EecvsEvent,
+    count: usize,
+    taken: *mut usize,
+) -> EecvsStatus {
+    let mut done = 0;
+    let mut push = || {
+        // SAFETY: as the caller promises.
+        let (it, events) = unsafe { (encoder(it)?, slice(events, count)?) };
+        for event in events {
+            match it.window.push((*event).into()) {
+                Push::Stored => {}
+                Push::Outside => it.counts.outside = it.counts.outside.wrapping_add(1),
+                Push::Closed => return Ok(EecvsStatus::Closed),
+            }
+            it.counts.events = it.counts.events.wrapping_add(1);
+            done += 1;
+        }
+        Ok(EecvsStatus::Ok)
+    };
+    let status = push().unwrap_or_else(|error| error);
+    // SAFETY: as the caller promises.
+    unsafe { put(taken, done) };
+    status
+}
+
+/// Takes little-endian words of EVT 2.0 from the front of `count` ones, as a sensor sends them, and writes how many to
+/// `*taken`. Otherwise as `eecvs_push`, at less than half the cost; `words` need not be aligned.
+///
+/// # Safety
+/// `it` is an encoder that no other call has; `words` points to 4 `count` bytes; `taken` is null or can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn eecvs_push_evt2(
+    it: *mut EecvsEncoder,
+    words: *const c_void,
+    count: usize,
+    taken: *mut usize,
+) -> EecvsStatus {
+    let mut done = 0;
+    let mut push = || {
+        // SAFETY: as the caller promises.
+        let (it, words) = unsafe { (encoder(it)?, slice(words.cast::<[u8; 4]>(), count)?) };
+        let EecvsEncoder {
+            window,
+            evt2,
+            counts,
+            ..
+        } = it;
+        let taken = window.push_words(evt2, words);
+        counts.events = counts.events.wrapping_add(taken.events.into());
+        counts.ignored = counts.ignored.wrapping_add(taken.ignored.into());
+        done = taken.words;
+        match done < words.len() {
+            true => Ok(EecvsStatus::Closed),
+            false => Ok(EecvsStatus::Ok),
+        }
+    };
+    let status = push().unwrap_or_else(|error| error);
+    // SAFETY: as the caller promises.
+    unsafe { put(taken, done) };
+    status
+}
+
+/// Closes the open window, so that its frames can be taken: at the end of a recording.
+///
+/// # Safety
+/// `it` is an encoder that no other call has.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn eecvs_flush(it: *mut EecvsEncoder) -> EecvsStatus {
+    // SAFETY: as the caller promises.
+    status(unsafe { encoder(it) }.map(|it| it.window.flush()))
+}
+
+/// Closes the open window if its time has passed by the sensor's clock, although no event has come since.
+///
+/// # Safety
+/// `it` is an encoder that no other call has.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn eecvs_pass(it: *mut EecvsEncoder, now_us: u64) -> EecvsStatus {
+    // SAFETY: as the caller promises.
+    status(unsafe { encoder(it) }.map(|it| it.window.pass(now_us)))
+}
+
+/// Makes the next frame of the closed window in `out`, and writes its number of bytes to `*bytes`.
+///
+/// `EECVS_STATUS_NONE` if there is none left, with 0 bytes: push further events. A frame has any size up to `room`, which
+/// has to be at least `EECVS_FRAME_BYTES_MIN`; a window that takes more is several frames.
+///
+/// # Safety
+/// `it` is an encoder that no other call has; `out` points to `room` bytes that can be written; `bytes` can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn eecvs_next_frame(
+    it: *mut EecvsEncoder,
+    out: *mut u8,
+    room: usize,
+    bytes: *mut usize,
+) -> EecvsStatus {
+    if out.is_null() || bytes.is_null() || !bytes.is_aligned() {
+        return EecvsStatus::ErrorPointer;
+    }
+    let room = room.min(isize::MAX as usize);
+    let mut made = 0;
+    let next = || {
+        // SAFETY: as the caller promises; no more bytes than a slice may have.
+        let (it, out) = unsafe { (encoder(it)?, core::slice::from_raw_parts_mut(out, room)) };
+        if room < OUTPUT_BYTES_MIN {
+            return Err(EecvsStatus::ErrorRoom);
+        }
+        let frame = it.encoder.next_frame(&mut it.window, out);
+        let Some(frame) = frame.map_err(|_| EecvsStatus::ErrorRoom)? else {
+            return Ok(EecvsStatus::None);
+        };
+        made = frame.range.len();
+        it.counts.frames = it.counts.frames.wrapping_add(1);
+        it.counts.bytes = it.counts.bytes.wrapping_add(made as u64);
+        // Frames begin at the output's front: what a caller sends.
+        if frame.range.start > 0 {
+            out.copy_within(frame.range, 0);
+        }
+        Ok(EecvsStatus::Ok)
+    };
+    let mut next = next;
+    let status = next().unwrap_or_else(|error| error);
+    // SAFETY: as the caller promises.
+    unsafe { put(bytes, made) };
+    status
+}
+
+/// Keeps a pixel out of all later windows, as one that fires all the time; `eecvs_config.hot_pixels` is the room.
+///
+/// # Safety
+/// `it` is an encoder that no other call has.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn eecvs_add_hot(it: *mut EecvsEncoder, x: u16, y: u16) -> EecvsStatus {
+    // SAFETY: as the caller promises.
+    let it = unsafe { encoder(it) };
+    status(it.and_then(|it| it.encoder.add_hot((x, y)).map(drop).map_err(Into::into)))
+}
+
+/// Counts events that were lost before they could be pushed: the next frame says so.
+///
+/// # Safety
+/// `it` is an encoder that no other call has.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn eecvs_count_dropped(it: *mut EecvsEncoder, events: u32) -> EecvsStatus {
+    // SAFETY: as the caller promises.
+    status(unsafe { encoder(it) }.map(|it| {
+        it.window.count_dropped(events);
+        it.counts.dropped = it.counts.dropped.wrapping_add(events.into());
+    }))
+}
+
+/// Changes `eecvs_config.bytes_per_second` from the next window on; 0 for no budget. One that the headers alone would
+/// exceed is raised to what these take.
+///
+/// # Safety
+/// `it` is an encoder that no other call has.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn eecvs_set_budget(
+    it: *mut EecvsEncoder,
+    bytes_per_second: u32,
+) -> EecvsStatus {
+    // SAFETY: as the caller promises.
+    let it = unsafe { encoder(it) };
+    let budget = NonZeroU32::new(bytes_per_second);
+    status(it.and_then(|it| it.encoder.set_budget(budget).map_err(Into::into)))
+}
+
+/// Changes `eecvs_config.tolerance_us` from the next window on.
+///
+/// # Safety
+/// `it` is an encoder that no other call has.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn eecvs_set_tolerance(
+    it: *mut EecvsEncoder,
+    tolerance_us: u32,
+) -> EecvsStatus {
+    // SAFETY: as the caller promises.
+    let it = unsafe { encoder(it) };
+    status(it.and_then(|it| it.encoder.set_tolerance(tolerance_us).map_err(Into::into)))
+}
+
+/// Writes what the encoder has done to `*counts`.
+///
+/// # Safety
+/// `it` is an encoder that no other call has; `counts` can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn eecvs_get_counts(
+    it: *mut EecvsEncoder,
+    counts: *mut EecvsCounts,
+) -> EecvsStatus {
+    if counts.is_null() || !counts.is_aligned() {
+        return EecvsStatus::ErrorPointer;
+    }
+    // SAFETY: as the caller promises.
+    status(unsafe { encoder(it).map(|it| put(counts, it.counts)) })
+}
