@@ -7,6 +7,7 @@ use eecvs_nostd::{
     Transform, WindowConfig,
 };
 
+use crate::pointer::is_lent;
 use crate::status::EecvsStatus;
 
 /// How windows are coded: values of `eecvs_config.coder`.
@@ -138,7 +139,7 @@ pub unsafe extern "C" fn eecvs_config_init(
     width: u16,
     height: u16,
 ) -> EecvsStatus {
-    if config.is_null() || !config.is_aligned() {
+    if !is_lent(config) {
         return EecvsStatus::ErrorPointer;
     }
     let filled = EecvsConfig {

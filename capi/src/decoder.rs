@@ -1,47 +1,20 @@
 //! The decoder, for a host.
 
 use std::boxed::Box;
-use std::collections::VecDeque;
-use std::io::{self, Read};
+use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::vec::Vec;
 
 use eecvs::ErrorKind;
 use eecvs::decode::WindowReader;
 use eecvs::frame_file::FrameReader;
+use eecvs::pushed::{PushError, Pushed};
 use eecvs::reconstruct::events::{EventDecoder, Finder};
 use eecvs_nostd::Event;
 
 use crate::encoder::EecvsEvent;
+use crate::pointer::{is_lent, slice};
 use crate::status::EecvsStatus;
-
-/// Bytes that were pushed and not read.
-#[derive(Clone, Default)]
-struct Pushed(Arc<Mutex<Queue>>);
-
-#[derive(Default)]
-struct Queue {
-    bytes: VecDeque<u8>,
-    is_complete: bool,
-}
-
-impl Pushed {
-    fn queue(&self) -> MutexGuard<'_, Queue> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl Read for Pushed {
-    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        let mut queue = self.queue();
-        if queue.bytes.is_empty() && !queue.is_complete {
-            // The reader goes on from here when there are more.
-            return Err(io::ErrorKind::WouldBlock.into());
-        }
-        queue.bytes.read(into)
-    }
-}
 
 /// A decoder of frames.
 pub struct EecvsDecoder {
@@ -157,20 +130,12 @@ pub unsafe extern "C" fn eecvs_decoder_push(
     guarded(|| {
         // SAFETY: as the caller promises.
         let it = unsafe { decoder(it) }?;
-        if count > isize::MAX as usize || (bytes.is_null() && count > 0) {
-            return Err(EecvsStatus::ErrorPointer);
-        }
-        let mut queue = it.pushed.queue();
-        if queue.is_complete {
-            return Err(EecvsStatus::ErrorFinished);
-        }
-        if count > 0 {
-            // SAFETY: it is not null, and as the caller promises.
-            let bytes = unsafe { core::slice::from_raw_parts(bytes, count) };
-            let room = queue.bytes.try_reserve(count);
-            room.map_err(|_| EecvsStatus::ErrorMemory)?;
-            queue.bytes.extend(bytes);
-        }
+        // SAFETY: as the caller promises.
+        let bytes = unsafe { slice(bytes, count) }?;
+        it.pushed.push(bytes).map_err(|error| match error {
+            PushError::Finished => EecvsStatus::ErrorFinished,
+            PushError::NoMemory => EecvsStatus::ErrorMemory,
+        })?;
         Ok(EecvsStatus::Ok)
     })
 }
@@ -183,7 +148,7 @@ pub unsafe extern "C" fn eecvs_decoder_push(
 pub unsafe extern "C" fn eecvs_decoder_finish(it: *mut EecvsDecoder) -> EecvsStatus {
     guarded(|| {
         // SAFETY: as the caller promises.
-        unsafe { decoder(it) }?.pushed.queue().is_complete = true;
+        unsafe { decoder(it) }?.pushed.finish();
         Ok(EecvsStatus::Ok)
     })
 }
@@ -202,7 +167,7 @@ pub unsafe extern "C" fn eecvs_decoder_next(
     room: usize,
     count: *mut usize,
 ) -> EecvsStatus {
-    if count.is_null() || !count.is_aligned() {
+    if !is_lent(count) {
         return EecvsStatus::ErrorPointer;
     }
     // SAFETY: it is not null and aligned, and as the caller promises.
@@ -210,7 +175,7 @@ pub unsafe extern "C" fn eecvs_decoder_next(
     guarded(|| {
         // SAFETY: as the caller promises.
         let it = unsafe { decoder(it) }?;
-        if room == 0 || events.is_null() || !events.is_aligned() {
+        if room == 0 || !is_lent(events) {
             return Err(EecvsStatus::ErrorPointer);
         }
         it.fill()?;
@@ -243,7 +208,6 @@ pub unsafe extern "C" fn eecvs_decoder_sensor(
     guarded(|| {
         // SAFETY: as the caller promises.
         let it = unsafe { decoder(it) }?;
-        let is_lent = |place: *mut u16| !place.is_null() && place.is_aligned();
         if !is_lent(width) || !is_lent(height) {
             return Err(EecvsStatus::ErrorPointer);
         }
@@ -272,7 +236,7 @@ pub unsafe extern "C" fn eecvs_decoder_losses(
     guarded(|| {
         // SAFETY: as the caller promises.
         let it = unsafe { decoder(it) }?;
-        if losses.is_null() || !losses.is_aligned() {
+        if !is_lent(losses) {
             return Err(EecvsStatus::ErrorPointer);
         }
         let (report, counts) = (it.windows.report(), it.windows.counts());

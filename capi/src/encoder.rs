@@ -8,6 +8,7 @@ use eecvs_nostd::{Event, OUTPUT_BYTES_MIN, Polarity, Push, Window, WindowEncoder
 
 use crate::config::EecvsConfig;
 use crate::memory::{self, Unit};
+use crate::pointer::{is_lent, put, slice};
 use crate::status::EecvsStatus;
 
 /// An event.
@@ -84,35 +85,6 @@ unsafe fn encoder<'a>(encoder: *mut EecvsEncoder) -> Result<&'a mut EecvsEncoder
     unsafe { encoder.as_mut() }.ok_or(EecvsStatus::ErrorPointer)
 }
 
-/// Returns what a pointer and a number point to.
-///
-/// # Safety
-/// The pointer is null, not aligned, or `count` values that nobody changes can be read there during the call.
-unsafe fn slice<'a, T>(first: *const T, count: usize) -> Result<&'a [T], EecvsStatus> {
-    if count == 0 {
-        return Ok(&[]);
-    }
-    let is_sized = count
-        .checked_mul(size_of::<T>())
-        .is_some_and(|bytes| bytes <= isize::MAX as usize);
-    if first.is_null() || !first.is_aligned() || !is_sized {
-        return Err(EecvsStatus::ErrorPointer);
-    }
-    // SAFETY: checked, and as the caller promises.
-    Ok(unsafe { core::slice::from_raw_parts(first, count) })
-}
-
-/// Writes a result to where the caller wants it; nowhere if that is null.
-///
-/// # Safety
-/// The pointer is null, not aligned, or can be written.
-unsafe fn put<T>(place: *mut T, value: T) {
-    if !place.is_null() && place.is_aligned() {
-        // SAFETY: checked, and as the caller promises.
-        unsafe { place.write(value) };
-    }
-}
-
 const fn status(result: Result<(), EecvsStatus>) -> EecvsStatus {
     match result {
         Ok(()) => EecvsStatus::Ok,
@@ -138,7 +110,7 @@ pub unsafe extern "C" fn eecvs_encoder_size(
         memory::bytes::<EecvsEncoder>(&parsed, config.window_events, config.hot_pixels)
     };
     match size() {
-        Ok(size) if !bytes.is_null() && bytes.is_aligned() => {
+        Ok(size) if is_lent(bytes) => {
             // SAFETY: it is not null and aligned, and the caller lends what it points to.
             unsafe { bytes.write(size) };
             EecvsStatus::Ok
@@ -169,7 +141,7 @@ pub unsafe extern "C" fn eecvs_encoder_new(
             return Err(EecvsStatus::ErrorPointer);
         };
         let first: *mut Unit = memory.cast();
-        if first.is_null() || !first.is_aligned() || made.is_null() || !made.is_aligned() {
+        if !is_lent(first) || !is_lent(made) {
             return Err(EecvsStatus::ErrorPointer);
         }
         let parsed = config.parse()?;
@@ -312,12 +284,12 @@ pub unsafe extern "C" fn eecvs_next_frame(
     room: usize,
     bytes: *mut usize,
 ) -> EecvsStatus {
-    if out.is_null() || bytes.is_null() || !bytes.is_aligned() {
+    if !is_lent(out) || !is_lent(bytes) {
         return EecvsStatus::ErrorPointer;
     }
     let room = room.min(isize::MAX as usize);
     let mut made = 0;
-    let next = || {
+    let mut next = || {
         // SAFETY: as the caller promises; no more bytes than a slice may have.
         let (it, out) = unsafe { (encoder(it)?, core::slice::from_raw_parts_mut(out, room)) };
         if room < OUTPUT_BYTES_MIN {
@@ -336,7 +308,6 @@ pub unsafe extern "C" fn eecvs_next_frame(
         }
         Ok(EecvsStatus::Ok)
     };
-    let mut next = next;
     let status = next().unwrap_or_else(|error| error);
     // SAFETY: as the caller promises.
     unsafe { put(bytes, made) };
@@ -406,7 +377,7 @@ pub unsafe extern "C" fn eecvs_get_counts(
     it: *mut EecvsEncoder,
     counts: *mut EecvsCounts,
 ) -> EecvsStatus {
-    if counts.is_null() || !counts.is_aligned() {
+    if !is_lent(counts) {
         return EecvsStatus::ErrorPointer;
     }
     // SAFETY: as the caller promises.

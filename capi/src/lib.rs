@@ -7,7 +7,7 @@
 //! ```
 //!
 //! The encoder lives in memory of the caller, and has neither a heap nor globals: as many as there is memory for run
-//! beside each other, each on one thread at a time. No function panics; every failure is a status.
+//! beside each other, each on one thread at a time. Every failure is a status.
 #![no_std]
 
 #[cfg(feature = "decoder")]
@@ -18,6 +18,7 @@ mod config;
 mod decoder;
 mod encoder;
 mod memory;
+mod pointer;
 mod status;
 
 pub use config::{EecvsCoder, EecvsConfig, EecvsTransform, eecvs_config_init};
@@ -44,8 +45,7 @@ pub const EECVS_FRAME_BYTES_MIN: usize = 2048;
 
 const _: () = assert!(EECVS_FRAME_BYTES_MIN >= eecvs_nostd::OUTPUT_BYTES_MIN);
 
-/// Without the standard library there is nobody else who ends a program that panics. No function of this library does:
-/// the images' test reads that from their code.
+/// Without the standard library there is nobody else who ends a program that panics.
 #[cfg(all(not(feature = "decoder"), not(test)))]
 #[panic_handler]
 fn panic(_: &core::panic::PanicInfo<'_>) -> ! {

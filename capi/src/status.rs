@@ -45,49 +45,47 @@ pub enum EecvsStatus {
     ErrorInternal = -14,
 }
 
-impl EecvsStatus {
-    const fn name(self) -> &'static CStr {
-        match self {
-            Self::Ok => c"done",
-            Self::Closed => c"take what is ready, then go on",
-            Self::None => c"nothing left",
-            Self::ErrorPointer => c"a pointer is null or not aligned",
-            Self::ErrorMemory => c"the memory is too small",
-            Self::ErrorWindow => c"sensor or window out of range",
-            Self::ErrorCoder => c"no such coder or transform in this library",
-            Self::ErrorCoefficients => c"M or the step is out of range",
-            Self::ErrorFidelity => c"the coder has no tolerance or no such filter",
-            Self::ErrorBudget => c"the budget is too small, or the coder has none",
-            Self::ErrorFlag => c"a flag is neither 0 nor 1",
-            Self::ErrorRoom => c"the room for a frame is too small",
-            Self::ErrorOutside => c"the pixel is not on the sensor",
-            Self::ErrorHot => c"no room for another hot pixel",
-            Self::ErrorFrames => c"the frames hold nothing that can be decoded",
-            Self::ErrorFinished => c"the decoder was finished",
-            Self::ErrorInternal => c"a fault of the library: please report it",
-        }
-    }
-
-    const ALL: [Self; 17] = [
-        Self::Ok,
-        Self::Closed,
-        Self::None,
-        Self::ErrorPointer,
-        Self::ErrorMemory,
-        Self::ErrorWindow,
-        Self::ErrorCoder,
-        Self::ErrorCoefficients,
-        Self::ErrorFidelity,
-        Self::ErrorBudget,
-        Self::ErrorFlag,
-        Self::ErrorRoom,
-        Self::ErrorOutside,
-        Self::ErrorHot,
-        Self::ErrorFrames,
-        Self::ErrorFinished,
-        Self::ErrorInternal,
-    ];
-}
+/// Every status in a few English words.
+const NAMES: [(EecvsStatus, &CStr); 17] = [
+    (EecvsStatus::Ok, c"done"),
+    (EecvsStatus::Closed, c"take what is ready, then go on"),
+    (EecvsStatus::None, c"nothing left"),
+    (
+        EecvsStatus::ErrorPointer,
+        c"a pointer is null or not aligned",
+    ),
+    (EecvsStatus::ErrorMemory, c"the memory is too small"),
+    (EecvsStatus::ErrorWindow, c"sensor or window out of range"),
+    (
+        EecvsStatus::ErrorCoder,
+        c"no such coder or transform in this library",
+    ),
+    (
+        EecvsStatus::ErrorCoefficients,
+        c"M or the step is out of range",
+    ),
+    (
+        EecvsStatus::ErrorFidelity,
+        c"the coder has no tolerance or no such filter",
+    ),
+    (
+        EecvsStatus::ErrorBudget,
+        c"the budget is too small, or the coder has none",
+    ),
+    (EecvsStatus::ErrorFlag, c"a flag is neither 0 nor 1"),
+    (EecvsStatus::ErrorRoom, c"the room for a frame is too small"),
+    (EecvsStatus::ErrorOutside, c"the pixel is not on the sensor"),
+    (EecvsStatus::ErrorHot, c"no room for another hot pixel"),
+    (
+        EecvsStatus::ErrorFrames,
+        c"the frames hold nothing that can be decoded",
+    ),
+    (EecvsStatus::ErrorFinished, c"the decoder was finished"),
+    (
+        EecvsStatus::ErrorInternal,
+        c"a fault of the library: please report it",
+    ),
+];
 
 impl From<SetupError> for EecvsStatus {
     fn from(error: SetupError) -> Self {
@@ -129,10 +127,8 @@ impl From<HotError> for EecvsStatus {
 /// Returns a status as a few English words, also of numbers that are no status.
 #[unsafe(no_mangle)]
 pub extern "C" fn eecvs_status_name(status: i32) -> *const c_char {
-    let known = EecvsStatus::ALL
-        .into_iter()
-        .find(|known| *known as i32 == status);
-    known.map_or(c"unknown status", EecvsStatus::name).as_ptr()
+    let known = NAMES.iter().find(|(known, _)| *known as i32 == status);
+    known.map_or(c"unknown status", |(_, name)| name).as_ptr()
 }
 
 /// Returns `EECVS_ABI_VERSION` of the library, to be compared with that of the header.

@@ -1,11 +1,11 @@
 //! Decoding of frames as they come, window by window.
 
-use std::collections::VecDeque;
-use std::io::{self, Read};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::io;
+use std::sync::{Mutex, PoisonError};
 
 use eecvs::decode::WindowReader;
 use eecvs::frame_file::FrameReader;
+use eecvs::pushed::{PushError, Pushed};
 use eecvs::reconstruct::DecodedWindow;
 use eecvs::reconstruct::events::{EventDecoder, Finder};
 use eecvs::reconstruct::recover::Confidences;
@@ -13,7 +13,7 @@ use eecvs::reconstruct::volume::{Channels, Form, Maker, Weights};
 use event_types::Sensor;
 use event_types::stream::{Error, ErrorKind, Result};
 use numpy::{PyArray1, PyArray3, PyArrayMethods};
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyMemoryError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict, PyMemoryView};
 
@@ -196,34 +196,6 @@ pub fn bytes_of<'py>(data: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyBytes>> 
     }
 }
 
-/// Bytes that were pushed and not read.
-#[derive(Clone, Default)]
-struct Pushed(Arc<Mutex<Queue>>);
-
-#[derive(Default)]
-struct Queue {
-    bytes: VecDeque<u8>,
-    is_complete: bool,
-}
-
-impl Pushed {
-    fn with<T>(&self, act: impl FnOnce(&mut Queue) -> T) -> T {
-        act(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
-    }
-}
-
-impl Read for Pushed {
-    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        self.with(|queue| {
-            if queue.bytes.is_empty() && !queue.is_complete {
-                // The reader goes on from here when there are more.
-                return Err(io::ErrorKind::WouldBlock.into());
-            }
-            queue.bytes.read(into)
-        })
-    }
-}
-
 /// A decoder of frames that come in portions: push bytes, take the windows that come back.
 ///
 /// Bytes may be cut anywhere. Damaged and missing frames are skipped and counted: ``finish`` warns of them, and ``losses``
@@ -316,18 +288,15 @@ impl Decoder {
     fn push(&self, py: Python<'_>, data: &Bound<'_, PyAny>) -> PyResult<Vec<Window>> {
         let bytes = bytes_of(data)?;
         let bytes = bytes.as_bytes();
-        let is_complete = py.detach(|| {
-            self.pushed.with(|queue| {
-                queue.bytes.extend(bytes);
-                queue.is_complete
-            })
-        });
-        if is_complete {
-            return Err(PyValueError::new_err(
+        match py.detach(|| self.pushed.push(bytes)) {
+            Ok(()) => self.windows(py),
+            Err(PushError::Finished) => Err(PyValueError::new_err(
                 "the decoder was finished: begin another one",
-            ));
+            )),
+            Err(PushError::NoMemory) => Err(PyMemoryError::new_err(
+                "the system refuses memory for these bytes",
+            )),
         }
-        self.windows(py)
     }
 
     /// Ends the stream, and returns the last windows; warns of what was damaged or lost.
@@ -335,7 +304,7 @@ impl Decoder {
     /// Raises:
     ///     DamagedError: There was no frame.
     fn finish(&self, py: Python<'_>) -> PyResult<Vec<Window>> {
-        py.detach(|| self.pushed.with(|queue| queue.is_complete = true));
+        py.detach(|| self.pushed.finish());
         let windows = self.windows(py)?;
         let (frames, why, loss) = py.detach(|| {
             let inner = self.inner.lock().unwrap_or_else(PoisonError::into_inner);

@@ -84,8 +84,8 @@ fn decoded(config: Config, events: &[Event]) -> (DecodedWindow, usize) {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
 
-    /// All three coders carry the same pixels where their n0 is the same; each event of a pixel that is sent as times comes back within its cell,
-    /// with its polarity, and cells of a microsecond bring the microsecond back.
+    /// All three coders carry the same pixels where their n0 is the same; each event of a pixel that is sent as times
+    /// comes back within its cell, with its polarity, and cells of a microsecond bring the microsecond back.
     #[test]
     fn events_come_back_within_their_cells(
         (duration_us, sent) in pixels(),
@@ -180,15 +180,20 @@ fn bins_and_times_are_exact_whatever_the_window() {
     }
 }
 
+/// Returns random numbers below what is asked, always the same ones.
+fn random() -> impl FnMut(u64) -> u64 {
+    let mut state = 0x2545_F491_4F6C_DD1D_u64;
+    move |most| {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        state % most
+    }
+}
+
 /// A scene of `count` pixels whose events come in bursts, as pixels of a moving edge fire.
 fn scene(count: u64) -> Vec<Vec<(u32, bool)>> {
-    let mut random = 0x2545_F491_4F6C_DD1D_u64;
-    let mut next = |most: u64| {
-        random ^= random << 13;
-        random ^= random >> 7;
-        random ^= random << 17;
-        random % most
-    };
+    let mut next = random();
     (0..count)
         .map(|_| {
             let events = 1 + next(2) * next(4) * next(3);
@@ -257,19 +262,14 @@ fn best_takes_no_more_bits() {
 /// as times. None at all at the step of 2^-6.
 #[test]
 fn even_pixels_take_hardly_more_bits() {
-    let mut random = 0x2545_F491_4F6C_DD1D_u64;
+    let mut next = random();
     let finest = [6, 8, 10, 12, 16, 20, 24, 28, 32, 48].map(|m| (m, -6));
     let others = [-9, -5, -4, -3, -2, 0].map(|step_log2| [10, 16, 20].map(|m| (m, step_log2)));
     let settings = finest.into_iter().chain(others.into_iter().flatten());
     for of_pixel in 2..=24_u64 {
         let pixel = |_| {
             let mut offsets: Vec<_> = (0..of_pixel)
-                .map(|_| {
-                    random ^= random << 13;
-                    random ^= random >> 7;
-                    random ^= random << 17;
-                    ((random % 32_768) as u32, random >> 40 & 1 == 1)
-                })
+                .map(|_| (next(32_768) as u32, next(2) == 1))
                 .collect();
             offsets.sort_unstable();
             offsets
@@ -300,4 +300,25 @@ fn even_pixels_take_hardly_more_bits() {
             }
         }
     }
+}
+
+/// The rule looks at no event: where every ON event has an OFF event at its time, all levels are 0, and times take more.
+#[test]
+fn events_that_cancel_take_more_bits() {
+    let mut next = random();
+    let pair = |_| {
+        let at_us = next(32_768) as u32;
+        [(at_us, false), (at_us, true)]
+    };
+    let mut pairs: Vec<_> = (0..330).map(pair).collect();
+    pairs.chunks_mut(3).for_each(<[_]>::sort_unstable);
+    let sent: Vec<_> = pairs.chunks(3).map(<[_]>::concat).collect();
+    let events = events(&sent);
+    let config = plain_config(SENSOR, Transform::Dct, 16);
+    let best = Config {
+        few_as_times: true,
+        ..config
+    };
+    let ((_, levels), (_, times)) = (decoded(config, &events), decoded(best, &events));
+    assert!(2 * levels < times && times < 4 * levels, "{times} {levels}");
 }

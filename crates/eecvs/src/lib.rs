@@ -40,6 +40,7 @@ pub mod encode;
 pub mod exact_density;
 pub mod frame_file;
 pub mod hot_pixels;
+pub mod pushed;
 pub mod reconstruct;
 pub mod representation;
 pub mod search_budget;
