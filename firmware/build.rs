@@ -33,6 +33,8 @@ fn memory(out: &Path) -> Result<(), Box<dyn Error>> {
     let has = |feature: &str| env::var_os(format!("CARGO_FEATURE_{feature}")).is_some();
     let script = match *script {
         _ if has("CUTS") => "memory/instructions.x",
+        _ if has("AN505") => "memory/an505.x",
+        _ if has("AN547") => "memory/an547.x",
         "../memory.x" if !has("FULL") => "memory/small.x",
         script => script,
     };

@@ -1,5 +1,6 @@
 //! What people do with this project, one command each: `cargo xtask` lists them.
 
+mod cores;
 mod fuzz;
 mod host_instructions;
 mod image_recordings;
@@ -81,6 +82,15 @@ enum Task {
         /// Take only this many events from the start of each recording; all of them take 20 minutes
         #[arg(long)]
         events: Option<u64>,
+        /// The eecvs command to use [default: it is built]
+        #[arg(long)]
+        eecvs: Option<PathBuf>,
+    },
+    /// Run the encoder's image on every core that QEMU emulates, and compare its frames with the host's
+    Cores {
+        /// Write the table of instructions into docs/boards.md
+        #[arg(long)]
+        save: bool,
         /// The eecvs command to use [default: it is built]
         #[arg(long)]
         eecvs: Option<PathBuf>,
@@ -185,6 +195,7 @@ fn main() -> Result<ExitCode> {
         Task::HostInstructions { action } => host_instructions::run(action),
         Task::HostCases { folder } => host_instructions::run_cases(&folder),
         Task::ImageRecordings { events, eecvs } => image_recordings::run(events, eecvs),
+        Task::Cores { save, eecvs } => cores::run(save, eecvs),
         Task::Pipelines { record, rounds } => pipelines::run(record.as_deref(), rounds),
         Task::ReadSpeed { record, rounds } => read_speed::run(record.as_deref(), rounds),
         Task::Stream { events } => stream::run(events, None),

@@ -54,19 +54,28 @@ pub enum Machine {
     NetduinoPlus2,
     /// The same, of which the image takes at most 64 KiB of flash and 48 KiB of RAM: it has the fast coder alone.
     Small,
+    /// The MPS2+ board with a Cortex-M3.
+    Mps2An385,
     /// The MPS2+ board with a Cortex-M4.
     Mps2An386,
     /// The MPS2+ board with a Cortex-M7.
     Mps2An500,
+    /// The MPS2+ board with a Cortex-M33.
+    Mps2An505,
+    /// The MPS3 board with a Cortex-M55.
+    Mps3An547,
 }
 
 impl Machine {
     /// Every machine.
-    pub const ALL: [Self; 4] = [
+    pub const ALL: [Self; 7] = [
         Self::NetduinoPlus2,
         Self::Small,
+        Self::Mps2An385,
         Self::Mps2An386,
         Self::Mps2An500,
+        Self::Mps2An505,
+        Self::Mps3An547,
     ];
 
     /// Returns the machine with the given name, or `None` if the name is unknown.
@@ -83,8 +92,11 @@ impl Machine {
             Self::Small => {
                 "the same with an image of 64 KiB of flash and 48 KiB of RAM: the fast coder alone"
             }
+            Self::Mps2An385 => "MPS2+ board with a Cortex-M3",
             Self::Mps2An386 => "MPS2+ board with a Cortex-M4",
             Self::Mps2An500 => "MPS2+ board with a Cortex-M7",
+            Self::Mps2An505 => "MPS2+ board with a Cortex-M33",
+            Self::Mps3An547 => "MPS3 board with a Cortex-M55",
         }
     }
 
@@ -94,8 +106,11 @@ impl Machine {
         match self {
             Self::NetduinoPlus2 => "netduinoplus2",
             Self::Small => "small",
+            Self::Mps2An385 => "mps2-an385",
             Self::Mps2An386 => "mps2-an386",
             Self::Mps2An500 => "mps2-an500",
+            Self::Mps2An505 => "mps2-an505",
+            Self::Mps3An547 => "mps3-an547",
         }
     }
 

@@ -1,4 +1,6 @@
-//! ARM MPS2+ boards AN386 (Cortex-M4) and AN500 (Cortex-M7), in QEMU only.
+//! Arm's MPS2 and MPS3 boards, in QEMU only: AN385 (Cortex-M3), AN386 (M4), AN500 (M7), AN505 (M33) and AN547 (M55).
+//!
+//! The last two have the same UART in the secure part of their memory.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -11,21 +13,37 @@ use crate::receiving;
 /// Name of the machine.
 pub const NAME: &str = "mps2";
 /// Processor clock in hertz.
-pub const CLOCK_HZ: u32 = 25_000_000;
+pub const CLOCK_HZ: u32 = if cfg!(feature = "an505") {
+    20_000_000
+} else if cfg!(feature = "an547") {
+    32_000_000
+} else {
+    25_000_000
+};
 
 /// Receive interrupt of UART 0.
 #[derive(Clone, Copy)]
 struct Uart0Receive;
 
-// SAFETY: 0 is the number of this interrupt on both boards.
+/// Base address and receive interrupt of UART 0.
+#[cfg(not(any(feature = "an505", feature = "an547")))]
+const UART0_AT: (usize, u16) = (0x4000_4000, 0);
+/// Base address and receive interrupt of UART 0.
+#[cfg(feature = "an505")]
+const UART0_AT: (usize, u16) = (0x5020_0000, 32);
+/// Base address and receive interrupt of UART 0.
+#[cfg(feature = "an547")]
+const UART0_AT: (usize, u16) = (0x5930_3000, 33);
+
+// SAFETY: this is the number of the interrupt on the image's board.
 unsafe impl cortex_m::interrupt::InterruptNumber for Uart0Receive {
     fn number(self) -> u16 {
-        0
+        UART0_AT.1
     }
 }
 
 /// Registers of UART 0 (CMSDK APB UART), from its base address on.
-const UART0: *mut u32 = 0x4000_4000 as *mut u32;
+const UART0: *mut u32 = core::ptr::with_exposed_provenance_mut(UART0_AT.0);
 const DATA: usize = 0;
 const STATE: usize = 1;
 const CONTROL: usize = 2;
@@ -119,7 +137,7 @@ pub fn resume_receiving() {
 /// Handles every interrupt of the board: without a device's vector table there is one handler for all.
 #[exception]
 unsafe fn DefaultHandler(interrupt: i16) {
-    if interrupt == 0 {
+    if interrupt == UART0_AT.1 as i16 {
         receiving::on_receive();
     }
 }
