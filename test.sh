@@ -7,6 +7,8 @@
 #             instructions of the host's encoder, decoder and readers
 #   nostd     the core and the USB class without std
 #   firmware  the images in QEMU: golden vectors, stack, code, instructions, recordings
+#   cores     the library for C: its programs on this machine and, in QEMU, on the cores of microcontrollers; their sizes;
+#             what finds it: only when it is named (the unit stage has all of this, too)
 #   usb       the USB link: its tests, libusb against a mocked device, simulated cameras in a guest
 #             with a real kernel
 #   links     the tests of hubs and of ROS 2's nodes, which wait for each other's messages more than they compute, and
@@ -100,6 +102,24 @@ emulator() {
     packages qemu-system-arm
 }
 
+# What builds programs in C for microcontrollers, runs them, and builds others with CMake, installed if that is possible.
+compilers() {
+    local program
+    for program in arm-none-eabi-gcc riscv64-unknown-elf-gcc qemu-system-riscv32 qemu-system-arm cmake pkg-config; do
+        have "$program" && continue
+        echo "installing compilers for microcontrollers"
+        packages --no-install-recommends gcc-arm-none-eabi gcc-riscv64-unknown-elf qemu-system-misc qemu-system-arm cmake \
+            pkg-config && return
+        skip "cores: there is no $program and apt-get cannot install it"
+        return 1
+    done
+}
+
+cores() {
+    compilers || true
+    cargo test -p eecvs-capi -- --nocapture
+}
+
 # Waits until the unit stage's build is there, or makes it: tests, commands, examples.
 built() { cargo test --workspace "${FEATURES[@]}" --no-run --quiet; }
 
@@ -157,6 +177,7 @@ unit() {
     h5py || skip "unit: the filter of HDF5 in h5py: pip cannot install h5py"
     # The firmware stage reports a missing one.
     emulator || true
+    compilers || true
     target thumbv7em-none-eabihf || true
     # The dev profile checks arithmetic overflow and debug assertions.
     if ran links; then
@@ -447,7 +468,8 @@ firmware() {
                 --features "$features" --target thumbv7em-none-eabihf --target-dir firmware/target/clippy -- -D warnings
         done
     fi
-    for machine in netduinoplus2 mps2-an386 mps2-an500 microbit; do
+    # Cortex-M4, M3, M7, M33, M55 and M0.
+    for machine in netduinoplus2 mps2-an385 mps2-an500 mps2-an505 mps3-an547 microbit; do
         echo "golden vectors on $machine"
         qemu "$machine" golden
     done
@@ -557,7 +579,7 @@ if [ ${#stages[@]} = 0 ]; then
 fi
 for stage in "${stages[@]}"; do
     case $stage in
-        lint | unit | links | metrics | peers | python | torch | page | ros | nostd | neon | firmware | usb | usb-recordings | fuzz | demo) ;;
+        lint | unit | links | metrics | peers | python | torch | page | ros | nostd | neon | firmware | cores | usb | usb-recordings | fuzz | demo) ;;
         *) echo "test.sh: unknown stage '$stage'; the head of this file lists the stages" >&2; exit 2 ;;
     esac
 done

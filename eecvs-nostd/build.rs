@@ -9,7 +9,7 @@ fn main() {
     println!("cargo:rerun-if-changed=build.rs");
     println!("cargo:rustc-check-cfg=cfg(eecvs_dsp, eecvs_intake_asm, eecvs_thumb2, eecvs_small)");
     let target = std::env::var("TARGET").unwrap_or_default();
-    if target.starts_with("thumbv7") {
+    if target.starts_with("thumbv7") || target.starts_with("thumbv8m.main") {
         println!("cargo:rustc-cfg=eecvs_thumb2");
     }
     // Cortex-M0, with up to 256 KiB of flash.
@@ -19,7 +19,8 @@ fn main() {
     if std::env::var_os("CARGO_FEATURE_PORTABLE").is_some() {
         return;
     }
-    // Cortex-M4 and M7, in Thumb only: other targets spell the instructions differently.
+    // Cortex-M4 and M7, in Thumb only: other targets spell the instructions differently. Cortex-M33 and later cores with
+    // the DSP extension run what is built for this target, too; their own target leaves the extension out.
     if target.starts_with("thumbv7em-") {
         println!("cargo:rustc-cfg=eecvs_dsp");
         // The assembly expects the slots of a microcontroller.

@@ -1,7 +1,7 @@
 /*
  * eecvs.h: encodes the events of an event camera, and decodes them.
  *
- * Made of the Rust sources in capi/src: `cargo xtask bless` writes it again.
+ * Made of the Rust sources in capi/src: EECVS_BLESS=1 cargo test -p eecvs-capi --test header writes it again.
  */
 
 
@@ -114,6 +114,93 @@ enum eecvs_status
 typedef enum eecvs_status eecvs_status;
 #else
 typedef int32_t eecvs_status;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+/**
+ * How windows are coded: values of `eecvs_config.coder`.
+ */
+enum eecvs_coder
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : uint8_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+    /**
+     * The events themselves, quickly.
+     */
+    EECVS_CODER_FAST = 0,
+    /**
+     * The events themselves in their order of arrival: the quickest, for more bits. Exact, and without a budget.
+     */
+    EECVS_CODER_QUICK = 1,
+    /**
+     * The events themselves, in the fewest bits that a microcontroller has room for.
+     */
+    EECVS_CODER_DENSE = 2,
+    /**
+     * Coefficients of a transform.
+     */
+    EECVS_CODER_TRANSFORM = 3,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum eecvs_coder eecvs_coder;
+#else
+typedef uint8_t eecvs_coder;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+/**
+ * Transforms: values of `eecvs_config.transform`.
+ */
+enum eecvs_transform
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : uint8_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+    /**
+     * Discrete cosine transform.
+     */
+    EECVS_TRANSFORM_DCT = 0,
+    /**
+     * Discrete-time Fourier transform.
+     */
+    EECVS_TRANSFORM_DTFT = 1,
+    /**
+     * Haar wavelet transform.
+     */
+    EECVS_TRANSFORM_DWT = 2,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum eecvs_transform eecvs_transform;
+#else
+typedef uint8_t eecvs_transform;
+#endif // __STDC_VERSION__ >= 202311L
+#endif // __cplusplus
+
+/**
+ * The order of the bytes of an EVT 2.1 word.
+ */
+enum eecvs_word_order
+#if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+  : uint8_t
+#endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
+ {
+    /**
+     * The whole word is little-endian: GenX320.
+     */
+    EECVS_WORD_ORDER_LITTLE = 0,
+    /**
+     * The upper half comes first, each half little-endian: IMX636 and Gen 4.1.
+     */
+    EECVS_WORD_ORDER_UPPER_FIRST = 1,
+};
+#ifndef __cplusplus
+#if __STDC_VERSION__ >= 202311L
+typedef enum eecvs_word_order eecvs_word_order;
+#else
+typedef uint8_t eecvs_word_order;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
@@ -418,6 +505,34 @@ eecvs_status eecvs_push_evt2(struct eecvs_encoder *it,
                              size_t *taken);
 
 /**
+ * Takes words of EVT 2.1 from the front of `count` ones, whose bytes have an order of `eecvs_word_order`, and writes how
+ * many to `*taken`. Otherwise as `eecvs_push_evt2`. A word whose events are of two windows is taken with the second: push
+ * it again, as the first of the rest.
+ *
+ * # Safety
+ * `it` is an encoder that no other call has; `words` points to 8 `count` bytes; `taken` is null or can be written.
+ */
+eecvs_status eecvs_push_evt21(struct eecvs_encoder *it,
+                              const void *words,
+                              size_t count,
+                              uint8_t order,
+                              size_t *taken);
+
+/**
+ * Takes words of AER from the front of `count` ones, as a GenX320 sends them over its parallel port, one to a `uint32_t`,
+ * and writes how many to `*taken`. They have no time of their own: all have arrived at `now_us`. Otherwise as
+ * `eecvs_push`; a word with a bit above the 19 of the format is ignored and counted.
+ *
+ * # Safety
+ * `it` is an encoder that no other call has; `words` points to `count` words; `taken` is null or can be written.
+ */
+eecvs_status eecvs_push_aer(struct eecvs_encoder *it,
+                            const uint32_t *words,
+                            size_t count,
+                            uint64_t now_us,
+                            size_t *taken);
+
+/**
  * Closes the open window, so that its frames can be taken: at the end of a recording.
  *
  * # Safety
@@ -507,3 +622,23 @@ uint32_t eecvs_abi_version(void);
 #endif  // __cplusplus
 
 #endif  /* EECVS_H */
+
+/**
+ * Most bytes of an encoder's memory that are not for a window.
+ */
+#define EECVS_STATE_BYTES (sizeof(void *) < 8 ? 1280 : 1792)
+
+/**
+ * Bytes of memory that an encoder with the fast coder takes at most, to be lent as
+ * static uint64_t memory[EECVS_FAST_BYTES(320, 320, 2048) / 8];
+ * Each hot pixel takes 4 more, rounded up to 8. `eecvs_encoder_size` has the other coders' bytes.
+ */
+#define EECVS_FAST_BYTES(width, height, window_events)                                    \
+    (EECVS_STATE_BYTES + 8 * (size_t)(window_events) +                                      \
+     ((sizeof(void *) < 8 ? 2 : 4) * EECVS_SEGMENTS(width, height) + 7) / 8 * 8 +           \
+     ((EECVS_SEGMENTS(width, height) + 31) / 32 * 4 + 7) / 8 * 8)
+
+/**
+ * Segments of a sensor: runs of 32 pixels in a row, each with a list of events.
+ */
+#define EECVS_SEGMENTS(width, height) (((size_t)(width) + 31) / 32 * (size_t)(height))

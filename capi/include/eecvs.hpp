@@ -60,6 +60,23 @@ public:
                 frames(frame);
     }
 
+    /* Takes EVT 2.1 words likewise. */
+    template <typename Frame>
+    void push_evt21(const void *words, std::size_t count, eecvs_word_order order, Frame &&frame) {
+        const auto *bytes = static_cast<const std::uint8_t *>(words);
+        for (std::size_t at = 0, taken = 0; at < count; at += taken)
+            if (check(eecvs_push_evt21(it_, bytes + 8 * at, count - at, order, &taken)) == EECVS_STATUS_CLOSED)
+                frames(frame);
+    }
+
+    /* Takes AER words likewise, which have arrived at now_us. */
+    template <typename Frame>
+    void push_aer(const std::uint32_t *words, std::size_t count, std::uint64_t now_us, Frame &&frame) {
+        for (std::size_t at = 0, taken = 0; at < count; at += taken)
+            if (check(eecvs_push_aer(it_, words + at, count - at, now_us, &taken)) == EECVS_STATUS_CLOSED)
+                frames(frame);
+    }
+
     /* Closes the last window. */
     template <typename Frame> void flush(Frame &&frame) {
         check(eecvs_flush(it_));

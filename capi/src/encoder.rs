@@ -2,9 +2,12 @@
 
 use core::ffi::c_void;
 use core::num::NonZeroU32;
+use core::ops::Range;
 
 use eecvs_nostd::evt2::Evt2Decoder;
-use eecvs_nostd::{Event, OUTPUT_BYTES_MIN, Polarity, Push, Window, WindowEncoder};
+use eecvs_nostd::evt21::Order;
+use eecvs_nostd::window::{Taken, vectors::VectorIntake};
+use eecvs_nostd::{Event, OUTPUT_BYTES_MIN, Polarity, Push, Window, WindowEncoder, aer};
 
 use crate::config::EecvsConfig;
 use crate::memory::{self, Unit};
@@ -72,7 +75,60 @@ pub struct EecvsEncoder {
     window: Window<'static>,
     encoder: WindowEncoder<'static>,
     evt2: Evt2Decoder,
+    evt21: VectorIntake,
     counts: EecvsCounts,
+}
+
+/// The order of the bytes of an EVT 2.1 word.
+#[repr(u8)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum EecvsWordOrder {
+    /// The whole word is little-endian: GenX320.
+    Little = 0,
+    /// The upper half comes first, each half little-endian: IMX636 and Gen 4.1.
+    UpperFirst = 1,
+}
+
+impl EecvsEncoder {
+    fn push(&mut self, event: Event) -> Push {
+        let pushed = self.window.push(event);
+        self.counts.outside = self
+            .counts
+            .outside
+            .wrapping_add((pushed == Push::Outside).into());
+        self.counts.events = self
+            .counts
+            .events
+            .wrapping_add((pushed != Push::Closed).into());
+        pushed
+    }
+
+    /// Counts what was taken of words; returns the number of these.
+    fn count(&mut self, taken: Taken) -> usize {
+        let counts = &mut self.counts;
+        counts.events = counts.events.wrapping_add(taken.events.into());
+        counts.outside = counts.outside.wrapping_add(taken.outside.into());
+        counts.ignored = counts.ignored.wrapping_add(taken.ignored.into());
+        taken.words
+    }
+}
+
+/// Writes how many of `count` were taken to `*taken`, and returns whether these are all.
+///
+/// # Safety
+/// `taken` is null or can be written.
+unsafe fn report(
+    pushed: Result<usize, EecvsStatus>,
+    count: usize,
+    taken: *mut usize,
+) -> EecvsStatus {
+    // SAFETY: as the caller promises.
+    unsafe { put(taken, *pushed.as_ref().unwrap_or(&0)) };
+    match pushed {
+        Ok(done) if done < count => EecvsStatus::Closed,
+        Ok(_) => EecvsStatus::Ok,
+        Err(status) => status,
+    }
 }
 
 /// Returns the encoder behind a pointer.
@@ -169,6 +225,7 @@ pub unsafe extern "C" fn eecvs_encoder_new(
                 window,
                 encoder,
                 evt2: Evt2Decoder::new(0),
+                evt21: VectorIntake::new(0),
                 counts: EecvsCounts::default(),
             });
             made.write(place);
@@ -192,25 +249,16 @@ pub unsafe extern "C" fn eecvs_push(
     count: usize,
     taken: *mut usize,
 ) -> EecvsStatus {
-    let mut done = 0;
-    let mut push = || {
+    let push = || {
         // SAFETY: as the caller promises.
         let (it, events) = unsafe { (encoder(it)?, slice(events, count)?) };
-        for event in events {
-            match it.window.push((*event).into()) {
-                Push::Stored => {}
-                Push::Outside => it.counts.outside = it.counts.outside.wrapping_add(1),
-                Push::Closed => return Ok(EecvsStatus::Closed),
-            }
-            it.counts.events = it.counts.events.wrapping_add(1);
-            done += 1;
-        }
-        Ok(EecvsStatus::Ok)
+        let taken = events
+            .iter()
+            .take_while(|event| it.push((**event).into()) != Push::Closed);
+        Ok(taken.count())
     };
-    let status = push().unwrap_or_else(|error| error);
     // SAFETY: as the caller promises.
-    unsafe { put(taken, done) };
-    status
+    unsafe { report(push(), count, taken) }
 }
 
 /// Takes little-endian words of EVT 2.0 from the front of `count` ones, as a sensor sends them, and writes how many to
@@ -225,29 +273,75 @@ pub unsafe extern "C" fn eecvs_push_evt2(
     count: usize,
     taken: *mut usize,
 ) -> EecvsStatus {
-    let mut done = 0;
-    let mut push = || {
+    let push = || {
         // SAFETY: as the caller promises.
         let (it, words) = unsafe { (encoder(it)?, slice(words.cast::<[u8; 4]>(), count)?) };
-        let EecvsEncoder {
-            window,
-            evt2,
-            counts,
-            ..
-        } = it;
-        let taken = window.push_words(evt2, words);
-        counts.events = counts.events.wrapping_add(taken.events.into());
-        counts.ignored = counts.ignored.wrapping_add(taken.ignored.into());
-        done = taken.words;
-        match done < words.len() {
-            true => Ok(EecvsStatus::Closed),
-            false => Ok(EecvsStatus::Ok),
-        }
+        let taken = it.window.push_words(&mut it.evt2, words);
+        Ok(it.count(taken))
     };
-    let status = push().unwrap_or_else(|error| error);
     // SAFETY: as the caller promises.
-    unsafe { put(taken, done) };
-    status
+    unsafe { report(push(), count, taken) }
+}
+
+/// Takes words of EVT 2.1 from the front of `count` ones, whose bytes have an order of `eecvs_word_order`, and writes how
+/// many to `*taken`. Otherwise as `eecvs_push_evt2`. A word whose events are of two windows is taken with the second: push
+/// it again, as the first of the rest.
+///
+/// # Safety
+/// `it` is an encoder that no other call has; `words` points to 8 `count` bytes; `taken` is null or can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn eecvs_push_evt21(
+    it: *mut EecvsEncoder,
+    words: *const c_void,
+    count: usize,
+    order: u8,
+    taken: *mut usize,
+) -> EecvsStatus {
+    let push = || {
+        let order = match order {
+            0 => Order::Little,
+            1 => Order::UpperFirst,
+            _ => return Err(EecvsStatus::ErrorFlag),
+        };
+        // SAFETY: as the caller promises.
+        let (it, words) = unsafe { (encoder(it)?, slice(words.cast::<[u8; 8]>(), count)?) };
+        let taken = it.window.push_vectors(&mut it.evt21, order, words);
+        Ok(it.count(taken))
+    };
+    // SAFETY: as the caller promises.
+    unsafe { report(push(), count, taken) }
+}
+
+/// Takes words of AER from the front of `count` ones, as a GenX320 sends them over its parallel port, one to a `uint32_t`,
+/// and writes how many to `*taken`. They have no time of their own: all have arrived at `now_us`. Otherwise as
+/// `eecvs_push`; a word with a bit above the 19 of the format is ignored and counted.
+///
+/// # Safety
+/// `it` is an encoder that no other call has; `words` points to `count` words; `taken` is null or can be written.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn eecvs_push_aer(
+    it: *mut EecvsEncoder,
+    words: *const u32,
+    count: usize,
+    now_us: u64,
+    taken: *mut usize,
+) -> EecvsStatus {
+    let push = || {
+        // SAFETY: as the caller promises.
+        let (it, words) = unsafe { (encoder(it)?, slice(words, count)?) };
+        let taken = words
+            .iter()
+            .take_while(|word| match aer::event(**word, now_us) {
+                Some(event) => it.push(event) != Push::Closed,
+                None => {
+                    it.counts.ignored = it.counts.ignored.wrapping_add(1);
+                    true
+                }
+            });
+        Ok(taken.count())
+    };
+    // SAFETY: as the caller promises.
+    unsafe { report(push(), count, taken) }
 }
 
 /// Closes the open window, so that its frames can be taken: at the end of a recording.
@@ -299,13 +393,17 @@ pub unsafe extern "C" fn eecvs_next_frame(
         let Some(frame) = frame.map_err(|_| EecvsStatus::ErrorRoom)? else {
             return Ok(EecvsStatus::None);
         };
-        made = frame.range.len();
+        let Range { start, end } = frame.range;
+        if start > end || end > out.len() {
+            return Err(EecvsStatus::ErrorInternal);
+        }
+        made = end - start;
         it.counts.frames = it.counts.frames.wrapping_add(1);
         it.counts.bytes = it.counts.bytes.wrapping_add(made as u64);
         // Frames begin at the output's front: what a caller sends.
-        if frame.range.start > 0 {
-            out.copy_within(frame.range, 0);
-        }
+        let out = out.as_mut_ptr();
+        // SAFETY: both ranges lie in the output, as was checked.
+        unsafe { core::ptr::copy(out.add(start), out, made) };
         Ok(EecvsStatus::Ok)
     };
     let status = next().unwrap_or_else(|error| error);

@@ -28,9 +28,10 @@ pub use decoder::{
     eecvs_decoder_new, eecvs_decoder_next, eecvs_decoder_push, eecvs_decoder_sensor,
 };
 pub use encoder::{
-    EecvsCounts, EecvsEncoder, EecvsEvent, eecvs_add_hot, eecvs_count_dropped, eecvs_encoder_new,
-    eecvs_encoder_size, eecvs_flush, eecvs_get_counts, eecvs_next_frame, eecvs_pass, eecvs_push,
-    eecvs_push_evt2, eecvs_set_budget, eecvs_set_tolerance,
+    EecvsCounts, EecvsEncoder, EecvsEvent, EecvsWordOrder, eecvs_add_hot, eecvs_count_dropped,
+    eecvs_encoder_new, eecvs_encoder_size, eecvs_flush, eecvs_get_counts, eecvs_next_frame,
+    eecvs_pass, eecvs_push, eecvs_push_aer, eecvs_push_evt2, eecvs_push_evt21, eecvs_set_budget,
+    eecvs_set_tolerance,
 };
 pub use status::{EecvsStatus, eecvs_abi_version, eecvs_status_name};
 
@@ -44,6 +45,11 @@ pub const EECVS_ALIGN: usize = 8;
 pub const EECVS_FRAME_BYTES_MIN: usize = 2048;
 
 const _: () = assert!(EECVS_FRAME_BYTES_MIN >= eecvs_nostd::OUTPUT_BYTES_MIN);
+
+/// Most bytes of an encoder's memory that are not for a window: the header's `EECVS_STATE_BYTES`.
+const STATE_BYTES: usize = if size_of::<usize>() < 8 { 1280 } else { 1792 };
+
+const _: () = assert!(size_of::<EecvsEncoder>() <= STATE_BYTES);
 
 /// Without the standard library there is nobody else who ends a program that panics.
 #[cfg(all(not(feature = "decoder"), not(test)))]

@@ -5,6 +5,9 @@ use std::mem::MaybeUninit;
 use std::ptr::{null, null_mut};
 
 use eecvs_capi::*;
+use eecvs_nostd::evt2::Evt2Encoder;
+use eecvs_nostd::evt21::{self, Order};
+use eecvs_nostd::{Event, Polarity, aer};
 
 const STATUS_NONE: EecvsStatus = EecvsStatus::None;
 
@@ -66,14 +69,19 @@ fn take(it: *mut EecvsEncoder, frames: &mut Vec<u8>) {
     }
 }
 
-fn encode(config: &EecvsConfig, events: &[EecvsEvent]) -> Vec<u8> {
+/// Encodes `count` inputs, which `push` gives from a position on: it has the encoder, the position and where the number of
+/// those taken is to be written.
+fn encode_by(
+    config: &EecvsConfig,
+    count: usize,
+    push: impl Fn(*mut EecvsEncoder, usize, *mut usize) -> EecvsStatus,
+) -> (Vec<u8>, EecvsCounts) {
     let mut memory = memory(size(config).unwrap());
     let it = encoder(config, &mut memory);
     let (mut frames, mut at) = (Vec::new(), 0);
-    while at < events.len() {
-        let (rest, mut taken) = (&events[at..], 0);
-        // SAFETY: all are lent.
-        let status = unsafe { eecvs_push(it, rest.as_ptr(), rest.len(), &raw mut taken) };
+    while at < count {
+        let mut taken = 0;
+        let status = push(it, at, &raw mut taken);
         at += taken;
         match status {
             EecvsStatus::Ok => {}
@@ -87,10 +95,17 @@ fn encode(config: &EecvsConfig, events: &[EecvsEvent]) -> Vec<u8> {
     let mut counts = EecvsCounts::default();
     // SAFETY: both are lent.
     unsafe { eecvs_get_counts(it, &raw mut counts) };
-    assert_eq!(
-        (counts.events, counts.bytes),
-        (events.len() as u64, frames.len() as u64)
-    );
+    assert_eq!(counts.bytes, frames.len() as u64);
+    (frames, counts)
+}
+
+fn encode(config: &EecvsConfig, events: &[EecvsEvent]) -> Vec<u8> {
+    let (frames, counts) = encode_by(config, events.len(), |it, at, taken| {
+        let rest = &events[at..];
+        // SAFETY: all are lent.
+        unsafe { eecvs_push(it, rest.as_ptr(), rest.len(), taken) }
+    });
+    assert_eq!(counts.events, events.len() as u64);
     frames
 }
 
@@ -166,6 +181,128 @@ fn every_coder_brings_events_back() {
             assert_eq!(found.len(), sent.len());
         }
     }
+}
+
+/// Rows of events at one time, which EVT 2.1 has in one word, some of them off the sensor.
+fn rows() -> Vec<Event> {
+    let mut events = Vec::new();
+    for row in 0..2000_u64 {
+        let polarity = Polarity::from_bool(row.is_multiple_of(3));
+        let columns = (0..64).filter(|column| column * row % 7 < 3);
+        events.extend(columns.map(|x| Event {
+            t_us: 40 * row,
+            x: x as u16,
+            y: (row * 5 % 30) as u16,
+            polarity,
+        }));
+    }
+    events
+}
+
+#[test]
+fn the_words_of_sensors_are_their_events() {
+    let events = rows();
+    let structs: Vec<EecvsEvent> = events
+        .iter()
+        .map(|event| EecvsEvent {
+            t_us: event.t_us,
+            x: event.x,
+            y: event.y,
+            polarity: event.polarity as u8,
+        })
+        .collect();
+    let mut evt2 = Evt2Encoder::new(0);
+    let evt2: Vec<[u8; 4]> = events
+        .iter()
+        .flat_map(|event| {
+            let (time, word) = evt2.encode(*event).unwrap();
+            time.into_iter().chain([word])
+        })
+        .map(u32::to_le_bytes)
+        .collect();
+    let (mut vectors, mut rest, mut high) = (Vec::new(), &events[..], None);
+    while let Some(first) = rest.first() {
+        let now = first.t_us >> evt21::LOW_BITS;
+        if high.replace(now) != Some(now) {
+            vectors.push(evt21::time_word(now));
+        }
+        let (count, word) = evt21::vector(rest);
+        vectors.push(word);
+        rest = &rest[count..];
+    }
+    // Windows that end by their number of events, so most within a word; and by their time.
+    for (window_events, window_us) in [(100, 32_768), (4096, 1000)] {
+        let mut config = config(50, 30);
+        (config.window_events, config.window_us) = (window_events, window_us);
+        let (frames, counts) = encode_by(&config, structs.len(), |it, at, taken| {
+            // SAFETY: all are lent.
+            unsafe { eecvs_push(it, structs[at..].as_ptr(), structs.len() - at, taken) }
+        });
+        let outside = events.iter().filter(|event| event.x >= 50).count() as u64;
+        assert_eq!(
+            (counts.events, counts.outside),
+            (events.len() as u64, outside)
+        );
+        assert!(counts.frames > 50 && outside > 0);
+        let by_evt2 = encode_by(&config, evt2.len(), |it, at, taken| {
+            // SAFETY: all are lent.
+            unsafe { eecvs_push_evt2(it, evt2[at..].as_ptr().cast(), evt2.len() - at, taken) }
+        });
+        assert!(by_evt2 == (frames.clone(), counts), "{:?}", by_evt2.1);
+        for order in [Order::Little, Order::UpperFirst] {
+            let words: Vec<_> = vectors.iter().map(|word| order.bytes(*word)).collect();
+            // In portions, too, and with nothing in between.
+            for portion in [1, usize::MAX] {
+                let by_evt21 = encode_by(&config, words.len(), |it, at, taken| {
+                    let rest = &words[at..];
+                    let (first, count) = (rest.as_ptr().cast(), rest.len().min(portion));
+                    // SAFETY: all are lent.
+                    unsafe {
+                        eecvs_push_evt21(it, first, 0, 0, null_mut());
+                        eecvs_push_evt21(
+                            it,
+                            first,
+                            count,
+                            u8::from(order == Order::UpperFirst),
+                            taken,
+                        )
+                    }
+                });
+                assert!(by_evt21 == (frames.clone(), counts), "{:?}", by_evt21.1);
+            }
+        }
+        let by_aer = encode_by(&config, structs.len(), |it, at, taken| {
+            let word = aer::word(events[at]).unwrap();
+            // SAFETY: all are lent.
+            unsafe { eecvs_push_aer(it, &raw const word, 1, events[at].t_us, taken) }
+        });
+        assert!(by_aer == (frames, counts), "{:?}", by_aer.1);
+    }
+}
+
+#[test]
+fn words_that_are_no_events_are_counted() {
+    let mut config = config(2048, 30);
+    config.window_events = 100;
+    let vector = 1_u64 << 60 | 2047 << 43 | 0x8000_0001;
+    let words = [vector, 0xE << 60, evt21::time_word(3), vector, 1 << 60].map(u64::to_le_bytes);
+    let (frames, counts) = encode_by(&config, words.len(), |it, at, taken| {
+        // SAFETY: all are lent.
+        unsafe { eecvs_push_evt21(it, words[at..].as_ptr().cast(), words.len() - at, 0, taken) }
+    });
+    // Two before the first time, another type, none in a vector; of two events one is off every sensor.
+    assert_eq!((counts.events, counts.outside, counts.ignored), (2, 1, 4));
+    assert_eq!(decode(&frames).0.len(), 1);
+    let word = 1 << 19;
+    let (_, counts) = encode_by(&config, 1, |it, _, taken| {
+        // SAFETY: all are lent.
+        unsafe {
+            let refused = eecvs_push_evt21(it, null(), 0, 2, taken);
+            assert_eq!(refused, EecvsStatus::ErrorFlag);
+            eecvs_push_aer(it, &raw const word, 1, 0, taken)
+        }
+    });
+    assert_eq!((counts.events, counts.ignored), (0, 1));
 }
 
 #[test]

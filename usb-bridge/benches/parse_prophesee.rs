@@ -10,7 +10,7 @@ use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_m
 use eecvs_nostd::{Event, Sensor};
 use event_emulator::{Preset, SceneConfig, emulate};
 use event_files::EventReader;
-use event_files::evt::evt21_word::Order;
+use event_types::evt21::Order;
 use evt3::Evt3Decoder;
 use usb_bridge::device::prophesee::parse_evt3::Evt3Parser;
 use usb_bridge::device::prophesee::parse_evt21::Evt21Parser;

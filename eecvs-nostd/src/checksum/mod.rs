@@ -17,7 +17,10 @@ use crc::CRC_32_ISO_HDLC;
 use crc::{CRC_16_IBM_3740, Crc, Table};
 
 /// CRC-16 of a frame's header and of a packet.
-pub(crate) static CRC_16: Crc<u16, Table<1>> = Crc::<u16, Table<1>>::new(&CRC_16_IBM_3740);
+pub(crate) static CRC_16: Crc<u16, Way16> = Crc::<u16, Way16>::new(&CRC_16_IBM_3740);
+
+/// How many of its tables are in the image: headers have few bytes.
+type Way16 = Table<{ if cfg!(feature = "small") { 0 } else { 1 } }>;
 
 /// Returns the CRC-32 of `bytes`.
 #[cfg(target_pointer_width = "64")]
@@ -26,7 +29,17 @@ pub(crate) fn crc_32(bytes: &[u8]) -> u32 {
 }
 
 /// Returns the CRC-32 of `bytes`.
-#[cfg(all(not(target_pointer_width = "64"), not(eecvs_dsp)))]
+#[cfg(all(not(target_pointer_width = "64"), not(eecvs_dsp), feature = "small"))]
+pub(crate) fn crc_32(bytes: &[u8]) -> u32 {
+    !by_bytes(u32::MAX, bytes)
+}
+
+/// Returns the CRC-32 of `bytes`.
+#[cfg(all(
+    not(target_pointer_width = "64"),
+    not(eecvs_dsp),
+    not(feature = "small")
+))]
 pub(crate) fn crc_32(bytes: &[u8]) -> u32 {
     let (words, rest) = bytes.as_chunks::<4>();
     // A Cortex-M0 has little flash.
@@ -88,9 +101,17 @@ fn by_parts(mut crc: u32, words: &[[u8; 4]]) -> u32 {
 }
 
 /// Continues the checksum `crc`, without its final inversion, over `words`.
-#[cfg(any(test, eecvs_dsp, not(any(target_pointer_width = "64", eecvs_thumb2))))]
+#[cfg(any(
+    test,
+    eecvs_dsp,
+    not(any(target_pointer_width = "64", eecvs_thumb2, feature = "small"))
+))]
 #[inline(always)]
 pub(crate) fn by_words(mut crc: u32, words: &[[u8; 4]]) -> u32 {
+    // One table, then, which `fold` leaves little to.
+    if cfg!(feature = "small") {
+        return by_bytes(crc, words.as_flattened());
+    }
     let [last, third, second, first] = &TABLES;
     for bytes in words {
         let [a, b, c, d] = (crc ^ u32::from_le_bytes(*bytes)).to_le_bytes();
@@ -106,8 +127,33 @@ pub(crate) fn by_words(mut crc: u32, words: &[[u8; 4]]) -> u32 {
 #[cfg(any(test, not(target_pointer_width = "64")))]
 #[inline(never)]
 pub(crate) fn by_bytes(crc: u32, bytes: &[u8]) -> u32 {
+    // Each table is of its own, as the linker keeps or drops one as a whole.
+    if cfg!(feature = "small") {
+        return by_halves(crc, bytes);
+    }
+    static TABLE: [u32; 256] = TABLES[0];
     bytes.iter().fold(crc, |crc, byte| {
-        (crc >> 8) ^ TABLES[0][usize::from(crc as u8 ^ byte)]
+        (crc >> 8) ^ TABLE[usize::from(crc as u8 ^ byte)]
+    })
+}
+
+/// As [`by_bytes`], 4 bits at a time, by a table of 64 bytes.
+#[cfg(any(test, not(target_pointer_width = "64")))]
+#[inline(always)]
+fn by_halves(crc: u32, bytes: &[u8]) -> u32 {
+    static TABLE: [u32; 16] = {
+        let mut table = [0; 16];
+        let mut i = 0;
+        while i < table.len() {
+            table[i] = TABLES[0][i << 4];
+            i += 1;
+        }
+        table
+    };
+    bytes.iter().fold(crc, |crc, byte| {
+        let crc = crc ^ u32::from(*byte);
+        let crc = (crc >> 4) ^ TABLE[(crc & 0xF) as usize];
+        (crc >> 4) ^ TABLE[(crc & 0xF) as usize]
     })
 }
 
@@ -136,6 +182,7 @@ mod tests {
             prop_assert_eq!(by_tables(&bytes), CRC_32.checksum(&bytes));
             let (words, rest) = bytes.as_chunks::<4>();
             prop_assert_eq!(!by_bytes(by_parts(u32::MAX, words), rest), CRC_32.checksum(&bytes));
+            prop_assert_eq!(!by_halves(u32::MAX, &bytes), CRC_32.checksum(&bytes));
         }
     }
 }

@@ -17,6 +17,12 @@ use crate::transform::{GRID_MAX, M_MAX, Transform};
 use crate::window::filter::Filter;
 use crate::window::{HAS_QUICK, WindowConfig};
 
+/// Whether frames can be kept within a budget of bytes; without the feature none of its code is compiled.
+pub(crate) const HAS_BUDGET: bool = cfg!(feature = "budget");
+
+/// Whether a mean error of times can be asked for; without the feature none of its code is compiled.
+pub(crate) const HAS_MEAN_ERROR: bool = cfg!(feature = "mean-error");
+
 /// Whether windows can keep the order of their events; without the feature none of its code is compiled.
 pub(crate) const HAS_ORDER: bool = cfg!(feature = "order");
 
@@ -101,9 +107,9 @@ pub enum ConfigError {
     Quick,
     /// The volume has no bins.
     Bins,
-    /// A largest mean error in mode `transform`, or beside a fidelity.
+    /// A largest mean error in mode `transform`, beside a fidelity, or without the feature `mean-error`.
     MeanError,
-    /// A budget in mode `transform`, or one of fewer than some 146 bytes per window.
+    /// A budget in mode `transform`, one of fewer than some 146 bytes per window, or one without the feature `budget`.
     Rate,
     /// Mode `transform`, or coefficients, without the feature `transform`.
     Transform,
@@ -215,6 +221,7 @@ impl Config {
             _ => None,
         };
         match fidelity {
+            _ if !HAS_MEAN_ERROR && self.max_emd_us.is_some() => Err(ConfigError::MeanError),
             Some(Fidelity::Bins(0)) => Err(ConfigError::Bins),
             Some(Fidelity::SpreadUs(_)) if self.keep_order => Err(ConfigError::Order),
             Some(Fidelity::Lossless) => Ok(()),
@@ -254,7 +261,9 @@ impl Config {
             return Err(error);
         }
         if let Some(budget) = self.bytes_per_second
-            && (self.mode.is_transform() || (budget.get() as u64) < self.budget_min())
+            && (!HAS_BUDGET
+                || self.mode.is_transform()
+                || (budget.get() as u64) < self.budget_min())
         {
             return Err(ConfigError::Rate);
         }

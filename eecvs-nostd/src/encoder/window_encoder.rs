@@ -16,7 +16,8 @@ use crate::coder::window_coefficients::{CoefficientEncoder, Numbers, TakenCoeffi
 use crate::coder::window_events::{EventEncoder, dense_gathered};
 use crate::coder::{Cells, Coder, Effort, Fidelity, Hybrid, Scans, Times};
 use crate::encoder::config::{
-    Config, ConfigError, HAS_DENSE, HAS_KEYS, HAS_ORDER, HAS_TRANSFORM, HAS_TREE, HotError, Scratch,
+    Config, ConfigError, HAS_BUDGET, HAS_DENSE, HAS_KEYS, HAS_MEAN_ERROR, HAS_ORDER, HAS_TRANSFORM,
+    HAS_TREE, HotError, Scratch,
 };
 use crate::encoder::keys::encode_keys;
 use crate::encoder::mean_error::MeanError;
@@ -48,8 +49,8 @@ const SPREAD_BYTES_MAX: usize = 24;
 /// Returns the rate control of a configuration, in its initial state.
 const fn rate(config: &Config) -> Option<Rate> {
     match config.bytes_per_second {
-        Some(budget) => Some(Rate::new(budget, config.window.window_us)),
-        None => None,
+        Some(budget) if HAS_BUDGET => Some(Rate::new(budget, config.window.window_us)),
+        _ => None,
     }
 }
 
@@ -217,7 +218,7 @@ impl<'b> WindowEncoder<'b> {
             self.rate = None;
             return Ok(());
         };
-        if self.config.mode.is_transform() || self.config.mode.takes_arrival() {
+        if !HAS_BUDGET || self.config.mode.is_transform() || self.config.mode.takes_arrival() {
             return Err(ConfigError::Rate);
         }
         let least = self.config.budget_min().min(u64::from(u32::MAX)) as u32;
@@ -392,13 +393,13 @@ impl<'b> WindowEncoder<'b> {
     fn payload_end(&self, out_bytes: usize) -> (usize, bool) {
         let end = out_bytes.min(FRAME_BYTES_MAX) - CRC_BYTES;
         match &self.rate {
-            Some(rate) => {
+            Some(rate) if HAS_BUDGET => {
                 // The header has room for the longest one: what it does not take, the payload may.
                 let room = rate.room().saturating_sub(HEADER_BYTES_MAX + CRC_BYTES);
                 let is_spent = rate.room() < FRAME_BYTES_LEAST;
                 (end.min(HEADER_BYTES_MAX + room), is_spent)
             }
-            None => (end, false),
+            _ => (end, false),
         }
     }
 
@@ -477,7 +478,7 @@ impl<'b> WindowEncoder<'b> {
     ) -> Result<Encoded, NoRoom> {
         let header = &mut task.header;
         let range = seal(header, payload_bytes, out)?;
-        if let Some(rate) = &mut self.rate {
+        if HAS_BUDGET && let Some(rate) = &mut self.rate {
             let order_bytes = header.order.map_or(0, |order| order.bytes as usize);
             rate.spend(range.len(), order_bytes, header.events);
         }
@@ -525,7 +526,9 @@ impl<'b> WindowEncoder<'b> {
         {
             hybrid.coder = Coder::Dense;
         }
-        if let (Some(max_us), Mode::Hybrid(hybrid)) = (self.config.max_emd_us, &mut mode) {
+        if HAS_MEAN_ERROR
+            && let (Some(max_us), Mode::Hybrid(hybrid)) = (self.config.max_emd_us, &mut mode)
+        {
             // Frames that depend on none before them do without what windows before left.
             if !self.config.mode.is_dense() || self.chain.ends(self.config.key_windows) {
                 self.mean_error = MeanError::START;
@@ -548,7 +551,7 @@ impl<'b> WindowEncoder<'b> {
             let may = (spreads, may_be_key);
             hybrid.fidelity = state.coarsest(max_us, closed.duration_us, may, window);
         }
-        if let (Some(rate), Mode::Hybrid(hybrid)) = (&mut self.rate, &mut mode) {
+        if HAS_BUDGET && let (Some(rate), Mode::Hybrid(hybrid)) = (&mut self.rate, &mut mode) {
             let plan = rate.plan(hybrid.fidelity, closed, window);
             hybrid.fidelity = plan.fidelity;
             thinned = plan.thinned;
@@ -617,7 +620,7 @@ impl<'b> WindowEncoder<'b> {
             quantiser: self.config.quantiser,
             timed_max: 0,
         };
-        if self.config.few_as_times && mode.is_transform() {
+        if HAS_TRANSFORM && self.config.few_as_times && mode.is_transform() {
             let coder = match mode {
                 Mode::Coefficients(Coder::Dense) => LevelCoder::Dense,
                 Mode::Coefficients(_) => LevelCoder::Fast,

@@ -161,6 +161,7 @@ pub struct LinkSource<'l, F> {
     next_byte: F,
 }
 
+#[cfg(feature = "sensor")]
 impl<F> LinkSource<'_, F> {
     /// Counts an input that nobody wanted.
     pub(crate) const fn ignore(&mut self) {

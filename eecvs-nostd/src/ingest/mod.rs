@@ -5,6 +5,7 @@
 //! continues there.
 
 pub mod from_link;
+#[cfg(feature = "sensor")]
 pub mod from_sensor;
 pub mod reorder;
 
@@ -32,7 +33,7 @@ pub enum Input {
 }
 
 /// A source of EVT 2.0 words: a link ([`crate::ingest::from_link`]) or a sensor on a port of the microcontroller
-/// ([`crate::ingest::from_sensor`]).
+/// (`from_sensor`).
 pub trait EventSource {
     /// Returns the next item, or `None` if nothing has arrived.
     fn next(&mut self) -> Option<Input>;

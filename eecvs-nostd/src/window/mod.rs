@@ -4,6 +4,7 @@ pub mod filter;
 pub mod hot_pixels;
 mod take_events;
 mod take_words;
+pub mod vectors;
 
 use core::num::{NonZeroU32, NonZeroU64};
 
@@ -294,7 +295,7 @@ pub enum Push {
     Closed,
 }
 
-/// What [`Window::push_words`] took from the front of the words.
+/// What [`Window::push_words`] or [`Window::push_vectors`] took from the front of the words.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Taken {
@@ -303,6 +304,8 @@ pub struct Taken {
     pub words: usize,
     /// Events among them, including those outside the sensor.
     pub events: u32,
+    /// Events among these outside the sensor.
+    pub outside: u32,
     /// Words among them that were neither events nor times, and events before the first time.
     pub ignored: u32,
 }
@@ -597,8 +600,10 @@ impl<'b> Window<'b> {
             };
             match decoder.decode(u32::from_le_bytes(*word)) {
                 Word::Event(event) => {
-                    if self.push(event) == Push::Closed {
-                        break;
+                    match self.push(event) {
+                        Push::Stored => {}
+                        Push::Outside => taken.outside += 1,
+                        Push::Closed => break,
                     }
                     taken.events += 1;
                 }

@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use eecvs_nostd::{Event, Polarity, Sensor};
-use event_files::evt::evt21_word::Order;
+use event_types::evt21::Order;
 use proptest::prelude::*;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rand_xoshiro::rand_core::{Rng, SeedableRng};

@@ -1,4 +1,4 @@
-//! Prophesee RAW with EVT 2.1 words: 64 bits, with vectors of up to 32 columns ([`crate::evt::evt21_word`]).
+//! Prophesee RAW with EVT 2.1 words: 64 bits, with vectors of up to 32 columns ([`event_types::evt21`]).
 //!
 //! Source: "EVT 2.1 Format" in Prophesee's documentation, and the decoder of their OpenEB. x counts from the left
 //! and y from the top, as in every RAW file; type 1 is a rise in brightness, ON. The 34 bits of time wrap every
@@ -16,23 +16,23 @@
 
 use std::path::Path;
 
+use event_types::evt21::{
+    COLUMNS, HIGH_BITS, LOW_BITS, Order, SIDE, TIME_HIGH, TIME_SHIFT, TYPE_SHIFT, X_SHIFT, Y_SHIFT,
+    time_high, time_word, vector,
+};
 use event_types::stream::Result;
 use event_types::{Event, Polarity, Sensor};
 
-use crate::evt::evt21_word::{
-    HIGH_BITS, LOW_BITS, Order, SIDE, TIME_HIGH, TIME_SHIFT, TYPE_SHIFT, X_SHIFT, Y_SHIFT,
-};
-use crate::evt::header::RawFile;
+use crate::evt::header::{self as raw_header, RawFile};
 use crate::evt::row::{Outside, Row};
 use crate::evt::writer::RawWriter;
-use crate::evt::{evt21_word, header as raw_header};
 use crate::format::{Format, Limits, Opening};
 use crate::input::{Batch, Decode, Input, ReadSeek, Reader, Words};
 use crate::wrapping::Wrapping;
 use crate::{EventWriter, Skipped};
 
 /// Number of events that one word can hold.
-const WORD_EVENTS: usize = evt21_word::COLUMNS as usize;
+const WORD_EVENTS: usize = COLUMNS as usize;
 
 /// Number of words from which the byte order is inferred if the header does not state it.
 const ORDER_WORDS: usize = 1 << 14;
@@ -176,7 +176,7 @@ impl Decode for Evt21Decoder {
             match word >> TYPE_SHIFT {
                 0 | 1 => self.vector(word, batch)?,
                 TIME_HIGH => {
-                    self.high.extend(evt21_word::time_high(word));
+                    self.high.extend(time_high(word));
                 }
                 0xa => self.skipped.add("triggers", 1),
                 0xe => self.skipped.add("other words", 1),
@@ -239,7 +239,7 @@ impl Evidence {
                 -i64::from(!self.sensor.contains(x, y))
             }
             TIME_HIGH => {
-                let high = evt21_word::time_high(word);
+                let high = time_high(word);
                 let last = self.last.replace(high);
                 match last.map(|last| high.checked_sub(last)) {
                     // The first or a repeated time.
@@ -276,10 +276,9 @@ impl EventWriter for Evt21Writer {
         let order = Order::Little;
         let mut rest = events;
         while !rest.is_empty() {
-            let (count, word) = evt21_word::vector(rest);
+            let (count, word) = vector(rest);
             let (now, later) = rest.split_at(count);
-            self.0
-                .begin(now, |high| order.bytes(evt21_word::time_word(high)))?;
+            self.0.begin(now, |high| order.bytes(time_word(high)))?;
             self.0.put(&order.bytes(word))?;
             rest = later;
         }

@@ -2,7 +2,6 @@
 
 pub mod evt2;
 pub mod evt21;
-pub mod evt21_word;
 pub mod evt3;
 pub mod evt4;
 pub mod header;

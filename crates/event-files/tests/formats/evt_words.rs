@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::io::Cursor;
 
-use event_files::evt::evt21_word::{Order, time_word};
+use event_types::evt21::{Order, time_word};
 use event_types::{Event, Polarity};
 
 type Counted = BTreeMap<&'static str, u64>;

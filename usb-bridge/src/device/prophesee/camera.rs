@@ -3,7 +3,7 @@
 
 use std::collections::HashMap;
 
-use event_files::evt::evt21_word::Order;
+use event_types::evt21::Order;
 
 use super::registers::{
     CHIP, FORMAT, FORMAT_EVT21, GENX320_EVT21, GENX320_FORMAT, PIXELS_GO, READOUT, TIME_BASE,

@@ -29,7 +29,7 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
 use eecvs_nostd::{Event, Sensor};
-use event_files::evt::evt21_word::Order;
+use event_types::evt21::Order;
 
 use super::{Identity, Info, Model, Parse, Stream, Transfers, WriteStream};
 use crate::link::control::{Control, Request};

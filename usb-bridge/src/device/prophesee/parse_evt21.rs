@@ -1,11 +1,11 @@
-//! Parses EVT 2.1 as a camera sends it, in the words of [`event_files::evt::evt21_word`].
+//! Parses EVT 2.1 as a camera sends it, in the words of [`event_types::evt21`].
 //!
 //! Time wraps every 4.8 hours; `high_time.rs` extends it. After a break, events are decoded again from the next
 //! `EVT_TIME_HIGH` on.
 
 use eecvs_nostd::{Event, Polarity, Sensor};
 use event_files::Skipped;
-use event_files::evt::evt21_word::{
+use event_types::evt21::{
     HIGH_BITS, LOW_BITS, Order, SIDE, TIME_HIGH, TIME_SHIFT, TYPE_SHIFT, X_SHIFT, Y_SHIFT,
     time_high,
 };

@@ -2,7 +2,7 @@
 
 use anyhow::{Result, bail, ensure};
 use eecvs_nostd::Sensor;
-use event_files::evt::evt21_word::Order;
+use event_types::evt21::Order;
 
 use super::Format;
 use super::registers::{self, CHIP, FORMAT, FORMAT_EVT21, Sequences, Step, VARIANT, take};

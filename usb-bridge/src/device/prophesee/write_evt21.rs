@@ -6,7 +6,7 @@
 
 use anyhow::{Context, Result};
 use eecvs_nostd::{Event, Sensor};
-use event_files::evt::evt21_word::{HIGH_BITS, LOW_BITS, Order, time_word, vector};
+use event_types::evt21::{HIGH_BITS, LOW_BITS, Order, time_word, vector};
 
 use super::high_time::Way;
 use crate::device::WriteStream;

@@ -1,7 +1,10 @@
-//! C and C++ programs on this machine: the header compiles without a warning, and what they encode and decode is what
+//! C and C++ programs, on this machine and on microcontrollers in QEMU: the header compiles without a warning, and what they encode and decode is what
 //! Rust does.
 //!
-//! Without a C compiler the tests say that they skip.
+//! Without a C compiler, or QEMU, the tests say that they skip.
+
+mod cores;
+mod packages;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -35,11 +38,12 @@ fn has(program: &str) -> bool {
 }
 
 /// Compiles a source with every warning an error, and links it.
-fn compile(compiler: &str, standard: &str, source: &Path, to: &Path) {
+fn compile(compiler: &str, standard: &str, flags: &[String], source: &Path, to: &Path) {
     let warnings = ["-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"];
     let status = Command::new(compiler)
         .args(["-O1", standard])
         .args(warnings)
+        .args(flags)
         .arg("-I")
         .arg(folder().join("include"))
         .arg(source)
@@ -143,7 +147,7 @@ fn a_c_program_makes_rusts_frames_and_reads_them() {
     let programs = ["encode", "decode"].map(|name| {
         let to = made.path().join(name);
         let source = folder().join("examples").join(name).with_extension("c");
-        compile("cc", "-std=c99", &source, &to);
+        compile("cc", "-std=c99", &[], &source, &to);
         to
     });
     let scene = scene();
@@ -183,7 +187,25 @@ fn a_cpp_program_owns_encoder_and_decoder() {
     compile(
         "c++",
         "-std=c++17",
+        &[],
         &folder().join("examples/round_trip.cpp"),
+        &to,
+    );
+    run(&mut Command::new(to), &[]);
+}
+
+#[test]
+fn the_header_reserves_what_an_encoder_takes() {
+    if !has("cc") {
+        return;
+    }
+    let made = tempfile::tempdir().expect("a folder");
+    let to = made.path().join("memory");
+    compile(
+        "cc",
+        "-std=c99",
+        &[],
+        &folder().join("tests/c/memory.c"),
         &to,
     );
     run(&mut Command::new(to), &[]);

@@ -1,0 +1,2 @@
+/* In place of Zephyr's. */
+#include <stdint.h>
