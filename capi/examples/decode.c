@@ -14,8 +14,7 @@ int main(void) {
     if (decoder == NULL) return 1;
     do {
         read = fread(bytes, 1, sizeof bytes, stdin);
-        if (read > 0) eecvs_decoder_push(decoder, bytes, read);
-        else eecvs_decoder_finish(decoder);
+        if (read > 0 ? eecvs_decoder_push(decoder, bytes, read) : eecvs_decoder_finish(decoder)) return 1;
         while (eecvs_decoder_next(decoder, events, 4096, &count) == EECVS_STATUS_OK)
             for (size_t i = 0; i < count; i++)
                 printf("%" PRIu64 " %u %u %u\n", events[i].t_us, (unsigned)events[i].x, (unsigned)events[i].y,
@@ -23,6 +22,7 @@ int main(void) {
     } while (read > 0);
     eecvs_decoder_losses(decoder, &losses);
     eecvs_decoder_free(decoder);
-    fprintf(stderr, "%" PRIu64 " frames, %" PRIu64 " lost\n", losses.frames, losses.frames_lost);
-    return losses.frames > 0 && losses.frames_lost == 0 ? 0 : 1;
+    fprintf(stderr, "%" PRIu64 " frames, %" PRIu64 " lost, %" PRIu64 " bytes of none\n", losses.frames, losses.frames_lost,
+            losses.damaged_bytes);
+    return losses.frames > 0 && losses.frames_lost == 0 && losses.damaged_bytes == 0 ? 0 : 1;
 }

@@ -253,11 +253,12 @@ typedef struct eecvs_config {
      */
     int8_t step_log2;
     /**
-     * Largest error of a decoded time in microseconds; 0 for exact times. Of events alone, not of the quick coder.
+     * Largest error of a decoded time in microseconds; 0 for exact times, unless a budget asks for less. Of events alone, not of the quick coder.
      */
     uint32_t tolerance_us;
     /**
-     * Most bytes of the frames of any second; 0 for no budget. Of events alone, not of the quick coder.
+     * Most bytes of the frames of any second; 0 for no budget. Of events alone, not of the quick coder. A window that would
+     * take more has its times within a tolerance, up to half a window, then fewer events: `eecvs_losses` counts both.
      */
     uint32_t bytes_per_second;
     /**
@@ -326,13 +327,17 @@ typedef struct eecvs_losses {
      */
     uint64_t events_dropped;
     /**
-     * Events that its filter removed.
+     * Events that its filter removed, and those of hot pixels.
      */
     uint64_t events_filtered;
     /**
      * Events that its budget left out.
      */
     uint64_t events_thinned;
+    /**
+     * Events decoded at times that are not exact: within a tolerance, the encoder's or its budget's, or of coefficients.
+     */
+    uint64_t events_approximate;
 } eecvs_losses;
 #endif
 
@@ -401,7 +406,7 @@ void eecvs_decoder_free(struct eecvs_decoder *it);
 #if defined(EECVS_HAS_DECODER)
 /**
  * Takes bytes of frames, cut anywhere, from a file or a link. Take the events by `eecvs_decoder_next` before the next
- * call, or the bytes pile up.
+ * call, or the bytes pile up. `EECVS_STATUS_ERROR_FRAMES` after `eecvs_decoder_next` has returned it: nothing follows.
  *
  * # Safety
  * `it` is a decoder that no other call has; `bytes` points to `count` bytes.
@@ -423,7 +428,8 @@ eecvs_status eecvs_decoder_finish(struct eecvs_decoder *it);
 
 #if defined(EECVS_HAS_DECODER)
 /**
- * Writes at most `room` decoded events to `events`, in order, and how many to `*count`.
+ * Writes at most `room` decoded events, at least 1, to `events`, and how many to `*count`: window by window, each in the
+ * order of its times.
  *
  * `EECVS_STATUS_NONE` if there are none until further bytes are pushed, or at the end after `eecvs_decoder_finish`.
  * Damaged and missing frames are left out and counted: `eecvs_decoder_losses`.
@@ -506,8 +512,9 @@ eecvs_status eecvs_push_evt2(struct eecvs_encoder *it,
 
 /**
  * Takes words of EVT 2.1 from the front of `count` ones, whose bytes have an order of `eecvs_word_order`, and writes how
- * many to `*taken`. Otherwise as `eecvs_push_evt2`. A word whose events are of two windows is taken with the second: push
- * it again, as the first of the rest.
+ * many to `*taken`; `EECVS_STATUS_ERROR_FLAG` if there is no such order. Otherwise as `eecvs_push_evt2`, with a time of
+ * its own: an encoder takes words of one format. A word whose events are of two windows is taken with the second: push
+ * it again, as the first of the rest; in place of another word it would be taken whole.
  *
  * # Safety
  * `it` is an encoder that no other call has; `words` points to 8 `count` bytes; `taken` is null or can be written.
@@ -542,6 +549,7 @@ eecvs_status eecvs_flush(struct eecvs_encoder *it);
 
 /**
  * Closes the open window if its time has passed by the sensor's clock, although no event has come since.
+ * `EECVS_STATUS_CLOSED` if there is a closed window, now or before: take its frames.
  *
  * # Safety
  * `it` is an encoder that no other call has.
@@ -564,7 +572,8 @@ eecvs_status eecvs_next_frame(struct eecvs_encoder *it,
                               size_t *bytes);
 
 /**
- * Keeps a pixel out of all later windows, as one that fires all the time; `eecvs_config.hot_pixels` is the room.
+ * Keeps a pixel out of the open window and all later ones, as one that fires all the time; `eecvs_config.hot_pixels` is
+ * the room. Frames count its events with those that a filter removed.
  *
  * # Safety
  * `it` is an encoder that no other call has.
@@ -574,16 +583,17 @@ eecvs_status eecvs_add_hot(struct eecvs_encoder *it,
                            uint16_t y);
 
 /**
- * Counts events that were lost before they could be pushed: the next frame says so.
+ * Counts events that were lost before they could be pushed: the next frame says so, of at most 2^32 - 1.
  *
  * # Safety
  * `it` is an encoder that no other call has.
  */
-eecvs_status eecvs_count_dropped(struct eecvs_encoder *it, uint32_t events);
+eecvs_status eecvs_count_dropped(struct eecvs_encoder *it,
+                                 uint32_t events);
 
 /**
  * Changes `eecvs_config.bytes_per_second` from the next window on; 0 for no budget. One that the headers alone would
- * exceed is raised to what these take.
+ * exceed is raised to what these take. See there for what a budget does to times.
  *
  * # Safety
  * `it` is an encoder that no other call has.

@@ -56,9 +56,10 @@ pub struct EecvsConfig {
     pub m: u8,
     /// log2 of the quantiser's step, -15 to 8.
     pub step_log2: i8,
-    /// Largest error of a decoded time in microseconds; 0 for exact times. Of events alone, not of the quick coder.
+    /// Largest error of a decoded time in microseconds; 0 for exact times, unless a budget asks for less. Of events alone, not of the quick coder.
     pub tolerance_us: u32,
-    /// Most bytes of the frames of any second; 0 for no budget. Of events alone, not of the quick coder.
+    /// Most bytes of the frames of any second; 0 for no budget. Of events alone, not of the quick coder. A window that would
+    /// take more has its times within a tolerance, up to half a window, then fewer events: `eecvs_losses` counts both.
     pub bytes_per_second: u32,
     /// Room for so many pixels that are never sent: see `eecvs_add_hot`.
     pub hot_pixels: u32,
@@ -94,6 +95,10 @@ impl EecvsConfig {
             3 if cfg!(feature = "transform") => None,
             _ => return Err(EecvsStatus::ErrorCoder),
         };
+        // Of two reasons that refuse it, the budget's is named.
+        if self.bytes_per_second > 0 && coder == Some(Coder::Quick) {
+            return Err(EecvsStatus::ErrorBudget);
+        }
         let mode = match coder {
             Some(coder) => Mode::Hybrid(Hybrid { coder, fidelity }),
             None if self.tolerance_us > 0 => return Err(EecvsStatus::ErrorFidelity),

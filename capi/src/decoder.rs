@@ -23,6 +23,8 @@ pub struct EecvsDecoder {
     finder: EventDecoder,
     events: Vec<Event>,
     taken: usize,
+    /// The frames cannot be read on.
+    has_failed: bool,
 }
 
 /// What a decoder has seen.
@@ -39,10 +41,12 @@ pub struct EecvsLosses {
     pub frames_refused: u64,
     /// Events that the encoder counted as lost: outside the sensor, dropped before it, or late.
     pub events_dropped: u64,
-    /// Events that its filter removed.
+    /// Events that its filter removed, and those of hot pixels.
     pub events_filtered: u64,
     /// Events that its budget left out.
     pub events_thinned: u64,
+    /// Events decoded at times that are not exact: within a tolerance, the encoder's or its budget's, or of coefficients.
+    pub events_approximate: u64,
 }
 
 /// Runs a call, and turns a fault of the library into a status: no panic leaves it.
@@ -58,19 +62,23 @@ fn guarded(call: impl FnOnce() -> Result<EecvsStatus, EecvsStatus>) -> EecvsStat
 /// # Safety
 /// The pointer is null, or `eecvs_decoder_new` returned it, it was not freed, and no other call has it at the same time.
 unsafe fn decoder<'a>(it: *mut EecvsDecoder) -> Result<&'a mut EecvsDecoder, EecvsStatus> {
-    // SAFETY: as the caller promises.
-    unsafe { it.as_mut() }.ok_or(EecvsStatus::ErrorPointer)
+    if !is_lent(it) {
+        return Err(EecvsStatus::ErrorPointer);
+    }
+    // SAFETY: as the caller promises, and as was checked.
+    Ok(unsafe { &mut *it })
 }
 
 impl EecvsDecoder {
     fn new() -> Self {
         let pushed = Pushed::default();
         Self {
-            windows: WindowReader::new(FrameReader::new(pushed.clone())),
+            windows: WindowReader::new(FrameReader::new(pushed.clone()).patient()),
             pushed,
             finder: EventDecoder::new(Finder::Exact),
             events: Vec::new(),
             taken: 0,
+            has_failed: false,
         }
     }
 
@@ -87,7 +95,10 @@ impl EecvsDecoder {
                 }
                 Ok(None) => break,
                 Err(error) if error.kind() == ErrorKind::Io(io::ErrorKind::WouldBlock) => break,
-                Err(_) => return Err(EecvsStatus::ErrorFrames),
+                Err(_) => {
+                    self.has_failed = true;
+                    return Err(EecvsStatus::ErrorFrames);
+                }
             }
         }
         Ok(())
@@ -107,7 +118,7 @@ pub extern "C" fn eecvs_decoder_new() -> *mut EecvsDecoder {
 /// `it` is null or a decoder that is not used again.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn eecvs_decoder_free(it: *mut EecvsDecoder) {
-    if !it.is_null() {
+    if is_lent(it) {
         let free = || {
             // SAFETY: `eecvs_decoder_new` made it as a box, and the caller gives it back.
             drop(unsafe { Box::from_raw(it) });
@@ -117,7 +128,7 @@ pub unsafe extern "C" fn eecvs_decoder_free(it: *mut EecvsDecoder) {
 }
 
 /// Takes bytes of frames, cut anywhere, from a file or a link. Take the events by `eecvs_decoder_next` before the next
-/// call, or the bytes pile up.
+/// call, or the bytes pile up. `EECVS_STATUS_ERROR_FRAMES` after `eecvs_decoder_next` has returned it: nothing follows.
 ///
 /// # Safety
 /// `it` is a decoder that no other call has; `bytes` points to `count` bytes.
@@ -132,6 +143,9 @@ pub unsafe extern "C" fn eecvs_decoder_push(
         let it = unsafe { decoder(it) }?;
         // SAFETY: as the caller promises.
         let bytes = unsafe { slice(bytes, count) }?;
+        if it.has_failed {
+            return Err(EecvsStatus::ErrorFrames);
+        }
         it.pushed.push(bytes).map_err(|error| match error {
             PushError::Finished => EecvsStatus::ErrorFinished,
             PushError::NoMemory => EecvsStatus::ErrorMemory,
@@ -153,7 +167,8 @@ pub unsafe extern "C" fn eecvs_decoder_finish(it: *mut EecvsDecoder) -> EecvsSta
     })
 }
 
-/// Writes at most `room` decoded events to `events`, in order, and how many to `*count`.
+/// Writes at most `room` decoded events, at least 1, to `events`, and how many to `*count`: window by window, each in the
+/// order of its times.
 ///
 /// `EECVS_STATUS_NONE` if there are none until further bytes are pushed, or at the end after `eecvs_decoder_finish`.
 /// Damaged and missing frames are left out and counted: `eecvs_decoder_losses`.
@@ -175,8 +190,11 @@ pub unsafe extern "C" fn eecvs_decoder_next(
     guarded(|| {
         // SAFETY: as the caller promises.
         let it = unsafe { decoder(it) }?;
-        if room == 0 || !is_lent(events) {
+        if !is_lent(events) {
             return Err(EecvsStatus::ErrorPointer);
+        }
+        if room == 0 {
+            return Err(EecvsStatus::ErrorRoom);
         }
         it.fill()?;
         let ready = it.events.get(it.taken..).unwrap_or_default();
@@ -251,6 +269,7 @@ pub unsafe extern "C" fn eecvs_decoder_losses(
             events_dropped: counts.events_dropped + counts.events_late,
             events_filtered: counts.events_filtered,
             events_thinned: counts.events_thinned,
+            events_approximate: counts.events_approximate,
         };
         // SAFETY: it is not null and aligned, and the caller lends it.
         unsafe { losses.write(seen) };

@@ -7,7 +7,7 @@ use core::ops::Range;
 use eecvs_nostd::evt2::Evt2Decoder;
 use eecvs_nostd::evt21::Order;
 use eecvs_nostd::window::{Taken, vectors::VectorIntake};
-use eecvs_nostd::{Event, OUTPUT_BYTES_MIN, Polarity, Push, Window, WindowEncoder, aer};
+use eecvs_nostd::{Event, Polarity, Push, Window, WindowEncoder, aer};
 
 use crate::config::EecvsConfig;
 use crate::memory::{self, Unit};
@@ -137,8 +137,11 @@ unsafe fn report(
 /// The pointer is null, or `eecvs_encoder_new` returned it, its memory has not been used for anything else since, and no
 /// other call has it at the same time.
 unsafe fn encoder<'a>(encoder: *mut EecvsEncoder) -> Result<&'a mut EecvsEncoder, EecvsStatus> {
-    // SAFETY: as the caller promises; an encoder's place is aligned.
-    unsafe { encoder.as_mut() }.ok_or(EecvsStatus::ErrorPointer)
+    if !is_lent(encoder) {
+        return Err(EecvsStatus::ErrorPointer);
+    }
+    // SAFETY: as the caller promises, and as was checked.
+    Ok(unsafe { &mut *encoder })
 }
 
 const fn status(result: Result<(), EecvsStatus>) -> EecvsStatus {
@@ -284,8 +287,9 @@ pub unsafe extern "C" fn eecvs_push_evt2(
 }
 
 /// Takes words of EVT 2.1 from the front of `count` ones, whose bytes have an order of `eecvs_word_order`, and writes how
-/// many to `*taken`. Otherwise as `eecvs_push_evt2`. A word whose events are of two windows is taken with the second: push
-/// it again, as the first of the rest.
+/// many to `*taken`; `EECVS_STATUS_ERROR_FLAG` if there is no such order. Otherwise as `eecvs_push_evt2`, with a time of
+/// its own: an encoder takes words of one format. A word whose events are of two windows is taken with the second: push
+/// it again, as the first of the rest; in place of another word it would be taken whole.
 ///
 /// # Safety
 /// `it` is an encoder that no other call has; `words` points to 8 `count` bytes; `taken` is null or can be written.
@@ -355,13 +359,21 @@ pub unsafe extern "C" fn eecvs_flush(it: *mut EecvsEncoder) -> EecvsStatus {
 }
 
 /// Closes the open window if its time has passed by the sensor's clock, although no event has come since.
+/// `EECVS_STATUS_CLOSED` if there is a closed window, now or before: take its frames.
 ///
 /// # Safety
 /// `it` is an encoder that no other call has.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn eecvs_pass(it: *mut EecvsEncoder, now_us: u64) -> EecvsStatus {
     // SAFETY: as the caller promises.
-    status(unsafe { encoder(it) }.map(|it| it.window.pass(now_us)))
+    let passed = unsafe { encoder(it) }.map(|it| {
+        it.window.pass(now_us);
+        match it.window.closed() {
+            Some(_) => EecvsStatus::Closed,
+            None => EecvsStatus::Ok,
+        }
+    });
+    passed.unwrap_or_else(|error| error)
 }
 
 /// Makes the next frame of the closed window in `out`, and writes its number of bytes to `*bytes`.
@@ -386,7 +398,7 @@ pub unsafe extern "C" fn eecvs_next_frame(
     let mut next = || {
         // SAFETY: as the caller promises; no more bytes than a slice may have.
         let (it, out) = unsafe { (encoder(it)?, core::slice::from_raw_parts_mut(out, room)) };
-        if room < OUTPUT_BYTES_MIN {
+        if room < crate::EECVS_FRAME_BYTES_MIN {
             return Err(EecvsStatus::ErrorRoom);
         }
         let frame = it.encoder.next_frame(&mut it.window, out);
@@ -412,7 +424,8 @@ pub unsafe extern "C" fn eecvs_next_frame(
     status
 }
 
-/// Keeps a pixel out of all later windows, as one that fires all the time; `eecvs_config.hot_pixels` is the room.
+/// Keeps a pixel out of the open window and all later ones, as one that fires all the time; `eecvs_config.hot_pixels` is
+/// the room. Frames count its events with those that a filter removed.
 ///
 /// # Safety
 /// `it` is an encoder that no other call has.
@@ -423,7 +436,7 @@ pub unsafe extern "C" fn eecvs_add_hot(it: *mut EecvsEncoder, x: u16, y: u16) ->
     status(it.and_then(|it| it.encoder.add_hot((x, y)).map(drop).map_err(Into::into)))
 }
 
-/// Counts events that were lost before they could be pushed: the next frame says so.
+/// Counts events that were lost before they could be pushed: the next frame says so, of at most 2^32 - 1.
 ///
 /// # Safety
 /// `it` is an encoder that no other call has.
@@ -437,7 +450,7 @@ pub unsafe extern "C" fn eecvs_count_dropped(it: *mut EecvsEncoder, events: u32)
 }
 
 /// Changes `eecvs_config.bytes_per_second` from the next window on; 0 for no budget. One that the headers alone would
-/// exceed is raised to what these take.
+/// exceed is raised to what these take. See there for what a budget does to times.
 ///
 /// # Safety
 /// `it` is an encoder that no other call has.

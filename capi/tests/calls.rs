@@ -281,6 +281,67 @@ fn the_words_of_sensors_are_their_events() {
 }
 
 #[test]
+fn a_decoder_finds_frames_after_any_number_of_other_bytes() {
+    let frames = encode(&config(40, 30), &events(1000));
+    let it = eecvs_decoder_new();
+    let (mut room, mut count) = (events(2000), 0);
+    let mut found = Vec::new();
+    let noise = vec![0; 1 << 20];
+    // More than a file is searched for.
+    for bytes in core::iter::repeat_n(&noise, 66).chain([&frames]) {
+        // SAFETY: all are lent.
+        unsafe {
+            let status = eecvs_decoder_push(it, bytes.as_ptr(), bytes.len());
+            assert_eq!(status, EecvsStatus::Ok);
+            eecvs_decoder_next(it, room.as_mut_ptr(), room.len(), &raw mut count);
+            found.extend_from_slice(&room[..count]);
+        }
+    }
+    // SAFETY: all are lent, and the decoder is not used again.
+    unsafe {
+        let none = eecvs_decoder_next(it, room.as_mut_ptr(), 0, &raw mut count);
+        assert_eq!(none, EecvsStatus::ErrorRoom);
+        eecvs_decoder_finish(it);
+        eecvs_decoder_next(it, room.as_mut_ptr(), room.len(), &raw mut count);
+        found.extend_from_slice(&room[..count]);
+        eecvs_decoder_free(it);
+    }
+    assert_eq!(found, events(1000));
+}
+
+#[test]
+fn the_last_time_of_the_clock_comes_back() {
+    let last = |t_us| EecvsEvent {
+        t_us,
+        x: 1,
+        y: 2,
+        polarity: 1,
+    };
+    for coder in [EecvsCoder::Fast, EecvsCoder::Quick, EecvsCoder::Dense] {
+        let mut config = config(40, 30);
+        config.coder = coder as u8;
+        for sent in [vec![last(u64::MAX)], vec![last(5), last(u64::MAX)]] {
+            assert_eq!(decode(&encode(&config, &sent)).0, sent, "{coder:?}");
+        }
+    }
+}
+
+#[test]
+fn times_that_a_budget_coarsens_are_counted() {
+    let mut config = config(40, 30);
+    config.bytes_per_second = 20_000;
+    let sent = events(30_000);
+    let (found, losses) = decode(&encode(&config, &sent));
+    assert!(losses.events_approximate > 0 && losses.events_approximate <= found.len() as u64);
+    assert_eq!(
+        found.len() as u64 + losses.events_thinned,
+        sent.len() as u64
+    );
+    config.bytes_per_second = 0;
+    assert_eq!(decode(&encode(&config, &sent)).1.events_approximate, 0);
+}
+
+#[test]
 fn words_that_are_no_events_are_counted() {
     let mut config = config(2048, 30);
     config.window_events = 100;
@@ -335,6 +396,10 @@ fn what_a_caller_gets_wrong_is_a_status() {
         (|c| (c.coder, c.tolerance_us) = (1, 5), S::ErrorFidelity),
         (|c| (c.coder, c.tolerance_us) = (3, 5), S::ErrorFidelity),
         (|c| c.bytes_per_second = 1, S::ErrorBudget),
+        (
+            |c| (c.coder, c.bytes_per_second) = (1, 100_000),
+            S::ErrorBudget,
+        ),
         (|c| c.few_as_times = 2, S::ErrorFlag),
         (|c| c.remove_isolated = 255, S::ErrorFlag),
     ] {
@@ -381,7 +446,7 @@ fn what_a_caller_gets_wrong_is_a_status() {
         );
         let mut next = |out: *mut u8, room| eecvs_next_frame(it, out, room, &raw mut count);
         assert_eq!(next(null_mut(), 4096), S::ErrorPointer);
-        assert_eq!(next(out.as_mut_ptr(), 8), S::ErrorRoom);
+        assert_eq!(next(out.as_mut_ptr(), 2047), S::ErrorRoom);
         assert_eq!(
             eecvs_next_frame(it, out.as_mut_ptr(), 2048, null_mut()),
             S::ErrorPointer
@@ -391,6 +456,8 @@ fn what_a_caller_gets_wrong_is_a_status() {
         assert_eq!(eecvs_set_budget(it, 1), S::Ok);
         assert_eq!(eecvs_set_tolerance(it, 10), S::Ok);
         assert_eq!(eecvs_flush(null_mut()), S::ErrorPointer);
+        assert_eq!(eecvs_flush(it.wrapping_byte_add(1)), S::ErrorPointer);
+        assert_eq!(eecvs_pass(it, 1_000_000), S::Closed);
         assert_eq!(eecvs_get_counts(it, null_mut()), S::ErrorPointer);
         eecvs_decoder_free(null_mut());
         assert_eq!(eecvs_decoder_push(null_mut(), null(), 0), S::ErrorPointer);

@@ -266,7 +266,7 @@ impl Decoder {
         let finder = Finder::from_name(events);
         let finder = finder.ok_or_else(|| not_one_of("events", events, "exact, peaks"))?;
         let pushed = Pushed::default();
-        let windows = WindowReader::new(FrameReader::new(pushed.clone()));
+        let windows = WindowReader::new(FrameReader::new(pushed.clone()).patient());
         Ok(Self {
             inner: Mutex::new(Inner {
                 windows: windows.with_limit(max_events_per_window.into()),

@@ -8,7 +8,7 @@ use eecvs_nostd::{Event, Frame, Header, Mode, Sensor};
 use event_types::stream::{Context, Error, EventWriter, Result};
 use serde::Serialize;
 
-use crate::frame_file::{FrameReader, LinkReport, Times};
+use crate::frame_file::{FrameReader, LinkReport, Times, is_before_end};
 use crate::reconstruct::arrival::Arrivals;
 use crate::reconstruct::coefficients::CoefficientDecoder;
 use crate::reconstruct::events::EventDecoder;
@@ -221,7 +221,7 @@ impl Held {
 /// Returns whether a window has some of these times.
 fn overlaps(times: &Times, header: &Header) -> bool {
     let end_us = header.t0_us.saturating_add(header.duration_us.into());
-    header.t0_us < times.end && end_us > times.start
+    is_before_end(times, header.t0_us) && end_us > times.start
 }
 
 impl<R: Read + Seek> WindowReader<R> {
@@ -469,7 +469,9 @@ pub fn decode<R: Read, E: From<Error>>(
             let started = Instant::now();
             summary.confidences.add(events.fill(&mut window));
             let times = windows.times();
-            window.events.retain(|event| times.contains(&event.t_us));
+            window
+                .events
+                .retain(|event| event.t_us >= times.start && is_before_end(times, event.t_us));
             decoding += started.elapsed();
             output.write(&window.events)?;
             summary.events += window.events.len() as u64;

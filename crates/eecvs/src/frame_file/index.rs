@@ -5,8 +5,8 @@ use std::ops::Range;
 
 use eecvs_nostd::frame::CRC_BYTES;
 
-use super::Times;
 use super::mark::{BEGIN, End, MARK_BYTES_MAX, Mark, SIZE_BYTES, STRETCHES_MAX, Stretch};
+use super::{Times, is_before_end};
 
 /// Largest number of stretches of a file; what lies before them is one stretch.
 const FILE_STRETCHES_MAX: usize = 16 * STRETCHES_MAX;
@@ -74,7 +74,7 @@ impl Index {
         let mut stretches = self.stretches.iter();
         let first = stretches.find(|stretch| stretch.end_us > times.start);
         let mut stretches = self.stretches.iter();
-        let last = stretches.rfind(|stretch| stretch.start_us < times.end);
+        let last = stretches.rfind(|stretch| is_before_end(times, stretch.start_us));
         match (first, last) {
             (Some(first), Some(last)) if first.offset <= last.offset => {
                 first.offset..last.range(0).end

@@ -30,8 +30,13 @@ const READ_BYTES: usize = 1 << 16;
 /// Most bytes that are searched for the first frame of a stream.
 const FRAMELESS_BYTES_MAX: u64 = 64 << 20;
 
-/// Times from the first to before the last, in microseconds.
+/// Times from the first to before the last, in microseconds; an end of [`u64::MAX`] is none, and that time is inside.
 pub type Times = Range<u64>;
+
+/// Returns whether a time is before the end of `times`.
+pub(crate) const fn is_before_end(times: &Times, t_us: u64) -> bool {
+    t_us < times.end || times.end == u64::MAX
+}
 
 /// A frame with its position in the source.
 #[derive(Debug, Clone, Copy)]
@@ -58,6 +63,8 @@ pub struct FrameReader<R> {
     /// Sensor of the first frame; a frame of another one ends the stream unless `takes_all_sensors` is set.
     sensor: Option<Sensor>,
     takes_all_sensors: bool,
+    /// Whether the first frame may come after any number of bytes.
+    is_patient: bool,
     /// Sequence state for each sensor.
     orders: Vec<(Sensor, FrameOrder)>,
     open: Open,
@@ -123,6 +130,7 @@ impl<R: Read> FrameReader<R> {
             ended: false,
             sensor: None,
             takes_all_sensors: false,
+            is_patient: false,
             orders: Vec::new(),
             open: Open::default(),
             lean: Lean::default(),
@@ -139,6 +147,16 @@ impl<R: Read> FrameReader<R> {
     pub fn of_all_sensors(self) -> Self {
         Self {
             takes_all_sensors: true,
+            ..self
+        }
+    }
+
+    /// Looks for the first frame however many bytes come before it, as on a link. Otherwise a source without one in its
+    /// first 64 MiB, which may have no end, is refused.
+    #[must_use]
+    pub fn patient(self) -> Self {
+        Self {
+            is_patient: true,
             ..self
         }
     }
@@ -354,7 +372,8 @@ impl<R: Read> FrameReader<R> {
 
     fn fill(&mut self) -> std::io::Result<()> {
         // Whatever this is, it is no stream of frames, and it may have no end.
-        if self.sensor.is_none() && self.report.damaged_bytes > FRAMELESS_BYTES_MAX {
+        let is_searched = self.report.damaged_bytes > FRAMELESS_BYTES_MAX;
+        if self.sensor.is_none() && is_searched && !self.is_patient {
             let text = format!("no frame in the first {FRAMELESS_BYTES_MAX} bytes");
             return Err(std::io::Error::other(text));
         }
