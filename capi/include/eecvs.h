@@ -253,7 +253,8 @@ typedef struct eecvs_config {
      */
     int8_t step_log2;
     /**
-     * Largest error of a decoded time in microseconds; 0 for exact times, unless a budget asks for less. Of events alone, not of the quick coder.
+     * Largest error of a decoded time in microseconds; 0 for exact times, unless a budget asks for less. Of events alone,
+     * not of the quick coder.
      */
     uint32_t tolerance_us;
     /**

@@ -56,7 +56,8 @@ pub struct EecvsConfig {
     pub m: u8,
     /// log2 of the quantiser's step, -15 to 8.
     pub step_log2: i8,
-    /// Largest error of a decoded time in microseconds; 0 for exact times, unless a budget asks for less. Of events alone, not of the quick coder.
+    /// Largest error of a decoded time in microseconds; 0 for exact times, unless a budget asks for less. Of events alone,
+    /// not of the quick coder.
     pub tolerance_us: u32,
     /// Most bytes of the frames of any second; 0 for no budget. Of events alone, not of the quick coder. A window that would
     /// take more has its times within a tolerance, up to half a window, then fewer events: `eecvs_losses` counts both.

@@ -177,36 +177,23 @@ fn a_c_program_makes_rusts_frames_and_reads_them() {
     }
 }
 
-#[test]
-fn a_cpp_program_owns_encoder_and_decoder() {
-    if !has("c++") {
+/// Compiles a program and runs it.
+fn compile_and_run(compiler: &str, standard: &str, source: &str) {
+    if !has(compiler) {
         return;
     }
     let made = tempfile::tempdir().expect("a folder");
-    let to = made.path().join("round_trip");
-    compile(
-        "c++",
-        "-std=c++17",
-        &[],
-        &folder().join("examples/round_trip.cpp"),
-        &to,
-    );
+    let to = made.path().join("program");
+    compile(compiler, standard, &[], &folder().join(source), &to);
     run(&mut Command::new(to), &[]);
 }
 
 #[test]
+fn a_cpp_program_owns_encoder_and_decoder() {
+    compile_and_run("c++", "-std=c++17", "examples/round_trip.cpp");
+}
+
+#[test]
 fn the_header_reserves_what_an_encoder_takes() {
-    if !has("cc") {
-        return;
-    }
-    let made = tempfile::tempdir().expect("a folder");
-    let to = made.path().join("memory");
-    compile(
-        "cc",
-        "-std=c99",
-        &[],
-        &folder().join("tests/c/memory.c"),
-        &to,
-    );
-    run(&mut Command::new(to), &[]);
+    compile_and_run("cc", "-std=c99", "tests/c/memory.c");
 }
