@@ -14,7 +14,7 @@
 //! | `fault.rs` | what happens on a panic, a fault, or when the stack's floor is crossed |
 //! | `bin/encoder.rs` | the image to flash: events in, frames out |
 //! | `bin/golden.rs` | the golden vectors, on the target |
-//! | `bin/overflow.rs` | a stack overflow, which must end in `fault.rs` |
+//! | `bin/faults.rs` | every kind of end, whose record must be there after a restart |
 //! | `bin/instructions.rs` | instructions per event and stage |
 //! | `bin/kernels.rs` | instructions per event of every kernel of the accumulate stage |
 #![no_std]

@@ -16,6 +16,19 @@ pub fn is_overflow(pointer: u32) -> bool {
     pointer < addr_of!(_stack_end) as u32
 }
 
+/// Returns two words of the stack, `at` words from a pointer; `None` if they are not all in it.
+#[must_use]
+pub fn words(pointer: u32, at: u32) -> Option<[u32; 2]> {
+    let first = pointer.checked_add(4 * at)?;
+    let end = addr_of!(_stack_start) as u32;
+    if !first.is_multiple_of(4) || is_overflow(pointer) || first.checked_add(8)? > end {
+        return None;
+    }
+    let first = core::ptr::with_exposed_provenance::<[u32; 2]>(first as usize);
+    // SAFETY: both words are aligned and lie in the stack, which is RAM.
+    Some(unsafe { first.read_volatile() })
+}
+
 /// Returns how many bytes of the stack were ever written to.
 #[must_use]
 pub fn used_bytes() -> u32 {

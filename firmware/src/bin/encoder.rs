@@ -18,6 +18,9 @@ use eecvs_firmware::{board, clock, fault};
 
 #[entry]
 fn main() -> ! {
+    if let Some(record) = fault::Record::take() {
+        defmt::error!("started again after {}", record);
+    }
     let encoding = cortex_m::Peripherals::take().and_then(|mut core| {
         let sender = board::set_up(&mut core)?;
         clock::start(&mut core.SYST);

@@ -8,7 +8,7 @@ use cortex_m::Peripherals;
 use cortex_m::peripheral::NVIC;
 use cortex_m_rt::exception;
 
-use crate::receiving;
+use crate::{fault, receiving};
 
 /// Name of the machine.
 pub const NAME: &str = "mps2";
@@ -134,10 +134,13 @@ pub fn resume_receiving() {
     unsafe { NVIC::unmask(Uart0Receive) };
 }
 
-/// Handles every interrupt of the board: without a device's vector table there is one handler for all.
+/// Handles every exception without a handler of its own: without a device's vector table there is one for all of the
+/// board's interrupts.
 #[exception]
 unsafe fn DefaultHandler(interrupt: i16) {
     if interrupt == UART0_AT.1 as i16 {
         receiving::on_receive();
+    } else {
+        fault::unexpected(interrupt);
     }
 }

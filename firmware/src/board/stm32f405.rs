@@ -2,6 +2,8 @@
 
 use stm32f4::stm32f405::{Peripherals, RCC};
 
+use crate::fault;
+
 /// Name of the machine.
 pub const NAME: &str = "stm32f405";
 /// Processor clock in hertz.
@@ -15,6 +17,9 @@ const CRYSTAL_MHZ: u8 = crystal(option_env!("EECVS_CRYSTAL_MHZ"));
 /// Reads of the clock control after which a crystal counts as missing: over 100 ms; data sheets say 2 ms.
 #[cfg(feature = "usb")]
 const CRYSTAL_READS: u32 = 1_000_000;
+
+/// Reads of the clock control after which the multiplier counts as broken: some 100 ms; data sheets say 300 us.
+const CLOCK_READS: u32 = 1_000_000;
 
 #[cfg(feature = "usb")]
 const fn crystal(text: Option<&str>) -> u8 {
@@ -112,7 +117,15 @@ fn start(device: &Peripherals, source: Source) {
         w.pllp().div2()
     });
     rcc.cr().modify(|_, w| w.pllon().on());
-    while rcc.cr().read().pllrdy().is_not_ready() {}
+    wait(|| rcc.cr().read().pllrdy().is_ready());
     rcc.cfgr().modify(|_, w| w.sw().pll());
-    while !rcc.cfgr().read().sws().is_pll() {}
+    wait(|| rcc.cfgr().read().sws().is_pll());
+}
+
+/// Waits for the clock; without it the link has no rate, and another start may have more luck.
+fn wait(is_done: impl Fn() -> bool) {
+    if !(0..CLOCK_READS).any(|_| is_done()) {
+        defmt::error!("the clock does not start");
+        fault::stop();
+    }
 }
