@@ -461,7 +461,7 @@ firmware() {
     firmware/build.sh usb
     firmware/build.sh small
     if target thumbv7em-none-eabihf && component clippy clippy; then
-        for features in full,quick,{stm32f405,mps2\,kernels} full,stm32f405,{sensor,usb\,sensor} stm32f405; do
+        for features in full,quick,{stm32f405,mps2\,kernels,simulated} full,stm32f405,{sensor,usb\,sensor} stm32f405; do
             # In the environment of firmware/build.sh, so that what runs on the host is built once for both.
             env -u CARGO_PROFILE_RELEASE_DEBUG RUSTFLAGS= DEFMT_LOG=info CARGO_BUILD_BUILD_DIR=firmware/target/build \
                 cargo clippy --manifest-path firmware/Cargo.toml --release --locked --no-default-features \
@@ -475,6 +475,8 @@ firmware() {
     done
     cargo xtask instructions --check
     cargo xtask kernels --check
+    # A sensor at rising rates.
+    cargo xtask sensor
     # Its output is the log's bytes, too.
     qemu netduinoplus2 faults | grep -ao "faults: .*"
     # The rest is last: until the unit stage is built, it waits.

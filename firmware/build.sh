@@ -15,8 +15,8 @@
 #
 # The images are firmware/target/MACHINE/TARGET/release/{encoder,golden}; the last line printed is
 # their folder. BINARY `instructions` needs its cuts: cargo xtask instructions makes them and calls this.
-# BINARY `kernels` is for `cargo xtask kernels`, on netduinoplus2 and mps2-an500. With `portable`, the core's assembly
-# is left out.
+# BINARY `kernels` is for `cargo xtask kernels`, on netduinoplus2 and mps2-an500; BINARY `sensor` for `cargo xtask sensor`,
+# on mps2-an385, an386 and an500. With `portable`, the core's assembly is left out.
 set -euo pipefail
 cd "$(dirname "$0")"
 
@@ -38,6 +38,7 @@ esac
 case ${2:-} in
     instructions) feature+=,cuts ;;
     kernels) feature+=,kernels ;;
+    sensor) feature+=,simulated ;;
 esac
 [ "${3:-}" != portable ] || feature+=,portable
 command=(cargo build --release --locked --features "$feature" --target "$target" --target-dir "target/$machine")

@@ -125,8 +125,8 @@ impl Encoding {
         self.send_status(0, Counts::default());
     }
 
-    /// Does one piece of work, or sleeps if there is none.
-    pub fn work(&mut self) {
+    /// Does one piece of work, or sleeps if there is none. Returns whether it answered a flush, the end of a stream.
+    pub fn work(&mut self) -> bool {
         let interrupts = interrupt_ticks();
         self.receive
             .add(interrupts.wrapping_sub(self.interrupts_seen));
@@ -148,9 +148,11 @@ impl Encoding {
                     counts
                 );
                 self.send_status(Kind::Flush as u8, counts);
+                return true;
             }
             None => receiving::wait(),
         }
+        false
     }
 
     fn encode(&mut self, mut window: Window<'static>) {

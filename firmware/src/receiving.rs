@@ -1,6 +1,6 @@
 //! Turns bytes from the link into windows: the interrupts' side.
 
-#[cfg(feature = "usb")]
+#[cfg(any(feature = "usb", feature = "sensor"))]
 use core::sync::atomic::AtomicBool;
 use core::sync::atomic::{AtomicU32, Ordering};
 
@@ -67,13 +67,30 @@ impl Exchange<'static> for Queues {
     }
 
     fn may_wait(&self) -> bool {
-        !HAS_TWO_WINDOWS && BYTES.len() < WAITING_BYTES
+        // A sensor's words wait in their blocks; what finds none is dropped there, which takes fewer instructions.
+        cfg!(feature = "sensor") || !HAS_TWO_WINDOWS && BYTES.len() < WAITING_BYTES
     }
+}
+
+/// Whether PendSV waits for a window or for room in the queue of work; whatever gives it either triggers it.
+#[cfg(feature = "sensor")]
+static STALLED: AtomicBool = AtomicBool::new(false);
+
+/// Returns whether PendSV could do nothing with more words.
+#[cfg(feature = "sensor")]
+#[must_use]
+pub fn is_stalled() -> bool {
+    STALLED.load(Ordering::Relaxed)
 }
 
 /// Returns the next piece of work for `main`.
 pub fn work() -> Option<Work<'static>> {
-    WORK.take()
+    let was_full = WORK.is_full();
+    let work = WORK.take();
+    if was_full {
+        SCB::set_pendsv();
+    }
+    work
 }
 
 /// Sleeps until an interrupt, unless there is work.
@@ -210,7 +227,10 @@ pub struct Receiving {
     #[cfg(any(feature = "usb", not(feature = "sensor")))]
     link: Link,
     #[cfg(feature = "sensor")]
-    sensor: Option<SensorSource<'static>>,
+    sensor: Option<SensorSource<'static, 'static>>,
+    /// Whether the sensor's end is known.
+    #[cfg(feature = "simulated")]
+    has_ended: bool,
     ingest: Ingest<'static>,
 }
 
@@ -223,6 +243,8 @@ impl Receiving {
             link: Link::new(),
             #[cfg(feature = "sensor")]
             sensor: None,
+            #[cfg(feature = "simulated")]
+            has_ended: false,
             ingest: Ingest::new(),
         }
     }
@@ -237,7 +259,10 @@ impl Receiving {
         }
         #[cfg(feature = "usb")]
         self.restart();
-        let from = match self.poll() {
+        let polled = self.poll();
+        #[cfg(feature = "sensor")]
+        STALLED.store(polled == Poll::Stalled, Ordering::Relaxed);
+        let from = match polled {
             Poll::Idle => 0,
             Poll::Stalled => BYTES.len().min(RING_BYTES - MANY_BYTES),
         };
@@ -256,6 +281,11 @@ impl Receiving {
         let Some(sensor) = &mut self.sensor else {
             return Poll::Idle;
         };
+        #[cfg(feature = "simulated")]
+        if sensor::simulated::ended() && !self.has_ended {
+            self.has_ended = true;
+            sensor.flush();
+        }
         // On USB a host may set up how the sensor's events are encoded.
         #[cfg(feature = "usb")]
         let sensor = &mut sensor.with_host(self.link.source(next_byte));

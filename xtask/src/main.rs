@@ -11,6 +11,7 @@ mod read_speed;
 mod record;
 mod saved;
 mod seek;
+mod sensor;
 mod stream;
 mod tests;
 mod tree;
@@ -94,6 +95,12 @@ enum Task {
         /// The eecvs command to use [default: it is built]
         #[arg(long)]
         eecvs: Option<PathBuf>,
+    },
+    /// Play a simulated sensor to the encoder on a microcontroller, at rising rates: what is lost, and is it counted?
+    Sensor {
+        /// Write the table into docs/boards.md
+        #[arg(long)]
+        save: bool,
     },
     /// Measure how fast recordings are read, here and by other libraries
     ReadSpeed {
@@ -196,6 +203,7 @@ fn main() -> Result<ExitCode> {
         Task::HostCases { folder } => host_instructions::run_cases(&folder),
         Task::ImageRecordings { events, eecvs } => image_recordings::run(events, eecvs),
         Task::Cores { save, eecvs } => cores::run(save, eecvs),
+        Task::Sensor { save } => sensor::run(save),
         Task::Pipelines { record, rounds } => pipelines::run(record.as_deref(), rounds),
         Task::ReadSpeed { record, rounds } => read_speed::run(record.as_deref(), rounds),
         Task::Stream { events } => stream::run(events, None),

@@ -55,6 +55,13 @@ pub const fn is_event(word: u32) -> bool {
     word < EVENTS_END
 }
 
+/// Returns whether a word is a `TIME_HIGH`.
+#[inline]
+#[must_use]
+pub const fn is_time(word: u32) -> bool {
+    word >> KIND_SHIFT == TIME_HIGH
+}
+
 /// A decoder of EVT 2.0 words, which keeps the time from word to word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

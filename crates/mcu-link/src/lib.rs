@@ -8,6 +8,7 @@
 //! | `account.rs` | checks the received frames one by one |
 //! | `qemu.rs` | the emulated machine at the other end |
 //! | `image.rs` | the firmware image: its build and its sizes |
+//! | `sensor.rs` | the image with a simulated sensor: its recording, and what came of it |
 //! | `log.rs` | the log of the image |
 //!
 //! [`run`] needs only a [`Connection`], whatever encoder it leads to.
@@ -18,6 +19,7 @@ pub mod image;
 pub mod link;
 pub mod log;
 pub mod qemu;
+pub mod sensor;
 mod setting_up;
 
 use std::time::Duration;
@@ -142,17 +144,10 @@ pub fn run(
     let status = set_up(connection, &setup)?;
     let told = keep_out(connection, job.config.window.sensor, job.hot)?;
     let status = told.unwrap_or(status);
-    let limits = Limits {
-        window_events: status.window_events as usize,
-        frame_bytes: status.frame_bytes as usize,
-        // As the image does, which has no memory to hold events for reordering.
-        reorder_us: Some(0),
-        dense_words: status.dense_words as usize,
-    };
     let expected = if job.drop_when_full {
         None
     } else {
-        Some(host_frames(job, limits)?)
+        Some(host_frames(job, limits(&status))?)
     };
     let damaged_before = connection.incoming().damaged_bytes();
     let mut account = Account::new(status, damaged_before, expected);
@@ -162,6 +157,17 @@ pub fn run(
     )?;
     let damaged_bytes = connection.incoming().damaged_bytes();
     Ok(account.finish(plan.events, damaged_bytes))
+}
+
+/// Returns what bounds an image's frames.
+const fn limits(status: &Status) -> Limits {
+    Limits {
+        window_events: status.window_events as usize,
+        frame_bytes: status.frame_bytes as usize,
+        // As the image does, which has no memory to hold events for reordering.
+        reorder_us: Some(0),
+        dense_words: status.dense_words as usize,
+    }
 }
 
 /// Results of a first pass over the recording.

@@ -153,6 +153,36 @@ pub fn find() -> Result<()> {
 /// # Errors
 /// QEMU is not installed, or the image is missing, fails, or takes longer than `patience`.
 pub fn run(machine: Machine, image: &Path, folder: &Path, patience: Duration) -> Result<String> {
+    run_with(machine, image, folder, "shift=0", patience)
+}
+
+/// Runs an image as [`run`] does, at 2^`shift` ns for an instruction; time in which the processor sleeps is skipped.
+///
+/// # Errors
+/// As those of [`run`].
+pub(crate) fn play(
+    machine: Machine,
+    image: &Path,
+    folder: &Path,
+    shift: u8,
+    patience: Duration,
+) -> Result<String> {
+    run_with(
+        machine,
+        image,
+        folder,
+        &format!("shift={shift},sleep=off"),
+        patience,
+    )
+}
+
+fn run_with(
+    machine: Machine,
+    image: &Path,
+    folder: &Path,
+    clock: &str,
+    patience: Duration,
+) -> Result<String> {
     let name = image.display();
     let image = image
         .canonicalize()
@@ -160,7 +190,7 @@ pub fn run(machine: Machine, image: &Path, folder: &Path, patience: Duration) ->
     let started = Command::new(PROGRAM)
         .args(["-M", machine.emulated()])
         .args(["-display", "none", "-monitor", "none", "-serial", "null"])
-        .args(["-icount", "shift=0"])
+        .args(["-icount", clock])
         .args(["-semihosting-config", "enable=on,target=native"])
         .arg("-kernel")
         .arg(&image)

@@ -22,6 +22,8 @@ pub enum Input {
     Word(u32),
     /// This many events were lost here, and possibly a time.
     Lost(u32),
+    /// This many events were dropped here, because there was no room for them; every time is known.
+    Dropped(u32),
     /// The stream has ended: close the open window and send it.
     Flush,
     /// Restart with this setup.
@@ -270,6 +272,10 @@ impl<'b> Ingest<'b> {
                 }
                 self.miss(events);
                 self.lost_time = true;
+            }
+            Input::Dropped(events) => {
+                self.counts.dropped = self.counts.dropped.wrapping_add(events);
+                self.miss(events);
             }
             Input::Flush => self.step = Step::Flush,
             Input::Setup(setup) => self.step = Step::SetupFlush(setup),

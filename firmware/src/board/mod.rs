@@ -2,10 +2,12 @@
 
 #[cfg(feature = "microbit")]
 mod microbit;
-#[cfg(feature = "mps2")]
+#[cfg(all(feature = "mps2", not(feature = "simulated")))]
 mod mps2;
 #[cfg(feature = "usb")]
 mod otg;
+#[cfg(feature = "simulated")]
+mod simulated;
 #[cfg(feature = "stm32f405")]
 mod stm32f405;
 #[cfg(all(feature = "stm32f405", not(feature = "usb")))]
@@ -13,10 +15,12 @@ mod usart;
 
 #[cfg(feature = "microbit")]
 pub use microbit::*;
-#[cfg(feature = "mps2")]
+#[cfg(all(feature = "mps2", not(feature = "simulated")))]
 pub use mps2::*;
 #[cfg(feature = "usb")]
 pub use otg::*;
+#[cfg(feature = "simulated")]
+pub use simulated::*;
 #[cfg(feature = "stm32f405")]
 pub use stm32f405::*;
 #[cfg(all(feature = "stm32f405", not(feature = "usb")))]

@@ -10,7 +10,7 @@ use eecvs_nostd::event_link::{
 use eecvs_nostd::evt2::Evt2Encoder;
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::from_link::Link;
-use eecvs_nostd::ingest::from_sensor::{Port, SensorSource};
+use eecvs_nostd::ingest::from_sensor::{Block, Port, SensorSource};
 use eecvs_nostd::ingest::{Counts, Exchange, Ingest, Work};
 use eecvs_nostd::{Coder, Event, Hybrid, Mode, Scratch, Window, WindowBuffers, WindowEncoder};
 use eecvs_usb_class::{Outgoing, Sender};
@@ -68,8 +68,10 @@ pub struct Encoder {
 
 /// A sensor on a port of its own, whose events come as soon as a host has set the encoder up.
 struct OwnSensor {
-    port: Port<'static>,
-    source: SensorSource<'static>,
+    port: Port<'static, 'static>,
+    source: SensorSource<'static, 'static>,
+    /// The block that the transfer fills, a word at a time.
+    block: Option<Block<'static>>,
     words: VecDeque<u32>,
 }
 
@@ -91,8 +93,12 @@ impl Encoder {
 
     /// One beside a sensor that sees `events`; it begins with `setup`.
     pub fn with_sensor(setup: Setup, events: &[Event]) -> Self {
-        let queue: &'static mut Queue<u32, SENSOR_WORDS> = Box::leak(Box::new(Queue::new()));
-        let (producer, consumer) = queue.split();
+        let filled: &'static mut Queue<_, SENSOR_WORDS> = Box::leak(Box::new(Queue::new()));
+        let free: &'static mut Queue<Block<'_>, SENSOR_WORDS> = Box::leak(Box::new(Queue::new()));
+        let ((put_filled, take_filled), (mut put_free, take_free)) = (filled.split(), free.split());
+        for word in leak([0; 4], SENSOR_WORDS - 1).chunks_mut(1) {
+            put_free.enqueue(word).unwrap();
+        }
         let mut encoder = Evt2Encoder::new(0);
         let mut words = VecDeque::new();
         for event in events {
@@ -101,8 +107,9 @@ impl Encoder {
         }
         Self {
             sensor: Some(OwnSensor {
-                port: Port::new(producer),
-                source: SensorSource::new(consumer, setup),
+                port: Port::new(put_filled, take_free),
+                source: SensorSource::new(take_filled, put_free, setup),
+                block: Some(leak([0; 4], 1)),
                 words,
             }),
             ..Self::new()
@@ -140,7 +147,11 @@ impl Encoder {
             return false;
         };
         sensor.words.pop_front();
-        sensor.port.take(&[word]);
+        let Some(block) = sensor.block.take() else {
+            return false;
+        };
+        block.fill(word.to_le_bytes());
+        sensor.block = Some(sensor.port.exchange(block, 1));
         true
     }
 

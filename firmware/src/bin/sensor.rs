@@ -1,0 +1,42 @@
+//! The image to flash with a simulated sensor in the link's place: plays the host's file `sensor.words`, writes
+//! `sensor.frames`, and ends with the sensor. `cargo xtask sensor` builds and runs this.
+#![no_std]
+#![no_main]
+
+use cortex_m_rt::{entry, exception};
+use cortex_m_semihosting::debug::{self, EXIT_SUCCESS};
+use cortex_m_semihosting::hprintln;
+use eecvs_firmware::encoding::Encoding;
+use eecvs_firmware::receiving::{self, Receiving};
+use eecvs_firmware::sensor::simulated;
+use eecvs_firmware::{board, clock, fault};
+
+#[entry]
+fn main() -> ! {
+    let encoding = cortex_m::Peripherals::take().and_then(|mut core| {
+        let sender = board::set_up(&mut core)?;
+        clock::start(&mut core.SYST);
+        receiving::start(&mut core);
+        Encoding::new(sender)
+    });
+    let Some(mut encoding) = encoding else {
+        fault::stop();
+    };
+    while !encoding.work() {}
+    // After what the log may have printed on its line.
+    hprintln!("\n{{\"overrun\":{}}}", simulated::overrun());
+    loop {
+        debug::exit(EXIT_SUCCESS);
+    }
+}
+
+#[exception]
+fn PendSV() {
+    static mut RECEIVING: Receiving = Receiving::new();
+    RECEIVING.on_pend();
+}
+
+#[exception]
+fn SysTick() {
+    clock::on_wrap();
+}
