@@ -479,7 +479,7 @@ mod tests {
                         expected.extend(words.into_iter().map(Input::Word));
                     } else {
                         dropped += words.iter().filter(|word| is_event(**word)).count() as u32;
-                        time = words.into_iter().filter(|word| is_time(*word)).last().or(time);
+                        time = words.into_iter().rfind(|word| is_time(*word)).or(time);
                     }
                     let mut takes = takes;
                     while takes > 0 && take(&mut source) {
