@@ -34,6 +34,12 @@ pub fn on_wrap() {
     );
 }
 
+/// Returns the number of the timer's interrupts so far; wraps.
+#[must_use]
+pub fn wraps() -> u32 {
+    WRAPS.load(Ordering::Relaxed)
+}
+
 /// Returns the ticks since the start, modulo 2^32: differences are valid up to 25 s at 168 MHz.
 #[must_use]
 pub fn ticks() -> u32 {

@@ -1,6 +1,6 @@
 //! Encodes windows to frames, and sends frames on the link: `main`'s side.
 
-use eecvs_nostd::event_link::{FIELDS_BYTES_MAX, Kind, Packet, Refusal, Setup, Status};
+use eecvs_nostd::event_link::{FIELDS_BYTES_MAX, Kind, Packet, Refusal, Restart, Setup, Status};
 use eecvs_nostd::fixed_point::{Sum, WideSum};
 use eecvs_nostd::ingest::{Counts, Work};
 use eecvs_nostd::{
@@ -14,7 +14,7 @@ use crate::board::{self, Sender};
 use crate::clock::{Stopwatch, interrupt_ticks, nanoseconds};
 use crate::memory::{self, Shares, WINDOWS};
 use crate::receiving;
-use crate::stack;
+use crate::{stack, watchdog};
 
 /// Whether the image has all that a microcontroller can encode; a small one has the fast coder alone.
 const IS_FULL: bool = cfg!(feature = "full");
@@ -69,6 +69,7 @@ impl Total {
 /// The encoder, and counts of what it has done.
 pub struct Encoding {
     sender: Sender,
+    restart: Option<Restart>,
     encoder: WindowEncoder<'static>,
     out: &'static mut [u8],
     window_events: usize,
@@ -84,9 +85,9 @@ pub struct Encoding {
 }
 
 impl Encoding {
-    /// Returns the encoder before its first setup; `None` on a second call.
+    /// Returns the encoder before its first setup, whose status says why it started again; `None` on a second call.
     #[inline(never)]
-    pub fn new(sender: Sender) -> Option<Self> {
+    pub fn new(sender: Sender, restart: Option<Restart>) -> Option<Self> {
         static SUMS: ConstStaticCell<[Sum; NUMBERS]> = ConstStaticCell::new([Sum::ZERO; NUMBERS]);
         static TOTALS: ConstStaticCell<[WideSum; NUMBERS]> =
             ConstStaticCell::new([WideSum::ZERO; NUMBERS]);
@@ -105,6 +106,7 @@ impl Encoding {
         };
         Some(Self {
             sender,
+            restart,
             encoder: WindowEncoder::new(IDLE, scratch).ok()?,
             out: &mut [],
             window_events: 0,
@@ -131,7 +133,12 @@ impl Encoding {
         self.receive
             .add(interrupts.wrapping_sub(self.interrupts_seen));
         self.interrupts_seen = interrupts;
-        match receiving::work() {
+        let work = receiving::work();
+        // Without work, the other side waits for nothing, unless something broke.
+        if work.is_some() || !receiving::is_stalled() {
+            watchdog::feed();
+        }
+        match work {
             Some(Work::Window(window)) => self.encode(window),
             Some(Work::Setup(setup, counts)) => {
                 self.sender.follow();
@@ -263,6 +270,7 @@ impl Encoding {
             encode_ns: self.encode.ns(),
             send_ns: self.send.ns(),
             stack_bytes: stack::used_bytes(),
+            restart: self.restart,
         };
         let mut body = [0; FIELDS_BYTES_MAX];
         let mut packet = [0; 128];

@@ -1,5 +1,6 @@
 //! How a panic, a fault, an exception that nothing expects, or a stack that crossed its floor ends: a board restarts, an
-//! emulator exits with an error. What it was is kept in memory that a restart leaves alone, and logged after it.
+//! emulator exits with an error. What it was is kept in memory that a restart leaves alone, logged after it, and sent with
+//! every status.
 
 use core::arch::global_asm;
 use core::mem::MaybeUninit;
@@ -9,6 +10,7 @@ use cortex_m::peripheral::SCB;
 #[cfg(not(feature = "mps2"))]
 use cortex_m_rt::exception;
 use cortex_m_semihosting::debug::{self, EXIT_FAILURE};
+use eecvs_nostd::event_link::{self, Restart};
 
 use crate::{board, stack};
 
@@ -23,6 +25,8 @@ pub enum Cause {
     Unexpected(i16),
     /// A panic, or what calls [`stop`].
     Stopped,
+    /// The watchdog: half a second without progress.
+    Watchdog,
 }
 
 /// What is known of the end of a program.
@@ -70,24 +74,49 @@ global_asm!(
     report = sym report,
 );
 
+// The watchdog of some boards, before it resets them; the clock's failure on others.
+#[cfg(not(feature = "microbit"))]
+global_asm!(
+    ".syntax unified",
+    ".section .NonMaskableInt.own, \"ax\"",
+    ".global NonMaskableInt",
+    ".type NonMaskableInt, %function",
+    ".thumb_func",
+    "NonMaskableInt:",
+    "mrs r0, msp",
+    "bl {report}",
+    report = sym report_unmasked,
+);
+
+/// Reports the interrupt that cannot be masked; `pointer` is the stack pointer at that time.
+#[cfg(not(feature = "microbit"))]
+extern "C" fn report_unmasked(pointer: u32) -> ! {
+    const NUMBER: i16 = 2 - 16;
+    let cause = match board::UNMASKED_IS_WATCHDOG {
+        true => Cause::Watchdog,
+        false => Cause::Unexpected(NUMBER),
+    };
+    end(cause, pointer, Some(pointer))
+}
+
 /// Reports a fault; `pointer` is the stack pointer at that time.
 extern "C" fn report(pointer: u32) -> ! {
     let cause = match stack::is_overflow(pointer) {
         true => Cause::StackOverflow,
         false => Cause::HardFault,
     };
-    end(cause, pointer)
+    end(cause, pointer, Some(pointer))
 }
 
 /// Ends the program because of an exception without a handler.
 pub fn unexpected(number: i16) -> ! {
     let pointer = cortex_m::register::msp::read();
-    end(Cause::Unexpected(number), pointer)
+    end(Cause::Unexpected(number), pointer, None)
 }
 
 /// Ends the program: it restarts on a board, and ends an emulator with an error.
 pub fn stop() -> ! {
-    end(Cause::Stopped, 0)
+    end(Cause::Stopped, 0, None)
 }
 
 /// Makes an emulator restart as a board does, in place of ending it.
@@ -103,12 +132,10 @@ unsafe fn DefaultHandler(number: i16) -> ! {
     unexpected(number)
 }
 
-fn end(cause: Cause, pointer: u32) -> ! {
-    // The processor pushes r0 to r3, r12, lr, pc and its status where a fault begins.
-    let [lr, pc] = match cause {
-        Cause::HardFault => stack::words(pointer, 5).unwrap_or_default(),
-        Cause::StackOverflow | Cause::Unexpected(_) | Cause::Stopped => [0; 2],
-    };
+/// Keeps a record and restarts; `frame` is where the processor pushed r0 to r3, r12, lr, pc and its status, if that is known.
+fn end(cause: Cause, pointer: u32, frame: Option<u32>) -> ! {
+    let pushed = frame.and_then(|frame| stack::words(frame, 5));
+    let [lr, pc] = pushed.unwrap_or_default();
     let record = Record {
         cause,
         pc,
@@ -122,7 +149,7 @@ fn end(cause: Cause, pointer: u32) -> ! {
             defmt::error!("stack overflow: the stack pointer was {=u32:#x}", pointer);
         }
         Cause::Stopped => {}
-        Cause::HardFault | Cause::Unexpected(_) => defmt::error!("{}", record),
+        Cause::HardFault | Cause::Unexpected(_) | Cause::Watchdog => defmt::error!("{}", record),
     }
     loop {
         if board::is_emulated() && !RESTARTS.load(Ordering::Relaxed) {
@@ -148,6 +175,22 @@ fn status() -> [u32; 2] {
 }
 
 impl Record {
+    /// Returns what of it the status tells.
+    #[must_use]
+    pub const fn restart(&self) -> Restart {
+        Restart {
+            cause: match self.cause {
+                Cause::StackOverflow => event_link::Cause::StackOverflow,
+                Cause::HardFault => event_link::Cause::Fault,
+                Cause::Unexpected(_) => event_link::Cause::Unexpected,
+                Cause::Stopped => event_link::Cause::Stopped,
+                Cause::Watchdog => event_link::Cause::Watchdog,
+            },
+            pc: self.pc,
+            lr: self.lr,
+        }
+    }
+
     /// Keeps the record for the program after a restart.
     fn keep(&self) {
         let (kind, number) = match self.cause {
@@ -155,6 +198,7 @@ impl Record {
             Cause::HardFault => (1, 0),
             Cause::Unexpected(number) => (2, number),
             Cause::Stopped => (3, 0),
+            Cause::Watchdog => (4, 0),
         };
         let [cfsr, hfsr] = self.status;
         let mut kept = [
@@ -173,9 +217,28 @@ impl Record {
         unsafe { (&raw mut KEPT).write_volatile(MaybeUninit::new(kept)) };
     }
 
-    /// Returns what ended the program before this one, if a fault did, and forgets it. Called once, at the start.
+    /// Returns what ended the program before this one, if it did not end by itself, and forgets it. Called once, at the start.
     #[must_use]
     pub fn take() -> Option<Self> {
+        let kept = Self::take_kept();
+        #[cfg(feature = "stm32f405")]
+        let kept = {
+            // Both are forgotten. The chip's watchdog leaves no other record.
+            let is_watchdog = board::take_watchdog_reset();
+            kept.or_else(|| {
+                is_watchdog.then_some(Self {
+                    cause: Cause::Watchdog,
+                    pc: 0,
+                    lr: 0,
+                    sp: 0,
+                    status: [0; 2],
+                })
+            })
+        };
+        kept
+    }
+
+    fn take_kept() -> Option<Self> {
         // SAFETY: any bits are integers, and a volatile read takes those that are there; nothing else runs yet.
         let kept = unsafe { (&raw const KEPT).read_volatile().assume_init() };
         // SAFETY: as above.
@@ -188,6 +251,7 @@ impl Record {
             0 => Cause::StackOverflow,
             1 => Cause::HardFault,
             2 => Cause::Unexpected(number as i16),
+            4 => Cause::Watchdog,
             _ => Cause::Stopped,
         };
         Some(Self {

@@ -1,8 +1,6 @@
 //! Turns bytes from the link into windows: the interrupts' side.
 
-#[cfg(any(feature = "usb", feature = "sensor"))]
-use core::sync::atomic::AtomicBool;
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use cortex_m::Peripherals;
 use cortex_m::peripheral::SCB;
@@ -51,6 +49,9 @@ static SET_UP: Queue<(Setup, usize), 1> = Queue::new();
 static DAMAGED_BYTES: AtomicU32 = AtomicU32::new(0);
 static IGNORED: AtomicU32 = AtomicU32::new(0);
 
+/// Number of runs of PendSV; wraps.
+static RUNS: AtomicU32 = AtomicU32::new(0);
+
 struct Queues;
 
 impl Exchange<'static> for Queues {
@@ -73,14 +74,18 @@ impl Exchange<'static> for Queues {
 }
 
 /// Whether PendSV waits for a window or for room in the queue of work; whatever gives it either triggers it.
-#[cfg(feature = "sensor")]
 static STALLED: AtomicBool = AtomicBool::new(false);
 
 /// Returns whether PendSV could do nothing with more words.
-#[cfg(feature = "sensor")]
 #[must_use]
 pub fn is_stalled() -> bool {
     STALLED.load(Ordering::Relaxed)
+}
+
+/// Returns the number of runs of PendSV so far; wraps.
+#[must_use]
+pub fn runs() -> u32 {
+    RUNS.load(Ordering::Relaxed)
 }
 
 /// Returns the next piece of work for `main`.
@@ -252,6 +257,8 @@ impl Receiving {
     /// Body of PendSV: processes received bytes, and takes over finished setups.
     pub fn on_pend(&mut self) {
         let stopwatch = Stopwatch::start();
+        // No other code writes it.
+        RUNS.store(runs().wrapping_add(1), Ordering::Relaxed);
         if self.ingest.is_setting_up()
             && let Some((setup, windows)) = SET_UP.take()
         {
@@ -260,7 +267,6 @@ impl Receiving {
         #[cfg(feature = "usb")]
         self.restart();
         let polled = self.poll();
-        #[cfg(feature = "sensor")]
         STALLED.store(polled == Poll::Stalled, Ordering::Relaxed);
         let from = match polled {
             Poll::Idle => 0,

@@ -1,6 +1,7 @@
 //! What people do with this project, one command each: `cargo xtask` lists them.
 
 mod cores;
+mod flips;
 mod fuzz;
 mod host_instructions;
 mod image_recordings;
@@ -98,6 +99,18 @@ enum Task {
     },
     /// Play a simulated sensor to the encoder on a microcontroller, at rising rates: what is lost, and is it counted?
     Sensor {
+        /// Write the table into docs/boards.md
+        #[arg(long)]
+        save: bool,
+    },
+    /// Flip bits of a microcontroller's memory and registers, stop its peripherals: what becomes of the events?
+    Flips {
+        /// Number of faults, each in a run of its own
+        #[arg(default_value_t = flips::FAULTS)]
+        count: u64,
+        /// Number of the first
+        #[arg(long, default_value_t = 0)]
+        first: u64,
         /// Write the table into docs/boards.md
         #[arg(long)]
         save: bool,
@@ -204,6 +217,7 @@ fn main() -> Result<ExitCode> {
         Task::ImageRecordings { events, eecvs } => image_recordings::run(events, eecvs),
         Task::Cores { save, eecvs } => cores::run(save, eecvs),
         Task::Sensor { save } => sensor::run(save),
+        Task::Flips { count, first, save } => flips::run(count, first, save),
         Task::Pipelines { record, rounds } => pipelines::run(record.as_deref(), rounds),
         Task::ReadSpeed { record, rounds } => read_speed::run(record.as_deref(), rounds),
         Task::Stream { events } => stream::run(events, None),

@@ -45,17 +45,17 @@ const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A processor, and the link behind it.
 #[derive(Debug, Clone, Copy)]
-struct Board {
+pub struct Board {
     name: &'static str,
     /// An instruction takes 2^this ns.
-    shift: u8,
+    pub shift: u8,
     link_bytes_per_second: u32,
     /// The sensor's rates, in events per microsecond.
     rates: &'static [f64],
 }
 
 /// Counts of instructions hardly differ between a Cortex-M4 and an M7: one machine stands for both.
-const MACHINE: Machine = Machine::Mps2An500;
+pub const MACHINE: Machine = Machine::Mps2An500;
 
 const BOARDS: [Board; 3] = [
     Board {
@@ -82,7 +82,7 @@ const BOARDS: [Board; 3] = [
 /// unaccounted for, or if others are lost than the resources predict.
 pub fn run(save: bool) -> Result<ExitCode> {
     let image = image::build(MACHINE, "sensor")?;
-    let scene = scene()?;
+    let scene = scene(EVENTS)?;
     let costs = Costs::count(&image, &scene)?;
     let mut text = format!(
         "An event takes {:.0} instructions to receive, {:.0} to encode, {:.0} to drop.\n\n\
@@ -105,24 +105,24 @@ pub fn run(save: bool) -> Result<ExitCode> {
 }
 
 /// The first events of a scene.
-fn scene() -> Result<Vec<Event>> {
+pub fn scene(count: usize) -> Result<Vec<Event>> {
     let mut emulator = emulate(SceneConfig {
         sensor: SENSOR,
         ..SceneConfig::model_1(Preset::OutdoorWellLitBlur, 1)
     })?;
     let mut events = Vec::new();
-    while events.len() < EVENTS && emulator.read(&mut events)? > 0 {}
+    while events.len() < count && emulator.read(&mut events)? > 0 {}
     ensure!(
-        events.len() >= EVENTS,
+        events.len() >= count,
         "the scene has {} events",
         events.len()
     );
-    events.truncate(EVENTS);
+    events.truncate(count);
     Ok(events)
 }
 
 /// The scene in another time, in which so many events come in a microsecond on average.
-fn at_rate(scene: &[Event], rate: f64) -> Result<Vec<Event>> {
+pub fn at_rate(scene: &[Event], rate: f64) -> Result<Vec<Event>> {
     let (first, last) = scene.first().zip(scene.last()).context("no events")?;
     let slower = scene.len() as f64 / rate / (last.t_us - first.t_us) as f64;
     let time = |event: &Event| ((event.t_us - first.t_us) as f64 * slower) as u64;
@@ -134,7 +134,15 @@ fn at_rate(scene: &[Event], rate: f64) -> Result<Vec<Event>> {
 }
 
 impl Board {
-    fn scene<'s>(&self, events: &'s [Event]) -> Scene<'s> {
+    /// A processor and a link that nothing is too quick for.
+    pub const QUICK: Self = Self {
+        name: "",
+        shift: 0,
+        link_bytes_per_second: u32::MAX,
+        rates: &[],
+    };
+
+    pub fn scene<'s>(&self, events: &'s [Event]) -> Scene<'s> {
         let mode = Mode::Hybrid(Hybrid {
             coder: Coder::Fast,
             fidelity: Fidelity::Lossless,
@@ -186,12 +194,7 @@ impl Costs {
     /// Counts what an event takes on a processor and a link that nothing is too quick for, and to drop one where hardly any
     /// finds room.
     fn count(image: &Path, scene: &[Event]) -> Result<Self> {
-        let quick = Board {
-            name: "",
-            shift: 0,
-            link_bytes_per_second: u32::MAX,
-            rates: &[],
-        };
+        let quick = Board::QUICK;
         let kept = quick
             .play(image, &quick.scene(&at_rate(scene, SLOW)?))?
             .outcome;

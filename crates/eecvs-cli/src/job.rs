@@ -219,6 +219,8 @@ pub struct Account {
     /// `None` if the host has no frames to compare with.
     frames_identical: Option<u64>,
     frames_different: Option<u64>,
+    /// Why the encoder had started again; `None` if its power came.
+    last_restart: Option<String>,
 }
 
 impl Account {
@@ -239,6 +241,7 @@ impl Account {
             frames: outcome.frames,
             frames_identical: compared(outcome.frames_identical),
             frames_different: compared(outcome.frames_different),
+            last_restart: mcu_link::restart(&outcome.status),
         }
     }
 
@@ -264,6 +267,10 @@ impl Account {
             ("frames", self.frames.to_string()),
             ("  identical", compared(self.frames_identical)),
             ("  different", compared(self.frames_different)),
+            (
+                "last restart",
+                self.last_restart.as_deref().unwrap_or("none").to_owned(),
+            ),
         ]
     }
 }

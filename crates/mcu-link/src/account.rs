@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 
 use eecvs::reconstruct::coefficients::CoefficientDecoder;
 use eecvs::reconstruct::hybrid::HybridDecoder;
-use eecvs_nostd::event_link::{Kind, Status};
+use eecvs_nostd::event_link::{Cause, Kind, Restart, Status};
 use eecvs_nostd::{Frame, Header, Mode, Order, Sequence};
 use event_types::bail;
 use event_types::stream::Result;
@@ -83,7 +83,8 @@ impl Account {
             }
             _ => bail!(
                 Damaged,
-                "the encoder restarted in the middle of the recording"
+                "the encoder restarted in the middle of the recording{}",
+                restart(&status).map_or_else(String::new, |text| format!(": {text}"))
             ),
         }
     }
@@ -196,6 +197,23 @@ impl Account {
         }
         self.outcome
     }
+}
+
+/// Returns why an encoder started again, for a person.
+#[must_use]
+pub fn restart(status: &Status) -> Option<String> {
+    let Restart { cause, pc, lr } = status.restart?;
+    let cause = match cause {
+        Cause::StackOverflow => "the stack left its place",
+        Cause::Fault => "a fault of the processor",
+        Cause::Unexpected => "an interrupt that nothing expects",
+        Cause::Stopped => "a panic, or a clock that does not start",
+        Cause::Watchdog => "half a second without progress",
+    };
+    Some(match pc {
+        0 => cause.to_owned(),
+        _ => format!("{cause}, at {pc:#x}, called from {lr:#x}"),
+    })
 }
 
 /// Describes where a frame differs from the expected one; `None` if they are equal.

@@ -8,13 +8,15 @@
 //! | `account.rs` | checks the received frames one by one |
 //! | `qemu.rs` | the emulated machine at the other end |
 //! | `image.rs` | the firmware image: its build and its sizes |
-//! | `sensor.rs` | the image with a simulated sensor: its recording, and what came of it |
+//! | `debugger.rs` | that machine's debugger |
+//! | `sensor/` | the image with a simulated sensor: its recording, and what came of it |
 //! | `log.rs` | the log of the image |
 //!
 //! [`run`] needs only a [`Connection`], whatever encoder it leads to.
 
 mod account;
 pub mod connection;
+pub mod debugger;
 pub mod image;
 pub mod link;
 pub mod log;
@@ -33,6 +35,7 @@ use event_types::stream::{Context, Result};
 use event_types::{bail, ensure};
 
 use account::Account;
+pub use account::restart;
 use connection::Sender;
 pub use connection::{Connection, Link};
 use link::{EventPackets, Message};

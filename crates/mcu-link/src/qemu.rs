@@ -183,23 +183,8 @@ fn run_with(
     clock: &str,
     patience: Duration,
 ) -> Result<String> {
+    let mut child = spawn(machine, image, folder, clock, &[])?;
     let name = image.display();
-    let image = image
-        .canonicalize()
-        .with_context(|| format!("{name}: no such image"))?;
-    let started = Command::new(PROGRAM)
-        .args(["-M", machine.emulated()])
-        .args(["-display", "none", "-monitor", "none", "-serial", "null"])
-        .args(["-icount", clock])
-        .args(["-semihosting-config", "enable=on,target=native"])
-        .arg("-kernel")
-        .arg(&image)
-        .current_dir(folder)
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn();
-    let mut child = installed(started)?;
     let readers = [
         child.stdout.take().map(|stream| follow(Box::new(stream))),
         child.stderr.take().map(|stream| follow(Box::new(stream))),
@@ -234,6 +219,51 @@ fn run_with(
         }
         None => bail!(Other, "{name}: the image did not end within {patience:?}"),
     }
+}
+
+/// Starts a machine that stands still until a debugger, on this socket in the folder, lets it go on. Its debugger's
+/// connection must last as long as it; its stdout and stderr are short.
+///
+/// # Errors
+/// QEMU is not installed, or the image is missing.
+pub(crate) fn stopped(
+    machine: Machine,
+    image: &Path,
+    folder: &Path,
+    shift: u8,
+    socket: &str,
+) -> Result<Child> {
+    let port = format!("unix:{socket},server=on,wait=off");
+    let clock = format!("shift={shift},sleep=off");
+    spawn(machine, image, folder, &clock, &["-S", "-gdb", &port])
+}
+
+/// Starts an image without a UART, in a folder whose files it may read and write.
+fn spawn(
+    machine: Machine,
+    image: &Path,
+    folder: &Path,
+    clock: &str,
+    options: &[&str],
+) -> Result<Child> {
+    let image = image
+        .canonicalize()
+        .with_context(|| format!("{}: no such image", image.display()))?;
+    let mut command = Command::new(PROGRAM);
+    command
+        .args(["-M", machine.emulated()])
+        .args(["-display", "none", "-monitor", "none", "-serial", "null"])
+        .args(["-icount", clock])
+        .args(["-semihosting-config", "enable=on,target=native"])
+        .args(options)
+        .arg("-kernel")
+        .arg(&image)
+        .current_dir(folder)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    end_with_this_thread(&mut command);
+    installed(command.spawn())
 }
 
 /// Reads a stream to its end in its own thread.

@@ -22,7 +22,7 @@ pub use hot::HotNumbers;
 pub use packet::{BODY_BYTES_MAX, Kind, PACKET_BYTES_MAX, Packet, SYNC, TooLong};
 pub use receiver::Receiver;
 pub use setup::Setup;
-pub use status::{Refusal, Status};
+pub use status::{Cause, Refusal, Restart, Status};
 
 use serde::{Deserialize, Serialize};
 

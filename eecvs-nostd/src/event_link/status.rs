@@ -80,6 +80,34 @@ impl From<HotError> for Refusal {
     }
 }
 
+/// What ended an encoder before it started again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Cause {
+    /// The stack left its place.
+    StackOverflow,
+    /// A fault of the processor.
+    Fault,
+    /// An interrupt that nothing expects.
+    Unexpected,
+    /// The program itself: a panic, or a clock that does not start.
+    Stopped,
+    /// The watchdog: half a second without progress.
+    Watchdog,
+}
+
+/// How an encoder ended before it started again.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Restart {
+    /// What ended it.
+    pub cause: Cause,
+    /// Address of the instruction that did not end; 0 if it is not known.
+    pub pc: u32,
+    /// Where that function was called from; 0 if it is not known.
+    pub lr: u32,
+}
+
 /// State of an encoder, which it sends after a setup, hot pixels and a flush; written by postcard.
 ///
 /// Counts run since the start of the encoder and wrap; times are in its own clock.
@@ -125,6 +153,8 @@ pub struct Status {
     pub send_ns: u64,
     /// Most bytes of the stack that were in use at any time.
     pub stack_bytes: u32,
+    /// Why the encoder started again; `None` if its power came or its reset was asked for.
+    pub restart: Option<Restart>,
 }
 
 impl Status {
@@ -170,6 +200,11 @@ mod tests {
             encode_ns: u64::MAX,
             send_ns: u64::MAX,
             stack_bytes: u32::MAX,
+            restart: Some(Restart {
+                cause: Cause::Watchdog,
+                pc: u32::MAX,
+                lr: u32::MAX,
+            }),
         };
         let mut out = [0; FIELDS_BYTES_MAX];
         let len = status.write(&mut out).unwrap();

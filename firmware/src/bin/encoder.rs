@@ -14,18 +14,21 @@ use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 use eecvs_firmware::encoding::Encoding;
 use eecvs_firmware::receiving::{self, Receiving};
-use eecvs_firmware::{board, clock, fault};
+use eecvs_firmware::{board, clock, fault, watchdog};
 
 #[entry]
 fn main() -> ! {
-    if let Some(record) = fault::Record::take() {
+    let ended = fault::Record::take();
+    if let Some(record) = &ended {
         defmt::error!("started again after {}", record);
     }
+    let restart = ended.as_ref().map(fault::Record::restart);
     let encoding = cortex_m::Peripherals::take().and_then(|mut core| {
         let sender = board::set_up(&mut core)?;
         clock::start(&mut core.SYST);
         receiving::start(&mut core);
-        Encoding::new(sender)
+        watchdog::start();
+        Encoding::new(sender, restart)
     });
     let Some(mut encoding) = encoding else {
         // Never reached: every part of the above exists once, and this runs once.

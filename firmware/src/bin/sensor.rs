@@ -1,23 +1,32 @@
 //! The image to flash with a simulated sensor in the link's place: plays the host's file `sensor.words`, writes
-//! `sensor.frames`, and ends with the sensor. `cargo xtask sensor` builds and runs this.
+//! `sensor.frames`, and ends with the sensor. `cargo xtask sensor` builds and runs this; `cargo xtask flips` flips bits of it
+//! and reads what ended it after the restart.
 #![no_std]
 #![no_main]
 
+use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 use cortex_m_semihosting::debug::{self, EXIT_SUCCESS};
 use cortex_m_semihosting::hprintln;
 use eecvs_firmware::encoding::Encoding;
 use eecvs_firmware::receiving::{self, Receiving};
 use eecvs_firmware::sensor::simulated;
-use eecvs_firmware::{board, clock, fault};
+use eecvs_firmware::{board, clock, fault, watchdog};
 
 #[entry]
 fn main() -> ! {
+    hprintln!("start");
+    if let Some(record) = fault::Record::take() {
+        hprintln!("ended: {:?}", record);
+        debug::exit(EXIT_SUCCESS);
+    }
+    fault::restart_in_emulators();
     let encoding = cortex_m::Peripherals::take().and_then(|mut core| {
         let sender = board::set_up(&mut core)?;
         clock::start(&mut core.SYST);
         receiving::start(&mut core);
-        Encoding::new(sender)
+        watchdog::start();
+        Encoding::new(sender, None)
     });
     let Some(mut encoding) = encoding else {
         fault::stop();
@@ -39,4 +48,5 @@ fn PendSV() {
 #[exception]
 fn SysTick() {
     clock::on_wrap();
+    SCB::set_pendsv();
 }

@@ -1,5 +1,7 @@
 //! Machines. Each file sets one up and has the same items; the STM32F405 has a choice of two links.
 
+#[cfg(all(feature = "mps2", not(feature = "an547")))]
+mod cmsdk_watchdog;
 #[cfg(feature = "microbit")]
 mod microbit;
 #[cfg(all(feature = "mps2", not(feature = "simulated")))]

@@ -8,7 +8,7 @@ use cortex_m::Peripherals;
 use cortex_m::peripheral::NVIC;
 use cortex_m_rt::exception;
 
-use crate::{fault, receiving};
+use crate::{fault, receiving, watchdog};
 
 /// Name of the machine.
 pub const NAME: &str = "mps2";
@@ -94,7 +94,9 @@ impl Sender {
     /// Sends all bytes; returns once the UART has taken the last one.
     pub fn send(&mut self, bytes: &[u8]) {
         for byte in bytes {
-            while read(STATE) & SEND_FULL != 0 {}
+            while read(STATE) & SEND_FULL != 0 {
+                watchdog::feed();
+            }
             write(DATA, u32::from(*byte));
         }
     }
@@ -122,6 +124,21 @@ pub fn read_byte() -> Option<u8> {
 pub fn overruns() -> u32 {
     OVERRUNS.load(Ordering::Relaxed)
 }
+
+#[cfg(not(feature = "an547"))]
+pub use super::cmsdk_watchdog::{UNMASKED_IS_WATCHDOG, feed_watchdog, start_watchdog};
+
+/// Whether the interrupt that cannot be masked is the watchdog's.
+#[cfg(feature = "an547")]
+pub const UNMASKED_IS_WATCHDOG: bool = false;
+
+/// Does nothing: QEMU's model of the board has another watchdog, with clocks of its own.
+#[cfg(feature = "an547")]
+pub fn start_watchdog() {}
+
+/// Does nothing.
+#[cfg(feature = "an547")]
+pub fn feed_watchdog() {}
 
 /// Masks the receive interrupt, so that received bytes stay in the UART.
 pub fn hold_receiving() {

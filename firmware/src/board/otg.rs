@@ -26,7 +26,7 @@ use usb_device::endpoint::EndpointAddress;
 
 use super::stm32f405::{CLOCK_HZ, is_emulated, start_clock};
 use crate::clock::ShortStopwatch;
-use crate::receiving;
+use crate::{receiving, watchdog};
 
 /// Words for packets from the host: one packet for each endpoint, and one for the control endpoint.
 const RECEIVE_WORDS: usize = 3 * PACKET_BYTES / 4;
@@ -222,6 +222,7 @@ impl Sender {
             if !mem::replace(&mut asked, true) {
                 NVIC::pend(Interrupt::OTG_FS);
             }
+            watchdog::feed();
             // The timer's interrupt ends the sleep at the latest.
             cortex_m::asm::wfi();
             true

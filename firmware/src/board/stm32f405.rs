@@ -1,6 +1,6 @@
 //! STM32F405 (Cortex-M4F, 168 MHz). Its link is in `usart.rs`, or with the feature `usb` in `otg.rs`.
 
-use stm32f4::stm32f405::{Peripherals, RCC};
+use stm32f4::stm32f405::{IWDG, Peripherals, RCC};
 
 use crate::fault;
 
@@ -45,6 +45,52 @@ pub fn is_emulated() -> bool {
     // SAFETY: this reads a register without side effects.
     let rcc = unsafe { &*RCC::ptr() };
     rcc.cr().read().hsirdy().bit_is_clear()
+}
+
+/// Whether the interrupt that cannot be masked is the watchdog's: it is the clock's, when a crystal fails.
+pub const UNMASKED_IS_WATCHDOG: bool = false;
+
+/// Ticks of the watchdog's clock, nominally 1 kHz: from 0.34 to 0.94 s, as its oscillator has 17 to 47 kHz.
+const WATCHDOG_TICKS: u16 = 500;
+
+/// Starts the independent watchdog, which nothing but a reset stops; a debugger holds it.
+pub fn start_watchdog() {
+    // SAFETY: nothing else uses this peripheral, nor these bits of the debug unit.
+    let device = unsafe { Peripherals::steal() };
+    device
+        .DBGMCU
+        .apb1_fz()
+        .modify(|_, w| w.dbg_iwdg_stop().set_bit());
+    watchdog_key(START);
+    watchdog_key(CHANGE);
+    device.IWDG.pr().write(|w| w.pr().divide_by32());
+    device.IWDG.rlr().write(|w| w.rl().set(WATCHDOG_TICKS));
+    feed_watchdog();
+}
+
+/// Lets the watchdog begin anew.
+pub fn feed_watchdog() {
+    watchdog_key(FEED);
+}
+
+/// Keys of the watchdog: it starts; its clock may be set; it begins anew.
+const START: u16 = 0xcccc;
+const CHANGE: u16 = 0x5555;
+const FEED: u16 = 0xaaaa;
+
+fn watchdog_key(key: u16) {
+    // SAFETY: a write of this register has no effect but that of its key, and these are keys.
+    unsafe { (*IWDG::ptr()).kr().write(|w| w.key().bits(key)) };
+}
+
+/// Returns whether the watchdog, which leaves no record, restarted the chip; forgets it.
+#[must_use]
+pub fn take_watchdog_reset() -> bool {
+    // SAFETY: nothing else uses this register after a reset.
+    let csr = unsafe { &*RCC::ptr() }.csr();
+    let is_it = csr.read().wdgrstf().bit_is_set();
+    csr.modify(|_, w| w.rmvf().set_bit());
+    is_it
 }
 
 /// Source of the main clock's 168 MHz.

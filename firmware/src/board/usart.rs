@@ -13,7 +13,7 @@ use cortex_m::peripheral::NVIC;
 use stm32f4::stm32f405::{Interrupt, Peripherals, USART1, interrupt};
 
 use super::stm32f405::{is_emulated, start_clock};
-use crate::receiving;
+use crate::{receiving, watchdog};
 
 /// 84 MHz / 28 = 3 Mbaud, in sixteenths of a bit.
 const BAUD_DIVIDER: u16 = 28;
@@ -79,7 +79,9 @@ impl Sender {
     pub fn send(&mut self, bytes: &[u8]) {
         let usart = usart();
         for byte in bytes {
-            while usart.sr().read().txe().bit_is_clear() {}
+            while usart.sr().read().txe().bit_is_clear() {
+                watchdog::feed();
+            }
             usart.dr().write(|w| w.dr().set(u16::from(*byte)));
         }
     }

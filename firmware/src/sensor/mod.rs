@@ -26,11 +26,15 @@
 //! with the interrupt's priority above that of PendSV, which is the lowest. A word is the four bytes in the order
 //! in which they arrived (little-endian). After an overrun, where both blocks were filled before the interrupt came, call
 //! [`Port::count_lost`] with at most the events of a block: frames then report them.
+//!
+//! A sensor that falls silent for half a second restarts the board (`watchdog.rs`): let the port's timeout, which a GENX320
+//! has, send what there is at least ten times a second, be it nothing but a time.
 
 #[cfg(feature = "simulated")]
 pub mod simulated;
 
 use core::cell::RefCell;
+use core::sync::atomic::{AtomicU32, Ordering};
 
 use cortex_m::peripheral::SCB;
 use critical_section::Mutex;
@@ -105,10 +109,25 @@ pub fn transfer() -> Option<Transfer> {
     critical_section::with(|token| TRANSFER.borrow(token).take())
 }
 
-/// Body of the transfer's interrupt: runs `exchange`, which returns whether it handed a block over.
-pub fn on_transfer(exchange: impl FnOnce() -> bool) {
+/// Number of blocks that the transfer has filled; wraps.
+static TRANSFERS: AtomicU32 = AtomicU32::new(0);
+
+/// Returns the number of blocks that the transfer has filled so far; wraps.
+#[must_use]
+pub fn transfers() -> u32 {
+    TRANSFERS.load(Ordering::Relaxed)
+}
+
+/// Body of the transfer's interrupt: runs `exchange`, which returns whether it handed the filled block over; `None` if there
+/// was none.
+pub fn on_transfer(exchange: impl FnOnce() -> Option<bool>) {
     let stopwatch = Stopwatch::start();
-    if exchange() && !receiving::is_stalled() {
+    let exchanged = exchange();
+    if exchanged.is_some() {
+        // No other code writes it.
+        TRANSFERS.store(transfers().wrapping_add(1), Ordering::Relaxed);
+    }
+    if exchanged == Some(true) && !receiving::is_stalled() {
         SCB::set_pendsv();
     }
     stopwatch.stop_interrupt();

@@ -151,21 +151,19 @@ pub fn on_timer() {
     sensor::on_transfer(|| {
         write(INTERRUPT_CLEAR, 1);
         let playing = critical_section::with(|token| PLAYING.borrow(token).take());
-        playing.is_some_and(|mut playing| {
-            let is_handed_over = playing.play();
-            playing.wait();
-            critical_section::with(|token| PLAYING.borrow(token).set(Some(playing)));
-            is_handed_over
-        })
+        let mut playing = playing?;
+        let is_handed_over = playing.play();
+        playing.wait();
+        critical_section::with(|token| PLAYING.borrow(token).set(Some(playing)));
+        is_handed_over
     });
 }
 
 impl Playing {
-    /// Hands over the block that is full; returns whether there was room for it.
-    fn play(&mut self) -> bool {
-        let Some(block) = self.block.take() else {
-            return false;
-        };
+    /// Hands over the block that is full; returns whether there was room for it, if there is one.
+    fn play(&mut self) -> Option<bool> {
+        let block = self.block.take()?;
+        let is_over = self.next.is_none();
         let words = match self.next {
             Some(next) => {
                 let (next, words) = self.read(next, block);
@@ -176,10 +174,10 @@ impl Playing {
         };
         self.block = Some(self.port.exchange(block, words));
         let is_handed_over = !self.port.is_missing();
-        if words == 0 && is_handed_over {
+        if is_over && is_handed_over {
             ENDED.store(true, Ordering::Relaxed);
         }
-        is_handed_over
+        Some(is_handed_over)
     }
 
     /// Reads the words of a block; returns the next one, after those that were overwritten.
@@ -218,7 +216,6 @@ impl Playing {
     fn wait(&self) {
         let ticks = match self.next {
             Some(next) => self.ticks_until(next.full_us).max(1),
-            None if ended() => return,
             None => (LATER_US * TICKS_PER_US) as i32,
         };
         write(VALUE, ticks as u32);

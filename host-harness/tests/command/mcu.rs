@@ -773,6 +773,7 @@ fn the_command_reports_the_image() {
         "frames",
         "frames_identical",
         "frames_different",
+        "last_restart",
         "instructions_per_event",
         "receive_instructions_per_event",
         "encode_instructions_per_event",

@@ -145,7 +145,13 @@ mod tests {
         let serde_json::Value::Object(json) = serde_json::to_value(&report).unwrap() else {
             unreachable!();
         };
-        let values: Vec<String> = json.values().map(ToString::to_string).collect();
+        let values: Vec<String> = json
+            .values()
+            .map(|value| match value {
+                serde_json::Value::Null => "none".to_owned(),
+                value => value.to_string(),
+            })
+            .collect();
         let table = table(&report, &outcome);
         assert_eq!(table.lines().count(), values.len(), "{table}{json:?}");
         for line in table.lines() {
