@@ -1,6 +1,6 @@
 //! The debugger's port of an emulator: stops it, reads and writes its memory and registers (GDB's remote protocol).
 
-use std::io::{self, ErrorKind, Read, Write};
+use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
 use std::thread;
@@ -12,12 +12,13 @@ use event_types::stream::{Context, Result};
 /// Time that the emulator has to open its port, and to answer.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// Longest answer.
-const ANSWER_BYTES: usize = 1 << 12;
+const ANSWER_BYTES: u64 = 1 << 12;
 
 /// A connection to a stopped emulator.
 #[derive(Debug)]
 pub struct Debugger {
     stream: UnixStream,
+    answers: BufReader<UnixStream>,
 }
 
 impl Debugger {
@@ -37,7 +38,8 @@ impl Debugger {
             }
         };
         stream.set_read_timeout(Some(PATIENCE))?;
-        let mut debugger = Self { stream };
+        let answers = BufReader::new(stream.try_clone()?);
+        let mut debugger = Self { stream, answers };
         debugger.ask("QStartNoAckMode")?;
         // The last packet that is acknowledged is that answer.
         debugger.stream.write_all(b"+")?;
@@ -150,23 +152,17 @@ impl Debugger {
 
     /// Returns the content of the next packet.
     fn answer(&mut self) -> io::Result<String> {
-        let mut bytes = (&self.stream).bytes();
-        let mut next = || match bytes.next() {
-            Some(byte) => byte,
-            None => Err(ErrorKind::UnexpectedEof.into()),
-        };
-        while next()? != b'$' {}
+        let mut answers = self.answers.by_ref().take(ANSWER_BYTES);
         let mut answer = Vec::new();
-        loop {
-            match next()? {
-                b'#' => break,
-                byte if answer.len() < ANSWER_BYTES => answer.push(byte),
-                _ => return Err(io::Error::other("the emulator's answer is too long")),
-            }
+        answers.read_until(b'$', &mut answer)?;
+        answer.clear();
+        answers.read_until(b'#', &mut answer)?;
+        if answer.pop() != Some(b'#') {
+            // Too long, or the end.
+            return Err(ErrorKind::UnexpectedEof.into());
         }
         // The sum: the socket loses nothing.
-        next()?;
-        next()?;
+        self.answers.read_exact(&mut [0; 2])?;
         Ok(String::from_utf8_lossy(&answer).into_owned())
     }
 }
