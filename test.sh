@@ -8,7 +8,7 @@
 #   nostd     the core and the USB class without std
 #   firmware  the images in QEMU: golden vectors, stack, code, instructions, recordings
 #   cores     the library for C: its programs on this machine and, in QEMU, on the cores of microcontrollers; their sizes;
-#             what finds it: only when it is named (the unit stage has all of this, too)
+#             what finds it; the images on all cores: only when it is named (the unit stage has the library's, too)
 #   usb       the USB link: its tests, libusb against a mocked device, simulated cameras in a guest
 #             with a real kernel
 #   links     the tests of hubs and of ROS 2's nodes, which wait for each other's messages more than they compute, and
@@ -118,6 +118,11 @@ compilers() {
 cores() {
     compilers || true
     cargo test -p eecvs-capi -- --nocapture
+    if emulator && firmware/build.sh mps2-an505; then
+        # The Cortex-M33 and M55 run the code of the Cortex-M4.
+        golden_vectors mps2-an505 mps3-an547
+        cargo xtask cores
+    fi
 }
 
 # Waits until the unit stage's build is there, or makes it: tests, commands, examples.
@@ -442,13 +447,22 @@ neon() {
 
 # Runs an image of a machine: `qemu MACHINE BINARY`. Its exit status is the image's.
 qemu() {
-    timeout 120 qemu-system-arm -M "$1" -display none -monitor none -serial null -icount shift=0 \
+    timeout 120 qemu-system-arm -M "${1%-m0}" -display none -monitor none -serial null -icount shift=0 \
         -semihosting-config enable=on,target=native \
         -kernel "$(firmware/build.sh "$1" "$2")/$2" </dev/null
 }
 
+# The golden vectors on machines: `golden_vectors MACHINE...`.
+golden_vectors() {
+    local machine
+    for machine; do
+        echo "golden vectors on $machine"
+        qemu "$machine" golden
+    done
+}
+
 firmware() {
-    local machine features
+    local features
     if ! emulator; then
         skip "firmware: there is no qemu-system-arm and apt-get cannot install it"
         return
@@ -468,11 +482,8 @@ firmware() {
                 --features "$features" --target thumbv7em-none-eabihf --target-dir firmware/target/clippy -- -D warnings
         done
     fi
-    # Cortex-M4, M3, M7, M33, M55 and M0.
-    for machine in netduinoplus2 mps2-an385 mps2-an500 mps2-an505 mps3-an547 microbit; do
-        echo "golden vectors on $machine"
-        qemu "$machine" golden
-    done
+    # Cortex-M4, M3, M0+, M7 and M0.
+    golden_vectors netduinoplus2 mps2-an385 mps2-an385-m0 mps2-an500 microbit
     cargo xtask instructions --check
     cargo xtask kernels --check
     # A sensor at rising rates.

@@ -12,6 +12,10 @@ const GOLDEN: &str = "../tests/golden";
 
 fn main() -> Result<(), Box<dyn Error>> {
     let out = PathBuf::from(env::var("OUT_DIR")?);
+    println!("cargo:rustc-check-cfg=cfg(armv6m)");
+    if env::var("TARGET")?.starts_with("thumbv6m") {
+        println!("cargo:rustc-cfg=armv6m");
+    }
     memory(&out)?;
     fs::write(out.join("golden.rs"), golden()?)?;
     println!("cargo:rerun-if-changed=build.rs");

@@ -7,6 +7,7 @@
 #   usb             STM32F405 with USB as its link, on boards only; `encoder` alone. EECVS_CRYSTAL_MHZ
 #                   is the board's crystal: 12 unless set
 #   mps2-an385      Cortex-M3 in QEMU
+#   mps2-an385-m0   the instructions of a Cortex-M0+ in QEMU, on that Cortex-M3, which has them all
 #   mps2-an386      Cortex-M4 in QEMU
 #   mps2-an500      Cortex-M7 in QEMU
 #   mps2-an505      Cortex-M33 in QEMU, by the Cortex-M4's instructions, DSP included
@@ -27,12 +28,13 @@ case $machine in
     small) target=thumbv7em-none-eabihf feature=stm32f405 ;;
     usb) target=thumbv7em-none-eabihf feature=stm32f405,usb ;;
     mps2-an385) target=thumbv7m-none-eabi feature=mps2 ;;
+    mps2-an385-m0) target=thumbv6m-none-eabi feature=mps2 ;;
     mps2-an386) target=thumbv7em-none-eabihf feature=mps2 ;;
     mps2-an500) target=thumbv7em-none-eabihf feature=mps2 flags=(-C target-cpu=cortex-m7) ;;
     mps2-an505) target=thumbv7em-none-eabihf feature=an505 ;;
     mps3-an547) target=thumbv7em-none-eabihf feature=an547 ;;
     microbit) target=thumbv6m-none-eabi feature=microbit ;;
-    *) sed -n '2,19s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
+    *) sed -n '2,20s/^# \{0,1\}//p' "$0" >&2; exit 2 ;;
 esac
 
 case ${2:-} in

@@ -1,10 +1,12 @@
 //! Time in ticks of the processor clock, from the SysTick timer. The time that interrupts take is counted
 //! separately.
 
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::sync::atomic::Ordering;
 
 use cortex_m::peripheral::syst::SystClkSource;
 use cortex_m::peripheral::{SCB, SYST};
+// Adds also on cores without an instruction for that.
+use portable_atomic::AtomicU32;
 
 use crate::board;
 

@@ -161,7 +161,7 @@ fn end(cause: Cause, pointer: u32, frame: Option<u32>) -> ! {
 }
 
 /// Returns the processor's status of faults.
-#[cfg(not(feature = "microbit"))]
+#[cfg(not(armv6m))]
 fn status() -> [u32; 2] {
     // SAFETY: these registers are read alone, which changes nothing.
     let scb = unsafe { &*SCB::PTR };
@@ -169,7 +169,7 @@ fn status() -> [u32; 2] {
 }
 
 /// The core has no such registers.
-#[cfg(feature = "microbit")]
+#[cfg(armv6m)]
 fn status() -> [u32; 2] {
     [0; 2]
 }

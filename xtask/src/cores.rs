@@ -19,7 +19,8 @@ const MARKS: Marks = Marks {
 const DOCUMENT: &str = "docs/boards.md";
 
 /// Each core once, by the machine that has it.
-const CORES: [(&str, Machine); 5] = [
+const CORES: [(&str, Machine); 6] = [
+    ("Cortex-M0+", Machine::Mps2An385M0),
     ("Cortex-M3", Machine::Mps2An385),
     ("Cortex-M4", Machine::Mps2An386),
     ("Cortex-M7", Machine::Mps2An500),

@@ -56,6 +56,8 @@ pub enum Machine {
     Small,
     /// The MPS2+ board with a Cortex-M3.
     Mps2An385,
+    /// The same, with the instructions of a Cortex-M0+, all of which it has.
+    Mps2An385M0,
     /// The MPS2+ board with a Cortex-M4.
     Mps2An386,
     /// The MPS2+ board with a Cortex-M7.
@@ -68,10 +70,11 @@ pub enum Machine {
 
 impl Machine {
     /// Every machine.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::NetduinoPlus2,
         Self::Small,
         Self::Mps2An385,
+        Self::Mps2An385M0,
         Self::Mps2An386,
         Self::Mps2An500,
         Self::Mps2An505,
@@ -93,6 +96,7 @@ impl Machine {
                 "the same with an image of 64 KiB of flash and 48 KiB of RAM: the fast coder alone"
             }
             Self::Mps2An385 => "MPS2+ board with a Cortex-M3",
+            Self::Mps2An385M0 => "the same by the instructions of a Cortex-M0+",
             Self::Mps2An386 => "MPS2+ board with a Cortex-M4",
             Self::Mps2An500 => "MPS2+ board with a Cortex-M7",
             Self::Mps2An505 => "MPS2+ board with a Cortex-M33",
@@ -107,6 +111,7 @@ impl Machine {
             Self::NetduinoPlus2 => "netduinoplus2",
             Self::Small => "small",
             Self::Mps2An385 => "mps2-an385",
+            Self::Mps2An385M0 => "mps2-an385-m0",
             Self::Mps2An386 => "mps2-an386",
             Self::Mps2An500 => "mps2-an500",
             Self::Mps2An505 => "mps2-an505",
@@ -118,6 +123,7 @@ impl Machine {
     const fn emulated(self) -> &'static str {
         match self {
             Self::Small => Self::NetduinoPlus2.name(),
+            Self::Mps2An385M0 => Self::Mps2An385.name(),
             _ => self.name(),
         }
     }
