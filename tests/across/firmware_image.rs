@@ -27,7 +27,7 @@ const BUILDS: [Build; 3] = [
     Build {
         machine: "netduinoplus2",
         interrupt: "USART1",
-        flash_bytes_max: 468 << 10,
+        flash_bytes_max: 470 << 10,
         ram_bytes_max: 112 << 10,
         stack_bytes: 10 << 10,
     },

@@ -105,13 +105,10 @@ enum Task {
     },
     /// Flip bits of a microcontroller's memory and registers, stop its peripherals: what becomes of the events?
     Flips {
-        /// Number of faults, each in a run of its own
+        /// Number of faults, each in a run of its own: four a second on two cores
         #[arg(default_value_t = flips::FAULTS)]
         count: u64,
-        /// Number of the first
-        #[arg(long, default_value_t = 0)]
-        first: u64,
-        /// Write the table into docs/boards.md
+        /// Go on with the record, firmware/flips.json, and write the table into docs/boards.md
         #[arg(long)]
         save: bool,
     },
@@ -217,7 +214,7 @@ fn main() -> Result<ExitCode> {
         Task::ImageRecordings { events, eecvs } => image_recordings::run(events, eecvs),
         Task::Cores { save, eecvs } => cores::run(save, eecvs),
         Task::Sensor { save } => sensor::run(save),
-        Task::Flips { count, first, save } => flips::run(count, first, save),
+        Task::Flips { count, save } => flips::run(count, save),
         Task::Pipelines { record, rounds } => pipelines::run(record.as_deref(), rounds),
         Task::ReadSpeed { record, rounds } => read_speed::run(record.as_deref(), rounds),
         Task::Stream { events } => stream::run(events, None),

@@ -56,10 +56,10 @@ impl Debugger {
         Ok(self.send("c")?)
     }
 
-    /// Stops the emulator; returns `false` if it has ended before.
+    /// Stops the emulator; returns `false` if it has ended before, or is in a call of the host's that does not end.
     ///
     /// # Errors
-    /// It does not answer.
+    /// The connection fails.
     pub fn stop(&mut self) -> Result<bool> {
         match self.stream.write_all(&[3]).and_then(|()| self.answer()) {
             // `W` and `X`: it has ended.
@@ -167,10 +167,14 @@ impl Debugger {
     }
 }
 
-/// Whether an error means that the emulator has closed the port.
+/// Whether an error means that the emulator has closed the port, or no longer answers.
 fn has_ended(error: &io::Error) -> bool {
     matches!(
         error.kind(),
-        ErrorKind::UnexpectedEof | ErrorKind::BrokenPipe | ErrorKind::ConnectionReset
+        ErrorKind::UnexpectedEof
+            | ErrorKind::BrokenPipe
+            | ErrorKind::ConnectionReset
+            | ErrorKind::WouldBlock
+            | ErrorKind::TimedOut
     )
 }

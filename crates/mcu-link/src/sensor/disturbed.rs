@@ -33,13 +33,15 @@ pub enum End {
     LockedUp,
     /// It ended with an error of its own, or of the emulator's: what it said last.
     Failed(String),
-    /// It runs where there is no memory: a board takes a fault, QEMU reads zeros there, which are instructions, for hours.
-    Astray {
-        /// Where.
+    /// It is where no chip is. It runs where there is no memory: a board takes a fault, QEMU reads zeros there, which are
+    /// instructions, for hours. Or it is in a call of QEMU's that does not end, by which the simulated sensor and link reach
+    /// the host's files.
+    Outside {
+        /// Where it runs; 0 in a call.
         pc: u32,
     },
-    /// It did not end.
-    Hung {
+    /// It goes on for ever: the watchdog sees progress, but the end of the recording does not come.
+    GoesOn {
         /// Where it runs.
         pc: u32,
     },
@@ -93,7 +95,7 @@ impl Scene<'_> {
                 let _ = child.kill();
                 Ok((is_disturbed, end?))
             }
-            (_, Ok((is_disturbed, _))) => Ok((is_disturbed, End::Hung { pc: 0 })),
+            (_, Ok((is_disturbed, _))) => Ok((is_disturbed, End::Outside { pc: 0 })),
             (_, Err(error)) => {
                 let _ = child.kill();
                 Err(error)
@@ -189,14 +191,14 @@ fn still_runs(debugger: &mut Debugger) -> Result<End> {
     const MEMORY_BYTES: u32 = 4 << 20;
     const RAM: u32 = 0x2000_0000;
     if !debugger.stop()? {
-        return Ok(End::Hung { pc: 0 });
+        return Ok(End::Outside { pc: 0 });
     }
     let pc = debugger.register(PC)?;
     let is_memory = pc < MEMORY_BYTES || (RAM..RAM + MEMORY_BYTES).contains(&pc);
     Ok(if is_memory {
-        End::Hung { pc }
+        End::GoesOn { pc }
     } else {
-        End::Astray { pc }
+        End::Outside { pc }
     })
 }
 

@@ -34,6 +34,8 @@ pub const BLOCK_WORDS: usize = 128;
 pub const BLOCKS: usize = 16;
 /// Time after which a sensor sends a block that is not full.
 pub const BLOCK_US: u32 = 1000;
+/// Words that a port of 8 bits and 50 MHz carries in 2 us.
+const PORT_WORDS: u32 = 25;
 /// Number of windows in the image.
 const WINDOWS: usize = 2;
 /// Files of the image, in the folder in which it runs.
@@ -159,7 +161,7 @@ impl Scene<'_> {
         };
         let mut encoder = Evt2Encoder::new(0);
         let mut blocks: Vec<Block> = Vec::new();
-        let mut first_us = 0;
+        let (mut first_us, mut last_us) = (0, 0);
         for event in self.events {
             let Some((time, word)) = encoder.encode(*event) else {
                 bail!(
@@ -176,15 +178,16 @@ impl Scene<'_> {
                     event.t_us
                 );
             };
+            ensure!(
+                us >= last_us,
+                Refused,
+                "an event at {} us after a later one: a sensor sends them in order",
+                event.t_us
+            );
+            last_us = us;
             for word in time.into_iter().chain([word]) {
                 match blocks.last_mut() {
                     Some(last) if last.words.len() < BLOCK_WORDS && us <= first_us + BLOCK_US => {
-                        ensure!(
-                            us >= last.full_us,
-                            Refused,
-                            "an event at {} us after a later one: a sensor sends them in order",
-                            event.t_us
-                        );
                         last.full_us = us;
                         last.words.push(word);
                     }
@@ -200,6 +203,15 @@ impl Scene<'_> {
                     }
                 }
             }
+        }
+        // The port takes its time for each.
+        let mut free_us = 0;
+        for block in &mut blocks {
+            let words = block.words.len() as u32;
+            block.full_us = block
+                .full_us
+                .max(free_us + (2 * words).div_ceil(PORT_WORDS));
+            free_us = block.full_us;
         }
         Ok(blocks)
     }
@@ -259,7 +271,8 @@ mod tests {
             .map(|block| (block.full_us, block.events()))
             .collect();
         // The first block begins with a time.
-        assert_eq!(sizes, [(1, 127), (2, 128), (2, 45)]);
+        // As quickly as the port allows.
+        assert_eq!(sizes, [(11, 127), (22, 128), (26, 45)]);
         assert!(is_time(full[0].words[0]) && full[0].words.len() == BLOCK_WORDS);
 
         let few = blocks(&[5, 905, 1005, 1006, 9000]).unwrap();
