@@ -2,7 +2,7 @@
 //!
 //! A timer's interrupt stands for that of a filled block. The transfer itself is a read of the host's file `sensor.words`
 //! by semihosting, straight into the block, in which no time passes, as a DMA takes none of the processor's. The file,
-//! which `crates/mcu-link/src/sensor.rs` writes, has all numbers little-endian:
+//! which `crates/mcu-link/src/sensor/` writes, has all numbers little-endian:
 //!
 //! | part | content |
 //! |---|---|
