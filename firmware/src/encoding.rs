@@ -14,7 +14,7 @@ use crate::board::{self, Sender};
 use crate::clock::{Stopwatch, interrupt_ticks, nanoseconds};
 use crate::memory::{self, Shares, WINDOWS};
 use crate::receiving;
-use crate::{stack, watchdog};
+use crate::{clock, fault, stack, watchdog};
 
 /// Whether the image has all that a microcontroller can encode; a small one has the fast coder alone.
 const IS_FULL: bool = cfg!(feature = "full");
@@ -85,9 +85,24 @@ pub struct Encoding {
 }
 
 impl Encoding {
-    /// Returns the encoder before its first setup, whose status says why it started again; `None` on a second call.
+    /// Sets up the board, the interrupts, the watchdog and the encoder, whose status says why it started again; called once,
+    /// at the image's start.
+    #[must_use]
+    pub fn start(restart: Option<Restart>) -> Self {
+        let encoding = cortex_m::Peripherals::take().and_then(|mut core| {
+            let sender = board::set_up(&mut core)?;
+            clock::start(&mut core.SYST);
+            receiving::start(&mut core);
+            board::start_watchdog();
+            Self::new(sender, restart)
+        });
+        // Never reached: every part of the above exists once.
+        encoding.unwrap_or_else(|| fault::stop())
+    }
+
+    /// Returns the encoder before its first setup; `None` on a second call.
     #[inline(never)]
-    pub fn new(sender: Sender, restart: Option<Restart>) -> Option<Self> {
+    fn new(sender: Sender, restart: Option<Restart>) -> Option<Self> {
         static SUMS: ConstStaticCell<[Sum; NUMBERS]> = ConstStaticCell::new([Sum::ZERO; NUMBERS]);
         static TOTALS: ConstStaticCell<[WideSum; NUMBERS]> =
             ConstStaticCell::new([WideSum::ZERO; NUMBERS]);

@@ -47,11 +47,6 @@ impl Seen {
     }
 }
 
-/// Starts the watchdog, where the board has one.
-pub fn start() {
-    board::start_watchdog();
-}
-
 /// Feeds the watchdog, if the interrupts have done their work since the last time. Called by `main` alone, with every turn
 /// of its loop in which it has work or nothing to do, and while it waits for the link, whose host may take its time.
 pub fn feed() {

@@ -13,8 +13,8 @@
 use cortex_m::peripheral::SCB;
 use cortex_m_rt::{entry, exception};
 use eecvs_firmware::encoding::Encoding;
-use eecvs_firmware::receiving::{self, Receiving};
-use eecvs_firmware::{board, clock, fault, watchdog};
+use eecvs_firmware::receiving::Receiving;
+use eecvs_firmware::{board, clock, fault};
 
 #[entry]
 fn main() -> ! {
@@ -23,17 +23,7 @@ fn main() -> ! {
         defmt::error!("started again after {}", record);
     }
     let restart = ended.as_ref().map(fault::Record::restart);
-    let encoding = cortex_m::Peripherals::take().and_then(|mut core| {
-        let sender = board::set_up(&mut core)?;
-        clock::start(&mut core.SYST);
-        receiving::start(&mut core);
-        watchdog::start();
-        Encoding::new(sender, restart)
-    });
-    let Some(mut encoding) = encoding else {
-        // Never reached: every part of the above exists once, and this runs once.
-        fault::stop();
-    };
+    let mut encoding = Encoding::start(restart);
     defmt::info!("ready on {=str}", board::NAME);
     encoding.greet();
     loop {

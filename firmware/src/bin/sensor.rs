@@ -9,9 +9,9 @@ use cortex_m_rt::{entry, exception};
 use cortex_m_semihosting::debug::{self, EXIT_SUCCESS};
 use cortex_m_semihosting::hprintln;
 use eecvs_firmware::encoding::Encoding;
-use eecvs_firmware::receiving::{self, Receiving};
+use eecvs_firmware::receiving::Receiving;
 use eecvs_firmware::sensor::simulated;
-use eecvs_firmware::{board, clock, fault, watchdog};
+use eecvs_firmware::{clock, fault};
 
 #[entry]
 fn main() -> ! {
@@ -21,16 +21,7 @@ fn main() -> ! {
         debug::exit(EXIT_SUCCESS);
     }
     fault::restart_in_emulators();
-    let encoding = cortex_m::Peripherals::take().and_then(|mut core| {
-        let sender = board::set_up(&mut core)?;
-        clock::start(&mut core.SYST);
-        receiving::start(&mut core);
-        watchdog::start();
-        Encoding::new(sender, None)
-    });
-    let Some(mut encoding) = encoding else {
-        fault::stop();
-    };
+    let mut encoding = Encoding::start(None);
     while !encoding.work() {}
     // After what the log may have printed on its line.
     hprintln!("\n{{\"overrun\":{}}}", simulated::overrun());
